@@ -18,7 +18,7 @@ from bcfj_jax.io.streams import be_patient
 __all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
 
 # A module with verbs has a line here; help lists them in this order.
-for _module in ("running", "designing", "fitting", "study", "files", "checking"):
+for _module in ("running", "fitting", "study", "files"):
     importlib.import_module(f"bcfj_jax.cli.{_module}")
 
 

@@ -112,14 +112,9 @@ def verb(
 ) -> Callable[[Callable[..., int]], Callable[..., None]]:
     """Make a function a verb: its return value is the exit code, its docstring the help.
 
-    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``.
-
-    Args:
-        to: the application, or a group of it.
-        name: as it is typed; by default the function's own.
-        example: command lines for the help.
-        changed: where the verb takes ``--set`` and what is short for it: from the verb's arguments and the changes to
-            a context within which its file reads as changed.
+    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``; with
+    ``changed`` also ``--set`` and what is short for it: from the verb's arguments and the changes ``changed`` makes a
+    context within which its file reads as changed.
     """
 
     def added(function: Callable[..., int]) -> Callable[..., None]:
@@ -130,19 +125,23 @@ def verb(
         def wrapped(**options: Any) -> None:
             quiet, verbose, as_json = (options.pop(key) for key in _SHARED)
             wanted = {key: options.pop(key) for key in changes} if changed else {}
+
+            def run() -> int:
+                with changed(options, asked(wanted)) if changed else contextlib.nullcontext():
+                    return function(**options)
+
             with _speaking(quiet, verbose):
-                code, document = _done(function, options, wanted, changed, as_json)
+                code, document = _done(run, as_json)
             if as_json:
                 typer.echo(json.dumps(_plain({"command": command, "exit_code": code, **document}, command), indent=2))
-            raise typer.Exit(_heard(code, as_json or not _wrote()))
+            raise typer.Exit(_heard(code, as_json or not any(path.exists() for path in _written())))
 
-        more = {**_SHARED, **(changes if changed else {})}
         signature = inspect.signature(function, eval_str=True)
-        parameters = [
-            *signature.parameters.values(),
-            *(inspect.Parameter(k, inspect.Parameter.KEYWORD_ONLY, default=_default(h), annotation=h)
-              for k, h in more.items()),
-        ]  # fmt: skip
+        parameters = list(signature.parameters.values())
+        for key, hint in {**_SHARED, **(changes if changed else {})}.items():
+            default = False if hint.__args__[0] is bool else None
+            kind = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(inspect.Parameter(key, kind, default=default, annotation=hint))
         # Typer reads options from the signature.
         wrapped.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         wrapped.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -152,40 +151,31 @@ def verb(
     return added
 
 
-def _done(
-    function: Callable[..., int],
-    options: Mapping[str, Any],
-    wanted: Mapping[str, Any],
-    changed: Changed | None,
-    as_json: bool,
-) -> tuple[int, dict[str, Any]]:
+def _done(run: Callable[[], int], as_json: bool) -> tuple[int, dict[str, Any]]:
     """Run a verb: its exit code; and, for ``--json``, its error and what it would have printed."""
     from bcfj_jax.io.guard import guarded
 
     heard, document = io.StringIO(), {}
     Session.content = None
-    if "bcfj_jax.io.outputs" in sys.modules:
-        # A verb before this one, in the same process, has written other files.
-        sys.modules["bcfj_jax.io.outputs"].written.clear()
+    # A verb before this one, in the same process, has written other files.
+    _written().clear()
 
-    def run() -> int:
+    def noted() -> int:
         try:
-            within = changed(options, asked(wanted)) if changed else contextlib.nullcontext()
-            with within:
-                return function(**options)
+            return run()
         except InputError as error:
             document["error"] = {"where": error.where, "found": error.found, "remedy": error.remedy}
             raise
 
     with contextlib.redirect_stdout(heard) if as_json else contextlib.nullcontext():
-        code = guarded(run, say)
+        code = guarded(noted, say)
     return code, {**document, "text": heard.getvalue().rstrip("\n")}
 
 
-def _wrote() -> bool:
-    """Whether the verb has left a file."""
+def _written() -> list[Path]:
+    """Files that verbs of this process have left; the module that writes them may not be needed at all."""
     outputs = sys.modules.get("bcfj_jax.io.outputs")
-    return outputs is not None and any(path.exists() for path in outputs.written)
+    return outputs.written if outputs else []
 
 
 def _heard(code: int, printed: bool) -> int:
@@ -194,10 +184,6 @@ def _heard(code: int, printed: bool) -> int:
         say(f"error: stdout cannot be written ({why}); free some space, or print to another place")
         return BAD_INPUT
     return code
-
-
-def _default(hint: Any) -> Any:
-    return False if hint.__args__[0] is bool else None
 
 
 @contextlib.contextmanager
@@ -219,21 +205,18 @@ def _speaking(quiet: bool, verbose: bool) -> Iterator[None]:
 
 def _plain(document: dict[str, Any], command: str) -> dict[str, Any]:
     """The document of ``--json``: exit code, files written, the content of the main one."""
-    if "bcfj_jax.io.outputs" in sys.modules:
-        from bcfj_jax.io.outputs import plain, written
-
+    outputs = sys.modules.get("bcfj_jax.io.outputs")
+    if outputs:
         # Of a run that was interrupted, what was written is taken back.
-        there = [path for path in dict.fromkeys(written) if path.exists()]
+        there = [path for path in dict.fromkeys(outputs.written) if path.exists()]
         document["files"] = [str(path) for path in there]
         main = next((path for path in reversed(there) if path.name == _MAIN.get(command)), None)
         if main is not None:
             document["result"] = json.loads(main.read_text(encoding="utf-8"))
-        written.clear()
+        outputs.written.clear()
     if Session.content is not None:
         document["result"] = dict(Session.content)
-        if "bcfj_jax.io.outputs" in sys.modules:
-            document = plain(document)
-    return document
+    return outputs.plain(document) if outputs else document
 
 
 def _show_version(wanted: bool) -> None:

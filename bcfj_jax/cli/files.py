@@ -1,16 +1,17 @@
-"""Verbs about files, which run nothing: validate, init, report."""
+"""Verbs about files: validate, schema, init, report; and about the installation: verify, doctor."""
 
 from __future__ import annotations
 
 import enum
+import importlib
 import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from bcfj_jax.cli.base import DONE, app, ready, result, say, verb
-from bcfj_jax.cli.options import Code
+from bcfj_jax.cli.base import DONE, FAILED, app, ready, result, say, verb
+from bcfj_jax.cli.options import Code, split
 from bcfj_jax.core.errors import InputError
 
 
@@ -28,10 +29,8 @@ def validate(
         from calibration import problemfile
 
         problem = problemfile.load(file)
-        kind, free, records = "calibration", [f.name for f in problem.free], len(problem.experiments)
-        text = (
-            f"a calibration of {', '.join(free)} from {counted(records, 'record')}, of the scene '{problem.scene.kind}'"
-        )
+        free, records = ", ".join(f.name for f in problem.free), counted(len(problem.experiments), "record")
+        kind, text = "calibration", f"a calibration of {free} from {records}, of the scene '{problem.scene.kind}'"
     elif "objective" in content:
         from bcfj_jax.analysis.designs import command, designfile
 
@@ -42,8 +41,8 @@ def validate(
         from bcfj_jax.analysis.studies import specification
 
         study = specification.load(file)
-        kind = "study"
-        text = f"a study of {', '.join(study.names)}: {study.count} points of the scene '{study.given.scene.kind}'"
+        varied = f"{', '.join(study.names)}: {study.count} points"
+        kind, text = "study", f"a study of {varied} of the scene '{study.given.scene.kind}'"
     else:
         given = scenefile.load(file)
         contacts = ", ".join(contact.name for contact in given.scene.contacts) or "none"
@@ -53,13 +52,14 @@ def validate(
     return DONE
 
 
-class Kind(enum.StrEnum):
-    """Files that have a schema."""
-
-    scene = "scene"
-    calibration = "calibration"
-    study = "study"
-    design = "design"
+# Files that have a schema, and the module that loads them.
+_LOADERS = {
+    "scene": "bcfj_jax.io.scenefile",
+    "calibration": "calibration.problemfile",
+    "study": "bcfj_jax.analysis.studies.specification",
+    "design": "bcfj_jax.analysis.designs.designfile",
+}
+Kind = enum.StrEnum("Kind", list(_LOADERS))
 
 
 @verb(app, example="bcfj schema scene > scene.schema.json")
@@ -74,21 +74,7 @@ def schema(kind: Annotated[Kind, typer.Argument(help="The kind of file.")]) -> i
 
 def schema_of(kind: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file."""
-    if kind == "calibration":
-        from calibration import problemfile
-
-        return problemfile.schema()
-    if kind == "study":
-        from bcfj_jax.analysis.studies import specification
-
-        return specification.schema()
-    if kind == "design":
-        from bcfj_jax.analysis.designs import designfile
-
-        return designfile.schema()
-    from bcfj_jax.io import scenefile
-
-    return scenefile.schema()
+    return importlib.import_module(_LOADERS[kind]).schema()
 
 
 @verb(app, example="bcfj init impact\nbcfj init calibration examples/chung_ooi_test1_curve.csv")
@@ -119,9 +105,8 @@ def init(
         stated = Stated(separator, decimal, encoding, header)
         return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated, struck_mass)
     if record is not None:
-        raise InputError(
-            "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
-        )
+        found = f"{record} after the scene '{what}'"
+        raise InputError("init", found, "give one scene, or: bcfj init calibration RECORD")
     ready(None)
     from bcfj_jax.io.outputs import create
     from bcfj_jax.io.scenetemplate import template
@@ -148,7 +133,41 @@ def report(
     if not (folder / "summary.json").is_file():
         kept(folder)
     ready(code)
-    from bcfj_jax.analysis.reporting import rebuild
+    from bcfj_jax.analysis.simulation.folder import rebuild
 
     typer.echo(f"report: {rebuild(folder, say)}")
     return DONE
+
+
+@verb(app, example="bcfj verify\nbcfj verify --only hertz_impact,chain --json")
+def verify(
+    only: Annotated[str, typer.Option(help="Names of checks, separated by commas; by default every check.")] = "",
+) -> int:
+    """Compute published numbers and closed forms on this machine, and compare: what, source, tolerance, deviation.
+
+    The exit code is 0 where every check passed, and 1 where one failed. The first run compiles programs and takes some
+    two minutes; later runs take less than one.
+    """
+    ready(None)
+    from bcfj_jax.verification import command
+    from calibration import verification
+
+    rows = command.run(command.picked((*command.CHECKS, *verification.CHECKS), split(only)), say)
+    result(command.document(rows))
+    typer.echo(command.table(rows))
+    return DONE if command.passed(rows) else FAILED
+
+
+@verb(app, example="bcfj doctor\nbcfj doctor --json")
+def doctor() -> int:
+    """Look at this installation: versions, devices, cores, the folder of compiled programs, extras; say what to do.
+
+    The exit code is 0 where nothing is wrong, and 1 where something is. Extras that are missing are no fault.
+    """
+    ready(None)
+    from bcfj_jax.io import doctor as examination
+
+    found = examination.examine()
+    result(examination.content(found))
+    typer.echo(examination.text(found))
+    return DONE if examination.healthy(found) else FAILED

@@ -47,8 +47,7 @@ SET_ALONE = {"set_": CHANGES["set_"]}
 # Of the verbs of a study, whose points may be drawn.
 CHANGES_DRAWN: dict[str, Any] = CHANGES | {
     "seed": Annotated[
-        int | None,
-        typer.Option("--seed", min=0, help="Seed of points that are drawn: short for --set design.seed=..."),
+        int | None, typer.Option("--seed", min=0, help="Seed of points that are drawn: short for --set design.seed=...")
     ]
 }
 _SHORT = {
@@ -65,11 +64,9 @@ def asked(options: Mapping[str, Any]) -> list[Change]:
     """
     found = [changes.parse(text) for text in options.get("set_") or ()]
     for name, words in _SHORT.items():
-        value = options.get(name)
-        if value is not None:
-            found.append(
-                Change(f"--{name} {value}", words, changes.value(value) if name in ("end", "longest_step") else value)
-            )
+        if (value := options.get(name)) is not None:
+            read = changes.value(value) if isinstance(value, str) and name != "level" else value
+            found.append(Change(f"--{name} {value}", words, read))
     return found
 
 

@@ -12,7 +12,8 @@ import typer
 from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, result
 from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io import outputs, report, scenefile
+from bcfj_jax.io import report, scenefile
+from bcfj_jax.io.folder import check_folder
 from bcfj_jax.io.units import format_si
 
 
@@ -21,42 +22,29 @@ def ended(command: str, scene: str, begin: float, good: bool) -> int:
     if not good:
         return SIMULATION_FAILED
     with contextlib.suppress(InputError):
-        programs.remember(_name(command, scenefile.load(scene)), time.perf_counter() - begin)
+        name = f"bcfj {command} {scenefile.load(scene).scene.kind}"
+        programs.remember(name, time.perf_counter() - begin)
     return DONE
 
 
-def _name(command: str, given: scenefile.SceneFile) -> str:
-    return f"bcfj {command} {given.scene.kind}"
-
-
 def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
-    """Show what a verb would do with a scene; the exit code.
-
-    Args:
-        command, scene, out: the verb and its arguments.
-        rows: what of it is the verb's own: a name and a text.
+    """Show what a verb would do with a scene, in rows of which some are the verb's own; the exit code.
 
     Raises:
         InputError: for a scene that is not right, and a folder that cannot be used.
     """
     given = scenefile.load(scene)
-    took = programs.seconds(_name(command, given))
-    time_text = [] if any(row[0] == "time" for row in rows) else [
-        ["time", f"about {took:.0f} s, as the last time with such a scene" if took else
-         "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"]
-    ]  # fmt: skip
-    show(
-        [
-            ["scene", given.scene.kind],
-            ["parameters", str(len(given.params))],
-            ["contacts", ", ".join(contact.name for contact in given.scene.contacts) or "none"],
-            ["simulated", f"{format_si(float(given.times[-1]), 's')}, {len(given.times)} samples"],
-            ["accuracy", str(given.accuracy)],
-            *rows,
-            *time_text,
-        ],
-        out,
-    )
+    took = programs.seconds(f"bcfj {command} {given.scene.kind}")
+    unknown = "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"
+    known = f"about {took:.0f} s, as the last time with such a scene" if took else unknown
+    first = [
+        ["scene", given.scene.kind],
+        ["parameters", str(len(given.params))],
+        ["contacts", ", ".join(contact.name for contact in given.scene.contacts) or "none"],
+        ["simulated", f"{format_si(float(given.times[-1]), 's')}, {len(given.times)} samples"],
+        ["accuracy", str(given.accuracy)],
+    ]
+    show([*first, *rows, *([] if any(row[0] == "time" for row in rows) else [["time", known]])], out)
     return DONE
 
 
@@ -67,6 +55,6 @@ def show(rows: Sequence[Sequence[str]], out: Path | None) -> None:
         InputError: for a folder that cannot be used.
     """
     if out is not None:
-        outputs.open_folder(out, "", "", [], lock=False)
+        check_folder(out)
     typer.echo(report.text([["dry run", "nothing is written"], *rows]))
     result({"dry_run": {row[0]: row[1] for row in rows}})

@@ -10,6 +10,13 @@ import typer
 from bcfj_jax.cli.base import app, ready, say, verb
 from bcfj_jax.cli.options import Code, Dry, Out, Scene, of_scene, split
 
+Animate = Annotated[
+    str, typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas.")
+]
+Frames = Annotated[
+    str, typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas.")
+]
+
 
 @verb(
     app,
@@ -24,8 +31,7 @@ def simulate(
         typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas."),
     ] = "",
     frames: Annotated[
-        str,
-        typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas."),
+        str, typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas.")
     ] = "",
     code: Code = None,
     out: Out = None,
@@ -38,9 +44,8 @@ def simulate(
 
     movies = command.movies(split(animate))
     if dry_run:
-        return plan.of_scene(
-            "simulate", scene, out, [["runs", "2: one more measures the error" if measure_error else "1"]]
-        )
+        runs = "2: one more measures the error" if measure_error else "1"
+        return plan.of_scene("simulate", scene, out, [["runs", runs]])
     begin = time.perf_counter()
     good = command.run(scene, out, say, typer.echo, measure_error, movies, split(frames))
     return plan.ended("simulate", scene, begin, good)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,81 +24,60 @@ StudyDry = Annotated[bool, typer.Option("--dry-run", help="Count points, estimat
 Scheduler = Annotated[str | None, typer.Option(help="Dask scheduler that shall do the work: tcp://HOST:PORT.")]
 
 
-def _study(
-    study: str, files: list[Path] | None, out: Path | None, workers: int | None, scheduler: str | None, dry: bool,
-    resuming: bool,
-) -> int:  # fmt: skip
-    ready(files, study)
-    from bcfj_jax.analysis.studies import command
+_of_study = partial(verb, studies, changed=of_study, changes=CHANGES_DRAWN)
+_RUN = "bcfj study run clearance --out study"
+_SPREAD = "bcfj study run examples/impact_spread.toml --out spread"
 
-    text, found = command.run(study, out, workers, scheduler, dry, say, resuming)
+
+def _told(found: tuple[str, int]) -> int:
+    text, code = found
     typer.echo(text)
-    return found
+    return code
 
 
-@verb(
-    studies,
-    "run",
-    example="bcfj study run clearance --out study\n"
-    "bcfj study run examples/impact_spread.toml --set design.samples=16 --dry-run",
-    changed=of_study,
-    changes=CHANGES_DRAWN,
-)
+@_of_study("run", example=f"{_RUN}\nbcfj study run examples/impact_spread.toml --set design.samples=16 --dry-run")
 def study_run(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, dry_run: StudyDry = False,
     code: Code = None,
 ) -> int:  # fmt: skip
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
-    return _study(study, code, out, workers, scheduler, dry_run, False)
+    ready(code, study)
+    from bcfj_jax.analysis.studies import command
+
+    return _told(command.run(study, out, workers, scheduler, dry_run, say, False))
 
 
-@verb(
-    studies,
-    "resume",
-    example="bcfj study run clearance --out study\nbcfj study resume clearance --out study",
-    changed=of_study,
-    changes=CHANGES_DRAWN,
-)
+@_of_study("resume", example=f"{_RUN}\nbcfj study resume clearance --out study")
 def study_resume(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
 ) -> int:
     """Compute what is missing of a study that was cut off."""
-    return _study(study, code, out, workers, scheduler, False, True)
+    ready(code, study)
+    from bcfj_jax.analysis.studies import command
+
+    return _told(command.run(study, out, workers, scheduler, False, say, True))
 
 
-@verb(
-    studies,
-    "status",
-    example="bcfj study run clearance --out study\nbcfj study status clearance --out study",
-    changed=of_study,
-    changes=CHANGES_DRAWN,
-)
+@_of_study("status", example=f"{_RUN}\nbcfj study status clearance --out study")
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    text, found = command.status(study, out)
-    typer.echo(text)
-    return found
+    return _told(command.status(study, out))
 
 
-@verb(
-    studies,
+@_of_study(
     "merge",
     example="bcfj study run clearance --out first\nbcfj study run clearance --out second\n"
     "bcfj study merge clearance --out first --from second",
-    changed=of_study,
-    changes=CHANGES_DRAWN,
 )
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    text, found = command.merge(study, out, other or [])
-    typer.echo(text)
-    return found
+    return _told(command.merge(study, out, other or []))
 
 
 Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]
@@ -108,8 +88,7 @@ Slopes = Annotated[bool, typer.Option(help="Whether to use the study's derivativ
 @verb(
     studies,
     "indices",
-    example="bcfj study run examples/impact_spread.toml --out spread\n"
-    "bcfj study indices examples/impact_spread.toml --out spread --feature contact.peak",
+    example=f"{_SPREAD}\nbcfj study indices examples/impact_spread.toml --out spread --feature contact.peak",
     changed=of_study,
 )
 def study_indices(
@@ -119,18 +98,12 @@ def study_indices(
     ready(code, study)
     from bcfj_jax.analysis.studies import indices_command
 
-    text, found = indices_command.run(study, out, feature or [], seed)
-    typer.echo(text)
-    return found
+    return _told(indices_command.run(study, out, feature or [], seed))
 
 
-@verb(
-    studies,
+@_of_study(
     "surface",
-    example="bcfj study run examples/impact_spread.toml --out spread\n"
-    "bcfj study surface examples/impact_spread.toml --out spread --feature contact.peak",
-    changed=of_study,
-    changes=CHANGES_DRAWN,
+    example=f"{_SPREAD}\nbcfj study surface examples/impact_spread.toml --out spread --feature contact.peak",
 )
 def study_surface(
     study: StudyFile, out: StudyOut = None, feature: Features = None, derivatives: Slopes = True, code: Code = None
@@ -139,6 +112,4 @@ def study_surface(
     ready(code, study)
     from bcfj_jax.analysis.studies import surface_command
 
-    text, found = surface_command.run(study, out, feature or [], derivatives)
-    typer.echo(text)
-    return found
+    return _told(surface_command.run(study, out, feature or [], derivatives))

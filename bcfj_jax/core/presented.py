@@ -45,10 +45,7 @@ def to_xarray(self: Any) -> Any:
 
 
 def plot(self: Any, what: str = "") -> Any:
-    """One of the result's pictures as a ``matplotlib.figure.Figure``; no window opens and no file is written.
-
-    Args:
-        what: name of the picture; the first of the result's own, where none is named.
+    """One of the result's pictures, by name, as a ``matplotlib.figure.Figure``; no window opens and no file is written.
 
     Raises:
         InputError: for a picture that this result does not have, with those that it has.

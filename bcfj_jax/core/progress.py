@@ -51,8 +51,7 @@ def stage(text: str, total: int | None = None, hint: str = "") -> Iterator[Calla
     """Say what is waited for, once it takes long, and then now and then how far it is.
 
     Args:
-        text: what is done.
-        total: of how many parts it is, where that is known.
+        text: what is done, of ``total`` parts where that is known.
         hint: what is said once, after the text.
 
     Yields:

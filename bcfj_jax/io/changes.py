@@ -54,9 +54,8 @@ def parse(text: str) -> Change:
     path, equals, given = (part.strip() for part in text.partition("="))
     words = tuple(word.strip().strip("\"'") for word in path.split("."))
     if not equals or not all(words) or not given:
-        raise InputError(
-            f"--set {text[:200]}", "this is no path=value", "write --set stiffness=4e10, or time.end='3 s'"
-        )
+        remedy = "write --set stiffness=4e10, or time.end='3 s'"
+        raise InputError(f"--set {text[:200]}", "this is no path=value", remedy)
     return Change(f"--set {text}", words, value(given))
 
 
@@ -79,11 +78,7 @@ def changing(
 ) -> Iterator[None]:
     """Within, a file (or a built-in scene) reads as if it said what the changes say; run.toml then has them.
 
-    Args:
-        what: the file, or the scene's name.
-        changes: in their order.
-        tables: of a file of this kind.
-        inside: the table of the file that these tables are in.
+    ``tables`` are those of a file of this kind, which may be ``inside`` another table.
 
     Raises:
         InputError: of what is checked within; where a change is to blame, it names the change in the file's place.
@@ -119,7 +114,6 @@ def applied(what: str | Path, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _placed(change: Change, tables: Sequence[str]) -> Change:
-    """The change with the words of its place in the file."""
     first, *rest = change.words
     if first not in tables:
         if "parameters" not in tables:
@@ -154,19 +148,19 @@ def _set(table: dict[str, Any], words: tuple[str, ...], change: Change) -> dict[
 
 def _set_in_list(entries: list[Any], words: Sequence[str], change: Change) -> list[Any]:
     which, *rest = words
+    numbers = [str(k + 1) for k in range(len(entries))]
     names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in entries]
-    if which in names:
-        k = names.index(which)
-    elif which in (numbers := [str(k + 1) for k in range(len(entries))]):
-        k = numbers.index(which)
+    for known in (names, numbers):
+        if which in known:
+            k = known.index(which)
+            break
     else:
-        known = [name or str(k + 1) for k, name in enumerate(names)]
-        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, known))
-    if not rest:
-        return [*entries[:k], change.value, *entries[k + 1 :]]
-    if not isinstance(entries[k], dict):
+        shown = [name or number for name, number in zip(names, numbers, strict=True)]
+        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, shown))
+    if rest and not isinstance(entries[k], dict):
         raise _no_table(which, entries[k], change)
-    return [*entries[:k], _set(entries[k], tuple(rest), change), *entries[k + 1 :]]
+    made = _set(entries[k], tuple(rest), change) if rest else change.value
+    return [*entries[:k], made, *entries[k + 1 :]]
 
 
 def _no_table(name: str, value: Any, change: Change) -> InputError:

@@ -16,6 +16,7 @@ from bcfj_jax.core import programs
 from bcfj_jax.core.extras import EXTRAS
 from bcfj_jax.core.threads import cores
 from bcfj_jax.io import report
+from bcfj_jax.io.provenance import installed as _installed
 from bcfj_jax.io.provenance import version
 
 GOOD, NOTE, BAD = "ok", "note", "FAULT"
@@ -35,7 +36,13 @@ class Finding(NamedTuple):
 
 def examine() -> list[Finding]:
     """Look at this installation and this machine. JAX is imported; nothing is compiled or written."""
-    return [_python(), *_libraries(), *_devices(), _threads(), _cache(), *_extras(), *_variables()]
+    python = f"{platform.python_version()} at {sys.prefix}, bcfj-jax {version()}"
+    limit = os.environ.get("OMP_NUM_THREADS")
+    threads = f"{cores()} for this process{f', OMP_NUM_THREADS={limit}' if limit else ''}"
+    return [
+        Finding(GOOD, "Python", python), *_libraries(), *_devices(), Finding(GOOD, "cores", threads), _cache(), *_extras(),
+        *(Finding(GOOD, name, os.environ[name][:200]) for name in VARIABLES if os.environ.get(name)),
+    ]  # fmt: skip
 
 
 def healthy(findings: Sequence[Finding]) -> bool:
@@ -48,18 +55,13 @@ def text(findings: Sequence[Finding]) -> str:
     rows = [["", "what", "found"], *([one.state, one.what, one.found] for one in findings)]
     todo = [f"{one.what}: {one.remedy}" for one in findings if one.remedy]
     faults = sum(one.state == BAD for one in findings)
-    end = "No fault was found." if not faults else f"{faults} fault(s) were found."
+    end = f"{faults} fault(s) were found." if faults else "No fault was found."
     return "\n".join([report.text(rows), "", end, *(["What can be done:"] if todo else []), *todo])
 
 
 def content(findings: Sequence[Finding]) -> dict[str, Any]:
     """The findings for ``--json``."""
     return {"healthy": healthy(findings), "findings": [one._asdict() for one in findings]}
-
-
-def _python() -> Finding:
-    found = f"{platform.python_version()} at {sys.prefix}, bcfj-jax {version()}"
-    return Finding(GOOD, "Python", found)
 
 
 def _requirements() -> list[Requirement]:
@@ -76,24 +78,19 @@ def _libraries() -> list[Finding]:
         return [Finding(NOTE, "libraries", "the package's requirements are not known", f"pip install {_PACKAGE}")]
     found = []
     for one in sorted(required, key=lambda one: one.name):
-        installed = _installed(one.name)
-        if installed is None:
-            found.append(Finding(BAD, one.name, "not installed", f'pip install "{one}"'))
-        elif installed in [spec.version for spec in one.specifier if spec.operator == "!="]:
-            why = f"{installed}, which computes wrong numbers, hangs or is slow"
-            found.append(Finding(BAD, one.name, why, f'pip install "{one}"'))
-        elif not one.specifier.contains(installed, prereleases=True):
-            found.append(Finding(BAD, one.name, f"{installed}, allowed is {one.specifier}", f'pip install "{one}"'))
+        version_ = _installed(one.name)
+        if version_ is None:
+            why = "not installed"
+        elif version_ in [spec.version for spec in one.specifier if spec.operator == "!="]:
+            why = f"{version_}, which computes wrong numbers, hangs or is slow"
+        elif not one.specifier.contains(version_, prereleases=True):
+            why = f"{version_}, allowed is {one.specifier}"
+        else:
+            continue
+        found.append(Finding(BAD, one.name, why, f'pip install "{one}"'))
     names = ("jax", "jaxlib", "diffrax", "equinox", "numpy", "scipy")
     versions = ", ".join(f"{name} {_installed(name) or 'missing'}" for name in names)
     return [Finding(BAD if found else GOOD, "libraries", versions), *found]
-
-
-def _installed(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def _devices() -> list[Finding]:
@@ -105,16 +102,9 @@ def _devices() -> list[Finding]:
         why = str(error).splitlines()[0][:200]
         return [Finding(BAD, "devices", why, "set JAX_PLATFORMS=cpu, or install a jaxlib for the accelerator")]
     listed = ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in devices)
-    kinds = [Finding(GOOD, "devices", listed)]
     wide = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
-    remedy = "" if wide else "unset JAX_ENABLE_X64"
-    kinds.append(Finding(GOOD if wide else BAD, "64-bit numbers", "on" if wide else "off", remedy))
-    return kinds
-
-
-def _threads() -> Finding:
-    count, limit = cores(), os.environ.get("OMP_NUM_THREADS")
-    return Finding(GOOD, "cores", f"{count} for this process{f', OMP_NUM_THREADS={limit}' if limit else ''}")
+    numbers = (GOOD, "64-bit numbers", "on") if wide else (BAD, "64-bit numbers", "off", "unset JAX_ENABLE_X64")
+    return [Finding(GOOD, "devices", listed), Finding(*numbers)]
 
 
 def _cache() -> Finding:
@@ -146,7 +136,3 @@ def _extras() -> list[Finding]:
         elif names:
             found.append(Finding(GOOD, f"extra {extra}", ", ".join(f"{n} {_installed(n)}" for n in names)))
     return found
-
-
-def _variables() -> list[Finding]:
-    return [Finding(GOOD, name, os.environ[name][:200]) for name in VARIABLES if os.environ.get(name)]

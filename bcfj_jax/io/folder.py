@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
+import itertools
 import json
 import os
 import shutil
@@ -17,6 +19,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import stop
@@ -34,20 +37,27 @@ WAIT_S = 1.0
 # Of a lock file that is read [bytes].
 _MOST = 100_000
 _REMEDIES = {
-    errno.ENOSPC: "free some space, or name another folder",
-    errno.EDQUOT: "free some space, or name another folder",
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space, or name another folder"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "name a folder that you may write"),
     errno.EROFS: "name a folder that can be written",
-    errno.EACCES: "name a folder that you may write",
-    errno.EPERM: "name a folder that you may write",
     errno.ENAMETOOLONG: "give a shorter name",
     errno.ENOTDIR: "name a folder that is not below a file",
     errno.ELOOP: "name a folder",
 }
 
 
+class _Asked(NamedTuple):
+    """What a command will do to its folder: arguments of ``open_folder``."""
+
+    verb: str
+    names: tuple[str, ...]
+    goes_on: str
+    size: int
+
+
 @dataclass
 class _Reserved:
-    """A folder of this process."""
+    """A folder of this process, with the files that it may write and the folders that were made for it."""
 
     folder: Path
     names: tuple[str, ...]
@@ -63,7 +73,7 @@ class _Reserved:
         """Give the folder back; of a run that failed and keeps nothing, take away what was written."""
         with contextlib.suppress(OSError):
             for name in self.names:
-                for path in self.folder.glob(f".{_escaped(name)}.*"):
+                for path in self.folder.glob(f".{glob.escape(name)}.*"):
                     path.unlink(missing_ok=True)
                 if not good and not self.kept:
                     (self.folder / name).unlink(missing_ok=True)
@@ -76,12 +86,7 @@ class _Reserved:
 
 @dataclass
 class Session:
-    """Folders that a command has reserved.
-
-    Attributes:
-        kept: folders whose finished work the same command goes on with, where it was cut off.
-        reserved: folders that are this process's.
-    """
+    """Folders ``reserved`` for this process; those ``kept`` hold finished work that the same command goes on with."""
 
     kept: list[Path] = field(default_factory=list)
     reserved: list[_Reserved] = field(default_factory=list)
@@ -109,7 +114,7 @@ def session() -> Iterator[Session]:
 
 def open_folder(
     out: Path | None, verb: str, stem: str, will_write: Sequence[str], goes_on: str = "",
-    size: int = LEAST_FREE, wait_s: float = WAIT_S, lock: bool = True,
+    size: int = LEAST_FREE, wait_s: float = WAIT_S,
 ) -> Path:  # fmt: skip
     """The folder for a command's results. Within a ``session`` it is made, locked and tried here.
 
@@ -120,7 +125,6 @@ def open_folder(
         goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
         size: free space that the results need [bytes].
         wait_s: how long to wait for a folder that another process has [s].
-        lock: whether the folder is this process's alone until the session ends.
 
     Raises:
         InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
@@ -128,15 +132,15 @@ def open_folder(
         KeyboardInterrupt: if Ctrl-C came before work began and was lost, as where a library's import catches everything.
     """
     stop.check()
+    asked, default = _Asked(verb, tuple(will_write), goes_on, size), Path("results") / f"{verb}-{stem}"
     try:
-        if out is None:
-            return _default(f"{verb}-{stem}", verb, tuple(will_write), goes_on, size)
-        if not (_sessions and lock):
-            _refuse_what_is_there(out, will_write, goes_on)
-            return out
-        made = _make(out)
+        if not _sessions:
+            if out is not None:
+                _refuse_what_is_there(out, asked)
+            return out or next(folder for folder in _numbered(default) if not folder.exists())
+        folder, made = (out, _make(out)) if out is not None else _fresh(default)
         try:
-            _sessions[-1].reserved.append(_reserve(out, verb, tuple(will_write), goes_on, made, size, wait_s))
+            _sessions[-1].reserved.append(_reserve(folder, made, asked, 0.0 if out is None else wait_s))
         except BaseException:
             _remove_empty(made)
             raise
@@ -145,7 +149,16 @@ def open_folder(
     except (OSError, ValueError) as error:
         where = "the folder results" if out is None else f"--out {str(out)[:200]}"
         raise unwritable(where, error) from None
-    return out
+    return folder
+
+
+def check_folder(out: Path, will_write: Sequence[str] = ()) -> None:
+    """Refuse what ``open_folder`` would refuse of a folder before it is made."""
+    stop.check()
+    try:
+        _refuse_what_is_there(out, _Asked("", tuple(will_write), "", 0))
+    except OSError as error:
+        raise unwritable(f"--out {str(out)[:200]}", error) from None
 
 
 def unwritable(where: str, error: Exception) -> InputError:
@@ -160,32 +173,23 @@ def already_there(folder: Path, names: Sequence[str]) -> InputError:
     return InputError(f"--out {folder}", f"already holds {', '.join(names)}", remedy)
 
 
-def _default(name: str, verb: str, names: tuple[str, ...], goes_on: str, size: int) -> Path:
-    """A folder that did not exist: of two processes that ask at once, each gets its own."""
-    base, number = Path("results") / name, 1
-    folder = base
-    if not _sessions:
-        while folder.exists():
-            number += 1
-            folder = base.with_name(f"{base.name}-{number}")
-        return folder
-    made = _make(base.parent)
+def _numbered(folder: Path) -> Iterator[Path]:
+    yield folder
+    yield from (folder.with_name(f"{folder.name}-{number}") for number in itertools.count(2))
+
+
+def _fresh(default: Path) -> tuple[Path, list[Path]]:
+    """A folder that did not exist, and those that were made: of two processes that ask at once, each gets its own."""
+    made, names = _make(default.parent), _numbered(default)
+    folder = next(names)
     while True:
         try:
             folder.mkdir()
-            break
+            return folder, [*made, folder]
         except FileExistsError:
-            number += 1
-            folder = base.with_name(f"{base.name}-{number}")
+            folder = next(names)
         except FileNotFoundError:  # Another process that gave up has taken the empty folder results away.
-            made = _make(base.parent)
-    made.append(folder)
-    try:
-        _sessions[-1].reserved.append(_reserve(folder, verb, names, goes_on, made, size, 0.0))
-    except BaseException:
-        _remove_empty(made)
-        raise
-    return folder
+            made = _make(default.parent)
 
 
 def _make(folder: Path) -> list[Path]:
@@ -211,29 +215,27 @@ def _remove_empty(folders: Sequence[Path]) -> None:
             folder.rmdir()
 
 
-def _reserve(
-    folder: Path, verb: str, names: tuple[str, ...], goes_on: str, made: list[Path], size: int, wait_s: float
-) -> _Reserved:
+def _reserve(folder: Path, made: list[Path], asked: _Asked, wait_s: float) -> _Reserved:
     until = time.monotonic() + wait_s
     while (handle := _locked(folder, made)) is None:
         if time.monotonic() >= until:
             found = f"another process writes there ({_said(folder / LOCK).get('verb', 'bcfj')})"
             raise InputError(f"--out {folder}", found, "name another folder, or wait for it")
         time.sleep(0.02)
-    reserved = _Reserved(folder, names, goes_on, made, handle)
+    reserved = _Reserved(folder, asked.names, asked.goes_on, made, handle)
     try:
         # Of a run that was killed: what it names and this one writes as well is half a result.
         killed = _said(folder / LOCK).get("files", [])
         if not reserved.kept:
-            for name in set(names).intersection(x for x in killed if isinstance(x, str)):
+            for name in set(asked.names).intersection(x for x in killed if isinstance(x, str)):
                 (folder / name).unlink(missing_ok=True)
-        _refuse_what_is_there(folder, names, goes_on)
+        _refuse_what_is_there(folder, asked)
         free = shutil.disk_usage(folder).free
-        if free < size:
-            found = f"{free / 1e6:.3g} MB are free, and the results need about {size / 1e6:.3g} MB"
+        if free < asked.size:
+            found = f"{free / 1e6:.3g} MB are free, and the results need about {asked.size / 1e6:.3g} MB"
             raise InputError(f"--out {folder}", found, _REMEDIES[errno.ENOSPC])
         os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps({"verb": f"bcfj {verb}", "files": names}).encode(), 0)
+        os.pwrite(handle, json.dumps({"verb": f"bcfj {asked.verb}", "files": asked.names}).encode(), 0)
     except BaseException:
         reserved.names = ()
         reserved.release(False)
@@ -261,21 +263,17 @@ def _locked(folder: Path, made: list[Path]) -> int | None:
                 if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL):
                     raise
         # Its holder may have removed it between the two calls; then it locks nothing.
-        try:
-            same = os.stat(path).st_ino == os.fstat(handle).st_ino
-        except FileNotFoundError:
-            same = False
+        with contextlib.suppress(FileNotFoundError):
+            if os.stat(path).st_ino == os.fstat(handle).st_ino:
+                return handle
     except BaseException:
         os.close(handle)
         raise
-    if not same:
-        os.close(handle)
-        return None
-    return handle
+    os.close(handle)
+    return None
 
 
 def _said(path: Path) -> dict:
-    """What a lock file says; nothing where it is damaged."""
     try:
         with path.open("rb") as file:
             found = json.loads(file.read(_MOST))
@@ -284,27 +282,17 @@ def _said(path: Path) -> dict:
     return found if isinstance(found, dict) and isinstance(found.get("files", []), list) else {}
 
 
-def _refuse_what_is_there(folder: Path, names: Sequence[str], goes_on: str) -> None:
+def _refuse_what_is_there(folder: Path, asked: _Asked) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}", "this is not a folder", "name a folder")
-    if goes_on and (folder / goes_on).exists():
+    if asked.goes_on and (folder / asked.goes_on).exists():
         return
-    there = [name for name in names if (folder / name).exists()]
-    if there:
+    if there := [name for name in asked.names if (folder / name).exists()]:
         raise already_there(folder, there)
 
 
-def _escaped(name: str) -> str:
-    return "".join(f"[{x}]" if x in "*?[" else x for x in name)
-
-
 def inside(folder: Path, name: str, where: str) -> Path:
-    """The path of a file in a folder by a name that came from elsewhere: a worker, a file, a record.
-
-    Args:
-        folder: which it may not leave.
-        name: the name; parts are separated by "/".
-        where: where the name comes from, for the message.
+    """The path of a file in a folder by a name (parts separated by "/") that came from a worker, a file, a record.
 
     Raises:
         InputError: for an absolute name, one with "..", with a backslash, a colon or a control character, or too long.

@@ -19,10 +19,6 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
 
     Bad input and what the system refuses end with 2; with 5 where finished work was kept, so that the same command
     goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was.
-
-    Args:
-        verb: what is run; its value is the exit code.
-        say: prints a line for the user.
     """
     held = Session()
     try:
@@ -37,11 +33,15 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
             return stop.SIGNALLED + stop.last()
         say("interrupted")
     except OSError as error:
-        say(f"error: {escaped(_refused(error))}")
+        where = f"{error.filename}: " if error.filename else ""
+        remedy = "free some space" if error.errno in _SPACE else "check the folder and its permissions"
+        say(f"error: {escaped(f'{where}{error.strerror or error}; {remedy}')}")
     except MemoryError:
         say("error: not enough memory; ask for fewer samples, points or starts")
     except RecursionError as error:
-        say(f"error: something is nested too deeply ({_place(error)}); write it flatter")
+        frames = traceback.extract_tb(error.__traceback__, limit=-1)
+        place = frames[-1].name if frames else "unknown"
+        say(f"error: something is nested too deeply ({place}); write it flatter")
     except RuntimeError as error:
         # XLA's own class for it; there is no common one.
         if "RESOURCE_EXHAUSTED" not in str(error):
@@ -51,15 +51,3 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
         return BAD_INPUT
     say(f"finished work is kept in {held.kept[0]}: the same command with --out {held.kept[0]} goes on")
     return INTERRUPTED
-
-
-def _refused(error: OSError) -> str:
-    where = f"{error.filename}: " if error.filename else ""
-    remedy = "free some space" if error.errno in _SPACE else "check the folder and its permissions"
-    return f"{where}{error.strerror or error}; {remedy}"
-
-
-def _place(error: BaseException) -> str:
-    """The function in which an error arose."""
-    frames = traceback.extract_tb(error.__traceback__, limit=-1)
-    return frames[-1].name if frames else "unknown"

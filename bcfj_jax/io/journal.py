@@ -40,14 +40,9 @@ def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
 
 
 class Journal:
-    """Finished pieces of one job by name, kept in ``folder/journal.jsonl``.
+    """Finished pieces of one job (``key_of``) by name, kept in ``folder/journal.jsonl``.
 
-    A line that is torn, as a crash while writing leaves it, or damaged is dropped, which is said, and its work done
-    again.
-
-    Args:
-        folder: where; made if it is not there.
-        key: what job it is, ``key_of``.
+    A line that is torn, as a crash while writing leaves it, or damaged is dropped, which is said, and its work done again.
 
     Raises:
         InputError: if the folder holds the journal of another job, or one of which nothing can be read.
@@ -133,12 +128,7 @@ class Journal:
 
 
 class Chapter(Journal):
-    """The pieces of one part of a job, in the journal of the whole.
-
-    Args:
-        whole: the journal.
-        name: of the part.
-    """
+    """The pieces of one part of a job, by its name, in the journal of the whole."""
 
     def __init__(self, whole: Journal, name: str) -> None:
         self._whole, self._name = whole, name
@@ -161,22 +151,17 @@ def _piece(line: Mapping[str, Any]) -> dict[str, Any]:
 
 def _holds(line: Mapping[str, Any], said: Mapping[str, Any], key: Any) -> bool:
     """Whether a line says this, of the job of this key, and no more."""
-    try:
+    with contextlib.suppress(RecursionError):
         return line == {**said, "digest": _digest(key, said)}
-    except RecursionError:
-        return False
+    return False
 
 
 def _digest(key: Any, piece: Mapping[str, Any]) -> str:
-    """Of a line and its job."""
     return hashlib.sha256(json.dumps([key, piece], sort_keys=True).encode()).hexdigest()
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    if not line.endswith(b"\n"):
-        return None
-    try:
+    with contextlib.suppress(ValueError, RecursionError):
         piece = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return piece if isinstance(piece, dict) else None
+        return piece if line.endswith(b"\n") and isinstance(piece, dict) else None
+    return None

@@ -16,8 +16,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -26,18 +26,9 @@ from bcfj_jax.contact import laws
 from bcfj_jax.contact.gaps import GAPS, AbstractGap, make_gap
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_value
+from bcfj_jax.io import mechanismtables as keys
 from bcfj_jax.io import tables, usercode
-from bcfj_jax.io.mechanismtables import (
-    LOAD_TABLES,
-    BodyTable,
-    ContactTable,
-    DriveTable,
-    OwnTable,
-    QuantityTable,
-    ReadTable,
-    SceneTable,
-    load_units,
-)
+from bcfj_jax.io.programmes import OF_LOADS
 from bcfj_jax.io.units import alike, coherent, quantity
 from bcfj_jax.io.usercode import MECHANISM as KIND
 from bcfj_jax.mechanism import channels, sizes
@@ -59,18 +50,6 @@ _DRIVES["speeds"] = ("start", "table")
 M = TypeVar("M", bound=tables.Table)
 
 
-class Built(NamedTuple):
-    """A mechanism from a file.
-
-    Attributes:
-        scene: the mechanism.
-        resolved: its tables with every default, SI, which a file may hold again.
-    """
-
-    scene: Mechanism
-    resolved: dict[str, Any]
-
-
 @dataclasses.dataclass(frozen=True)
 class OneTurn:
     """Time in which a driven body turns once [s]: where a mechanism ends if nobody says."""
@@ -84,13 +63,10 @@ class OneTurn:
         return 2.0 * jnp.pi / jnp.maximum(speed, 1e-6)
 
 
-def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> Built:
-    """The mechanism that the tables of a file list.
+def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> tuple[Mechanism, dict[str, Any]]:
+    """The mechanism that the tables of a file list, and the tables with every default, SI, which a file may hold again.
 
-    Args:
-        content: the tables, by name.
-        where: the file, for messages.
-        given: what [parameters] says, by name, as it is written.
+    ``given`` is what the file's [parameters] say, as they are written.
 
     Raises:
         InputError: for anything that is not right, with the table, the entry and what would be.
@@ -98,24 +74,23 @@ def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> B
     return _Builder(content, where, given).built()
 
 
-@contextlib.contextmanager
-def placed(content: Mapping[str, Any], where: str) -> Iterator[None]:
+def placed(content: Mapping[str, Any], where: str) -> contextlib.AbstractContextManager[None]:
     """Within, what is refused of a body, a contact or a load names the entry of the file."""
-    try:
-        yield
-    except InputError as error:
-        rest = error.where.removeprefix(where).strip()
+
+    def place(said: str) -> str:
+        rest = said.removeprefix(where).strip()
         match = _WHERE.fullmatch(rest)
-        found = _PART.fullmatch(match[1] if match else rest)
+        text = match[1] if match else rest
+        found = _PART.fullmatch(text)
         if found is None:
-            text = match[1] if match else rest
-            place = where if error.where.startswith(where) or match else ""
-            raise InputError(f"{place} {text}".strip(), error.found, error.remedy) from error.__cause__
+            return f"{where if said.startswith(where) or match else ''} {text}".strip()
         table, name, key = found[1], found[2], found[3]
         # The last of that name: of two, the first was right when it was read.
         numbers = [k for k, entry in enumerate(content.get(table, ())) if entry.get("name", entry.get("kind")) == name]
         entry = f"[[{table}]] {numbers[-1] + 1} '{name}'" if numbers else f"[[{table}]] '{name}'"
-        raise InputError(f"{where}: {entry} {key}".strip(), error.found, error.remedy) from error.__cause__
+        return f"{where}: {entry} {key}".strip()
+
+    return tables.placed(place)
 
 
 def refuse_unread(scene: Any, params: Mapping[str, Array], given: Mapping[str, Any], where: str) -> None:
@@ -144,7 +119,7 @@ def readings(content: Mapping[str, Any], scene: Any, where: str) -> tuple[list[d
     found, resolved = [], []
     for k, table in enumerate(_listed(content, "read", where)):
         place = f"{where}: [[read]] {k + 1}"
-        entry = _checked(ReadTable, table, place)
+        entry = _checked(keys.ReadTable, table, place)
         try:
             found.append(channels.channel(entry.of, scene, entry.frame or "", f"{place} of"))
         except InputError as error:
@@ -161,28 +136,23 @@ class _Builder:
         self.content, self.where, self.given = content, where, given
         self.named: list[tuple[str, str, str]] = []
 
-    def built(self) -> Built:
-        scene = _checked(SceneTable, self.content["scene"], f"{self.where}: [scene]")
-        law = scene.law or (
-            "exact" if any(n.rpartition(".")[2] == "restitution" for n in self.given) else "memory_free"
-        )
-        options = scene.model_copy(update={"law": law})
+    def built(self) -> tuple[Mechanism, dict[str, Any]]:
+        scene = _checked(keys.SceneTable, self.content["scene"], f"{self.where}: [scene]")
+        returns = any(name.rpartition(".")[2] == "restitution" for name in self.given)
+        self.options = scene.model_copy(update={"law": scene.law or ("exact" if returns else "memory_free")})
         own, quantities = self._quantities()
-        parts: dict[str, list[Any]] = {"body": [], "contact": [], "load": []}
-        resolved: dict[str, list[dict[str, Any]]] = {"body": [], "contact": [], "load": []}
-        for table, one in (("body", self._body), ("contact", self._contact), ("load", self._load)):
-            for k, entry in enumerate(_listed(self.content, table, self.where)):
-                part, plain = one(entry, self._place(table, k, entry), options)
-                parts[table].append(part)
-                resolved[table].append(plain)
+        parts: list[tuple[Any, ...]] = []
+        resolved: dict[str, Any] = {"scene": _plain(self.options)}
+        for table, read in (("body", self._body), ("contact", self._contact), ("load", self._load)):
+            entries = enumerate(_listed(self.content, table, self.where))
+            found = [read(entry, self._place(table, k, entry)) for k, entry in entries]
+            parts.append(tuple(part for part, _ in found))
+            resolved[table] = [plain for _, plain in found]
         with placed(self.content, self.where):
-            mechanism = Mechanism(
-                KIND, tuple(parts["body"]), tuple(parts["contact"]), tuple(parts["load"]), own=own,
-                end=_end(parts["body"]),
-            )  # fmt: skip
+            mechanism = Mechanism(KIND, *parts, own=own, end=_end(parts[0]))
         self._look_up(mechanism)
-        tables_ = {"scene": _plain(options), **resolved, "quantity": quantities}
-        return Built(mechanism, {name: table for name, table in tables_.items() if table})
+        resolved["quantity"] = quantities
+        return mechanism, {name: table for name, table in resolved.items() if table}
 
     def _place(self, table: str, k: int, entry: Mapping[str, Any]) -> str:
         name = entry.get("name")
@@ -215,16 +185,26 @@ class _Builder:
             remedy = f"{error.remedy}, or the name of a quantity" if isinstance(value, str) else error.remedy
             raise InputError(error.where, error.found, remedy) from None
 
-    def _vector(self, values: Sequence[Any], unit: str, place: str) -> tuple[Any, Any, Any]:
-        if len(values) != 3:
-            raise InputError(place, f"{list(values)}", f"give three numbers, such as [{_example(unit)}, 0, 0]")
-        x, y, z = (self._size(value, unit, f"{place}[{k}]") for k, value in enumerate(values))
-        return x, y, z
+    def _sized(self, value: Any, unit: str, shape: tuple[int, ...], place: str) -> Any:
+        """A number, or a list of this shape of numbers, which becomes a tuple."""
+        if not shape or value is None:
+            return self._size(value, unit, place)
+        if len(value) != shape[0]:
+            example = '"50 mm"' if unit == "m" else '"1e-4 kg m^2"'
+            if len(shape) == 2:
+                raise InputError(place, f"{len(value)} places", "give two: [on the first body, on the second]")
+            raise InputError(place, f"{list(value)}", f"give three numbers, such as [{example}, 0, 0]")
+        return tuple(self._sized(x, unit, shape[1:], f"{place}[{k}]") for k, x in enumerate(value))
 
-    def _markers(self, values: Sequence[Sequence[Any]], place: str) -> tuple[Any, Any]:
-        if len(values) != 2:
-            raise InputError(place, f"{len(values)} places", "give two: [on the first body, on the second]")
-        return self._vector(values[0], "m", f"{place}[0]"), self._vector(values[1], "m", f"{place}[1]")
+    def _numbers(self, entry: tables.Table, place: str, turns: bool = False) -> dict[str, Any]:
+        """The fields of an entry, those that have a unit in SI; of a joint that turns in radians."""
+        found = {key: getattr(entry, key) for key in type(entry).model_fields}
+        for key, field in type(entry).model_fields.items():
+            for unit, shape in (x for x in field.metadata if isinstance(x, keys.In)):
+                # An inertia may be one number.
+                shape = shape if isinstance(found[key], list) else ()
+                found[key] = self._sized(found[key], keys.TURNED.get(unit, unit) if turns else unit, shape, place + key)
+        return found
 
     def _table(self, rows: list[list[Any]] | None, units: tuple[str, str], place: str) -> Any:
         if rows is None:
@@ -242,7 +222,7 @@ class _Builder:
             place = f"{self.where}: [quantity.{name}]"
             if not name.isidentifier():
                 raise InputError(place, f"'{name}' is no name for a quantity", "give a word of letters, digits and '_'")
-            entry = _checked(QuantityTable, table, place)
+            entry = _checked(keys.QuantityTable, table, place)
             unit = coherent(entry.unit, f"{place} unit")
             known = CATALOGUE.get(name)
             if known is not None and not alike(known.unit, unit):
@@ -266,9 +246,8 @@ class _Builder:
 
     # Parts.
 
-    def _body(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Body, dict[str, Any]]:
-        del options
-        entry = _checked(BodyTable, table, place)
+    def _body(self, table: Mapping[str, Any], place: str) -> tuple[Body, dict[str, Any]]:
+        entry = _checked(keys.BodyTable, table, place)
         if isinstance(entry.parent, list):
             found = (
                 f"'{entry.name}' hangs on {' and on '.join(map(repr, entry.parent))}: joints alone would close a loop"
@@ -279,35 +258,26 @@ class _Builder:
             raise InputError(f"{place} parent", f"{entry.parent!r}", f"give the name of a body, or '{GROUND}'")
         if entry.joint not in JOINTS:
             raise InputError(f"{place} joint", f"no joint '{entry.joint}'", nearest(entry.joint, JOINTS))
-        given: dict[str, Any] = {
-            "name": entry.name, "joint": entry.joint, "parent": entry.parent, "axis": _axis(entry.axis, f"{place} axis"),
-            "at": self._vector(entry.at, "m", f"{place} at"),
-            "center": self._vector(entry.center, "m", f"{place} center"),
-            "mass": self._size(entry.mass, "kg", f"{place} mass"),
-        }  # fmt: skip
-        if isinstance(entry.inertia, list):
-            given["inertia"] = self._vector(entry.inertia, "kg m^2", f"{place} inertia")
-        else:
-            given["inertia"] = self._size(entry.inertia, "kg m^2", f"{place} inertia")
+        given = self._numbers(entry, f"{place} ") | {"axis": _axis(entry.axis, f"{place} axis")}
         if entry.tilt is not None:
             if len(entry.tilt) != 2:
                 raise InputError(f"{place} tilt", f"{entry.tilt}", 'give [axis, angle], such as ["y", "90 deg"]')
             axis = _axis(entry.tilt[0], f"{place} tilt[0]")
             given["tilt"] = (axis, self._size(entry.tilt[1], "rad", f"{place} tilt[1]"))
-        drive = self._drive(entry.drive, entry.joint == "hinge", f"{place} drive") if entry.drive else None
-        moves = Body("moves", entry.joint) if drive is None else None
+        asked = given.pop("drive")
+        drive = self._drive(asked, entry.joint == "hinge", f"{place} drive") if asked else None
+        moves = None if drive else Body("moves", entry.joint)
         known = (*moves.coordinates, *moves.rates) if moves else ()
         for key in entry.start:
             if key not in known:
                 raise InputError(f"{place} start.{key}", f"no coordinate '{key}'", nearest(key, known))
         given["start"] = {key: self._size(x, unit_of(key), f"{place} start.{key}") for key, x in entry.start.items()}
-        given["members"] = entry.members
         with _said_of(f"body '{entry.name}'", place):
-            body = Body(**given, drive=drive)
+            body = Body(**{key: x for key, x in given.items() if key != "tilt" or x is not None}, drive=drive)
         plain = {key: _listing(x) for key, x in given.items() if x not in (None, {}, (0.0, 0.0, 0.0))}
-        return body, plain | ({"drive": _drive_table(entry.drive, drive)} if entry.drive and drive else {})
+        return body, plain | ({"drive": _drive_table(asked, drive)} if asked and drive else {})
 
-    def _drive(self, entry: DriveTable, turns: bool, place: str) -> Drive:
+    def _drive(self, entry: keys.DriveTable, turns: bool, place: str) -> Drive:
         known = (*_DRIVES, *usercode.functions())
         if entry.kind not in known:
             raise InputError(
@@ -320,34 +290,32 @@ class _Builder:
                 raise InputError(f"{place}.{key}", found, nearest(key, reads) if reads else "its function says all")
         if entry.kind not in _DRIVES:
             return Drive("function", function=usercode.functions()[entry.kind])
-        unit = "rad" if turns else "m"
-        with _said_of("drive", place):
-            return Drive(
-                entry.kind,
-                speed=self._size(entry.speed, f"{unit}/s", f"{place}.speed"),
-                over=self._size(entry.over, "s", f"{place}.over"),
-                start=0.0 if entry.start is None else self._size(entry.start, unit, f"{place}.start"),
-                table=self._table(
-                    entry.table, ("s", f"{unit}/s" if entry.kind == "speeds" else unit), f"{place}.table"
-                ),
-                shape=entry.shape or "smooth",
-                first=0.0 if entry.first is None else self._size(entry.first, f"{unit}/s", f"{place}.first"),
+        given = {key: x for key, x in self._numbers(entry, f"{place}.", turns).items() if x is not None}
+        if "table" in given:
+            values = "m/s" if entry.kind == "speeds" else "m"
+            given["table"] = self._table(
+                given["table"], ("s", keys.TURNED[values] if turns else values), f"{place}.table"
             )
+        with _said_of("drive", place):
+            return Drive(**given)
 
-    def _contact(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[Contact, dict[str, Any]]:
-        entry = _checked(ContactTable, table, place)
+    def _contact(self, table: Mapping[str, Any], place: str) -> tuple[Contact, dict[str, Any]]:
+        entry = _checked(keys.ContactTable, table, place)
         gap, gap_table = _gap(entry.gap, f"{place} gap")
         # A law of its own has its own elastic part, whatever the other contacts have.
-        elastic = entry.elastic or (options.elastic if entry.law is None else None)
-        law = _named("law", entry.law or options.law, elastic, place)
-        friction = _friction(options.friction if entry.friction is None else entry.friction, place)
-        smoothing = options.smoothing if entry.smoothing is None else entry.smoothing
+        elastic = entry.elastic or (self.options.elastic if entry.law is None else None)
+        law = _named("law", entry.law or self.options.law, elastic, place)
+        try:
+            friction = laws.make_friction(self.options.friction if entry.friction is None else entry.friction)
+        except InputError as error:
+            raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
+        smoothing = self.options.smoothing if entry.smoothing is None else entry.smoothing
         if entry.approach not in ("memory", "parameter"):
             found = f"no approach '{entry.approach}'"
             raise InputError(f"{place} approach", found, nearest(entry.approach, ("memory", "parameter")))
         given: dict[str, Any] = {
             "name": entry.name, "between": tuple(entry.between), "gap": gap, "law": law, "friction": friction,
-            "smoothing": smoothing, "at": self._markers(entry.at, f"{place} at"),
+            "smoothing": smoothing, "at": self._numbers(entry, f"{place} ")["at"],
             "approach": "parameter" if entry.approach == "parameter" else Approach(),
         }  # fmt: skip
         with _said_of(f"contact '{entry.name}'", place):
@@ -375,34 +343,29 @@ class _Builder:
             found[key] = self._size(values[key], units[key], f"{place}.{key}", exponent)
         return found
 
-    def _load(self, table: Mapping[str, Any], place: str, options: SceneTable) -> tuple[AbstractLoad, dict[str, Any]]:
-        del options
+    def _load(self, table: Mapping[str, Any], place: str) -> tuple[AbstractLoad, dict[str, Any]]:
         kind, known = table.get("kind"), (*LOADS, *usercode.functions())
         if kind is None:
             raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(known)}")
         if kind not in known:
             raise InputError(f"{place} kind", f"no kind of load '{kind}'", nearest(str(kind), known) + usercode.hint())
         if kind not in LOADS:
-            own = _checked(OwnTable, table, place)
+            own = _checked(keys.OwnTable, table, place)
             return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), _plain(own)
-        entry: Any = _checked(LOAD_TABLES[kind], table, place)
-        given = {key: getattr(entry, key) for key in type(entry).model_fields if key != "kind"}
+        entry: Any = _checked(keys.LOAD_TABLES[kind], table, place)
+        turns = kind == "joint_spring" and self._joint(entry.body) == "hinge"
+        given = self._numbers(entry, f"{place} ", turns)
+        del given["kind"]
         if "direction" in given:
             given["direction"] = _axis(entry.direction, f"{place} direction")
         if "between" in given:
             if len(entry.between) != 2 or entry.between[0] == entry.between[1]:
                 raise InputError(f"{place} between", f"{entry.between}", "give the names of two different bodies")
             given["between"] = tuple(entry.between)
-            given["at"] = self._markers(entry.at, f"{place} at")
-        elif "at" in given:
-            given["at"] = self._vector(entry.at, "m", f"{place} at")
-        turns = kind == "joint_spring" and self._joint(entry.body) == "hinge"
-        for key, unit in load_units(kind, turns).items():
-            given[key] = self._size(given[key], unit, f"{place} {key}")
         if given.get("table") is not None:
             if any(x is not None for x in (entry.size, entry.ramp, entry.amplitude, entry.reversal)):
                 raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
-            given["table"] = self._table(entry.table, ("s", load_units(kind, turns)["size"]), f"{place} table")
+            given["table"] = self._table(given["table"], ("s", OF_LOADS[kind]), f"{place} table")
         drive = given.pop("drive", None)
         made: dict[str, Any] = {"drive": self._drive(drive, turns, f"{place} drive")} if drive else {}
         with _said_of(f"load '{entry.name}'", place):
@@ -411,13 +374,11 @@ class _Builder:
         return load, plain | ({"drive": _drive_table(drive, made["drive"])} if drive else {})
 
     def _joint(self, body: str) -> str:
-        """The joint of a body, as its table says."""
         found = (entry for entry in self.content.get("body", ()) if entry.get("name") == body)
         return next(found, {}).get("joint", "free")
 
 
 def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[str, Any]]:
-    """The entries of [[table]]."""
     entries = content.get(table) or []
     for k, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
@@ -429,22 +390,19 @@ def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[
 
 def _checked(model: type[M], table: object, place: str) -> M:
     """``tables.validated`` with an entry's place in front of the key."""
-    try:
+
+    def key(where: str) -> str:
+        return re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", where)
+
+    with tables.placed(lambda where: f"{place} {key(where)}".rstrip()):
         return tables.validated(model, table, "@")
-    except InputError as error:
-        key = re.sub(r"^@: (?:\[(.*?)\] )?", lambda m: f"{m[1]}." if m[1] else "", error.where)
-        raise InputError(f"{place} {key}".rstrip(), error.found, error.remedy) from None
 
 
-@contextlib.contextmanager
-def _said_of(part: str, place: str) -> Iterator[None]:
+def _said_of(part: str, place: str) -> contextlib.AbstractContextManager[None]:
     """Within, what a part refuses of itself names the entry of the file."""
-    try:
-        yield
-    except InputError as error:
-        rest = error.where.removeprefix(part).strip()
-        raise InputError(error.where if error.where.startswith(place) else f"{place} {rest}".strip(), error.found,
-                         error.remedy) from error.__cause__  # fmt: skip
+    return tables.placed(
+        lambda where: where if where.startswith(place) else f"{place} {where.removeprefix(part).strip()}".strip()
+    )
 
 
 def _axis(axis: Any, place: str) -> Any:
@@ -472,21 +430,11 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
 
 
 def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
-    """A law by its name and that of its elastic part."""
     for key, value, known in ((what, name, laws.LAWS), ("elastic", elastic, laws.ELASTIC)):
         if value is not None and value not in known:
             raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
-    try:
+    with tables.placed(lambda where: f"{place} {where}"):
         return laws.make(name or "memory_free", elastic)
-    except InputError as error:
-        raise InputError(f"{place} {error.where}", error.found, error.remedy) from None
-
-
-def _friction(name: bool | str, place: str) -> Any:
-    try:
-        return laws.make_friction(name)
-    except InputError as error:
-        raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
 
 
 def _end(bodies: Sequence[Body]) -> Any:
@@ -497,7 +445,7 @@ def _end(bodies: Sequence[Body]) -> Any:
     return 1.0
 
 
-def _drive_table(entry: DriveTable, drive: Drive) -> dict[str, Any]:
+def _drive_table(entry: keys.DriveTable, drive: Drive) -> dict[str, Any]:
     given = {"kind": entry.kind, "speed": drive.speed, "over": drive.over, "table": drive.table}
     given |= {"first": drive.first, "shape": drive.shape} if entry.kind == "ramp" else {}
     given |= {"start": drive.start} if "start" in _DRIVES.get(entry.kind, ()) else {}
@@ -509,9 +457,4 @@ def _plain(entry: tables.Table) -> dict[str, Any]:
 
 
 def _listing(x: Any) -> Any:
-    """Tuples as TOML writes them."""
     return [_listing(part) for part in x] if isinstance(x, (tuple, list)) else x
-
-
-def _example(unit: str) -> str:
-    return '"50 mm"' if unit == "m" else '"1e-4 kg m^2"'

@@ -1,17 +1,37 @@
-"""The keys that tables of a mechanism's file may hold, and the units of a load's numbers (``mechanismfile``).
+"""The keys that tables of a mechanism's file may hold, and the units of their numbers (``mechanismfile``).
 
-Numbers are ``Any``: an SI number, a text with a unit, or the name of a quantity.
+Numbers are ``Any``: an SI number, a text with a unit, or the name of a quantity. A field's unit stands in its metadata.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import pydantic
 
 from bcfj_jax.core import limits
 from bcfj_jax.io import tables
 from bcfj_jax.mechanism.bodies import GROUND
+
+
+class In(NamedTuple):
+    """Unit of a field; ``shape`` of its list: () for a number, (3,) for a place, (2, 3) for a place on either body."""
+
+    unit: str
+    shape: tuple[int, ...] = ()
+
+
+Place = Annotated[list[Any], In("m", (3,))]
+Places = Annotated[list[list[Any]], In("m", (2, 3))]
+Length = Annotated[Any, In("m")]
+Speed = Annotated[Any, In("m/s")]
+Time = Annotated[Any, In("s")]
+Force = Annotated[Any, In("N")]
+Torque = Annotated[Any, In("N m")]
+Stiffness = Annotated[Any, In("N/m")]
+Damping = Annotated[Any, In("N s/m")]
+# What stands in place of these units where a joint turns.
+TURNED = {"m": "rad", "m/s": "rad/s", "N/m": "N m/rad", "N s/m": "N m s/rad"}
 
 
 class SceneTable(tables.Table):
@@ -28,10 +48,10 @@ class DriveTable(tables.Table):
     """A body's drive, or that of a spring on a joint."""
 
     kind: str = "constant"
-    speed: Any = None
-    over: Any = None
-    start: Any = None
-    first: Any = None
+    speed: Speed = None
+    over: Time = None
+    start: Length = None
+    first: Speed = None
     shape: str | None = None
     table: list[list[Any]] | None = None
 
@@ -42,12 +62,12 @@ class BodyTable(tables.Table):
     name: str
     joint: str = "free"
     parent: Any = GROUND
-    at: list[Any] = [0, 0, 0]
+    at: Place = [0, 0, 0]
     axis: str | list[float | int] = "z"
     tilt: list[Any] | None = None
-    center: list[Any] = [0, 0, 0]
-    mass: Any = None
-    inertia: Any = None
+    center: Place = [0, 0, 0]
+    mass: Annotated[Any, In("kg")] = None
+    inertia: Annotated[Any, In("kg m^2", (3,))] = None
     start: dict[str, Any] = {}
     drive: DriveTable | None = None
     members: int = pydantic.Field(default=0, ge=0, le=limits.MEMBERS)
@@ -59,7 +79,7 @@ class ContactTable(tables.Table):
     name: str
     between: list[str]
     gap: str | dict[str, Any]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
+    at: Places = [[0, 0, 0], [0, 0, 0]]
     law: str | None = None
     elastic: str | None = None
     friction: bool | str | None = None
@@ -85,75 +105,6 @@ class ReadTable(tables.Table):
     frame: str | None = None
 
 
-class GravityTable(tables.Table):
-    """[[load]] of kind "gravity"."""
-
-    kind: str
-    name: str = "gravity"
-    direction: str | list[float | int] = "-y"
-
-
-class ForceTable(tables.Table):
-    """[[load]] of kind "force"."""
-
-    kind: str
-    name: str
-    body: str
-    direction: str | list[float | int] = "x"
-    size: Any = None
-    at: list[Any] = [0, 0, 0]
-    ramp: Any = None
-    table: list[list[Any]] | str | None = None
-    follows: bool = False
-    shape: str = "smooth"
-    amplitude: Any = None
-    frequency: Any = None
-    reversal: Any = None
-    reversal_ramp: Any = None
-
-
-class TorqueTable(ForceTable):
-    """[[load]] of kind "torque"."""
-
-    against: str = GROUND
-
-
-class SpringTable(tables.Table):
-    """[[load]] of kind "spring"."""
-
-    kind: str
-    name: str
-    between: list[str]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
-    stiffness: Any = 0
-    damping: Any = 0
-    free_length: Any = 0
-
-
-class BushTable(tables.Table):
-    """[[load]] of kind "bush"."""
-
-    kind: str
-    name: str
-    between: list[str]
-    at: list[list[Any]] = [[0, 0, 0], [0, 0, 0]]
-    stiffness: Any = 1e7
-    damping: Any = 0
-    turning_damping: Any = 0
-
-
-class JointSpringTable(tables.Table):
-    """[[load]] of kind "joint_spring"."""
-
-    kind: str
-    name: str
-    body: str
-    stiffness: Any = 0
-    damping: Any = 0
-    rest: Any = 0
-    drive: DriveTable | None = None
-
-
 class OwnTable(tables.Table):
     """[[load]] of a kind of the user's own."""
 
@@ -162,26 +113,29 @@ class OwnTable(tables.Table):
     bodies: list[str] = []
 
 
-LOAD_TABLES: dict[str, type[tables.Table]] = {
-    "gravity": GravityTable,
-    "force": ForceTable,
-    "torque": TorqueTable,
-    "spring": SpringTable,
-    "bush": BushTable,
-    "joint_spring": JointSpringTable,
+def _load(kind: str, **fields: Any) -> type[tables.Table]:
+    """[[load]] of a kind; of each key its type and its default, ``...`` for none."""
+    return pydantic.create_model(f"{kind} load", __base__=tables.Table, kind=(str, ...), **fields)
+
+
+_NAMED: dict[str, Any] = {"name": (str, ...)}
+_BETWEEN: dict[str, Any] = {"between": (list[str], ...), "at": (Places, [[0, 0, 0], [0, 0, 0]])}
+_FORCE: dict[str, Any] = _NAMED | {
+    "body": (str, ...), "direction": (str | list[float | int], "x"), "size": (Force, None), "at": (Place, [0, 0, 0]),
+    "ramp": (Time, None), "table": (list[list[Any]] | str | None, None), "follows": (bool, False), "shape": (str, "smooth"),
+    "amplitude": (Force, None), "frequency": (Annotated[Any, In("Hz")], None), "reversal": (Time, None),
+    "reversal_ramp": (Time, None),
+}  # fmt: skip
+_TORQUE: dict[str, Any] = _FORCE | {"size": (Torque, None), "amplitude": (Torque, None), "against": (str, GROUND)}
+_BUSH: dict[str, Any] = {"stiffness": (Stiffness, 1e7), "turning_damping": (Annotated[Any, In("N m s/rad")], 0)}
+_SPRING: dict[str, Any] = {"stiffness": (Stiffness, 0), "damping": (Damping, 0)}
+LOAD_TABLES = {
+    "gravity": _load("gravity", name=(str, "gravity"), direction=(str | list[float | int], "-y")),
+    "force": _load("force", **_FORCE),
+    "torque": _load("torque", **_TORQUE),
+    "spring": _load("spring", **_NAMED, **_BETWEEN, **_SPRING, free_length=(Length, 0)),
+    "bush": _load("bush", **_NAMED, **_BETWEEN, **(_SPRING | _BUSH)),
+    "joint_spring": _load(
+        "joint_spring", **_NAMED, body=(str, ...), **_SPRING, rest=(Length, 0), drive=(DriveTable | None, None)
+    ),
 }
-
-
-def load_units(kind: str, turns: bool) -> dict[str, str]:
-    """Units of a load's numbers; ``turns``: whether a joint's coordinate is an angle."""
-    if kind in ("force", "torque"):
-        unit = "N" if kind == "force" else "N m"
-        times = {"ramp": "s", "reversal": "s", "reversal_ramp": "s"}
-        return {"size": unit, "amplitude": unit, "frequency": "Hz", **times}
-    if kind == "spring":
-        return {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
-    if kind == "bush":
-        return {"stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad"}
-    if kind == "joint_spring" and turns:
-        return {"stiffness": "N m/rad", "damping": "N m s/rad", "rest": "rad"}
-    return {"stiffness": "N/m", "damping": "N s/m", "rest": "m"} if kind == "joint_spring" else {}

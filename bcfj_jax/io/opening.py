@@ -17,14 +17,7 @@ LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 64 * MEGABYTE, 2 * MEGABYTE, 16384 
 
 
 def check(path: Path, largest: int, where: str, missing: str, remedy: str) -> None:
-    """Refuse what is not a regular file of at most ``largest`` bytes.
-
-    Args:
-        path: the file.
-        largest: its size at most, in bytes.
-        where: place, for the message.
-        missing: what is right where there is no such file.
-        remedy: what is right where it is too large.
+    """Refuse what is not a regular file of at most ``largest`` bytes; the last three arguments are parts of the message.
 
     Raises:
         InputError: where there is no such file, it is a folder, pipe or device, cannot be read, or is too large.

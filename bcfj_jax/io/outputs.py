@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
-from bcfj_jax.io.folder import already_there, unwritable
+from bcfj_jax.io.folder import already_there, check_folder, unwritable
 from bcfj_jax.io.folder import inside as inside
 from bcfj_jax.io.folder import open_folder as open_folder
 from bcfj_jax.io.folder import session as session
@@ -71,7 +71,7 @@ def create(path: Path, text: str) -> None:
     Raises:
         InputError: if it is there already, or cannot be written.
     """
-    open_folder(path.parent, "init", "", [path.name], lock=False)
+    check_folder(path.parent, [path.name])
     try:
         with atomic(path, _new) as temporary:
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
@@ -113,14 +113,20 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows([_cell(value) for value in row] for row in rows)
+    writer.writerows(["" if value != value else value for value in row] for row in rows)
     write_text(path, buffer.getvalue())
 
 
-def _cell(value: Any) -> Any:
-    if isinstance(value, (float, np.floating)):
-        return "" if math.isnan(value) else repr(float(value))
-    return value
+def write_columns(path: Path, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
+    """As ``write_csv``, by columns of numbers (T,) or of texts that need no quotes: several times as fast."""
+    texts = [
+        ["" if x != x else repr(x) for x in column.tolist()] if isinstance(column, np.ndarray) else column
+        for column in columns.values()
+    ]
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(columns)
+    buffer.writelines(f"{line}\n" for line in map(",".join, zip(*texts, strict=True)))
+    write_text(path, buffer.getvalue())
 
 
 def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:
@@ -135,9 +141,7 @@ def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> Non
 def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str, np.ndarray]:
     """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``.
 
-    Args:
-        history: per contact (T, ...) or, with members, (T, k, ...).
-        components: number of axes after those: 1 for forces, 0 for penetrations and rates.
+    ``components``: number of axes after time and members: 1 for forces, 0 for penetrations and rates.
     """
     apart: dict[str, np.ndarray] = {}
     for name, values in history.items():
@@ -149,45 +153,29 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
 
 
 def write_table(path: Path, header: Sequence[str], table: np.ndarray) -> None:
-    """A CSV file of numbers (T, k), as ``write_csv``'s."""
-    _write_columns(path, header, [_texts(column) for column in np.asarray(table).T])
+    """A CSV file of numbers (T, k)."""
+    write_columns(path, dict(zip(header, np.asarray(table).T, strict=True)))
 
 
-def _texts(numbers: np.ndarray) -> list[str]:
-    return ["" if x != x else repr(x) for x in numbers.tolist()]
+def write_histories(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
+    """A CSV file of histories: time [s], then columns by their heads."""
+    write_columns(path, {"time [s]": np.asarray(times), **columns})
 
 
-def _write_columns(path: Path, header: Sequence[str], columns: Sequence[Sequence[str]]) -> None:
-    """A CSV file of texts by columns, none of which needs quotes: the same as ``write_csv``'s, several times as fast."""
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerow(header)
-    buffer.writelines(f"{line}\n" for line in map(",".join, zip(*columns, strict=True)))
-    write_text(path, buffer.getvalue())
-
-
-def write_histories(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray]) -> None:
-    """A CSV file of histories: time [s], then (T,) columns by their heads."""
-    write_table(path, ["time [s]", *columns], np.column_stack([times, *columns.values()]))
-
-
-def write_forces(path: Path, run: Run) -> None:
-    """``forces.csv``: time [s], then every contact's three components [N]."""
+def force_columns(run: Run) -> dict[str, np.ndarray]:
+    """Every contact's three components [N], by heads that hold the unit."""
     forces = channels(run.force, 1)
-    columns = {f"{name}.{part} [N]": x[:, k] for name, x in forces.items() for k, part in enumerate(COMPONENTS)}
-    write_histories(path, run.times, columns)
+    return {f"{name}.{part} [N]": x[:, k] for name, x in forces.items() for k, part in enumerate(COMPONENTS)}
 
 
-def write_contacts(path: Path, run: Run) -> None:
-    """``contacts.csv``: time [s], then every contact's penetration [m], sliding speed [m/s] where it slides, state."""
+def contact_columns(run: Run) -> dict[str, np.ndarray | list[str]]:
+    """Every contact's penetration [m], sliding speed [m/s] where it slides, and state in words."""
     slip, state = channels(run.slip), channels(run.state)
-    header, columns = ["time [s]"], [_texts(np.asarray(run.times))]
+    columns: dict[str, np.ndarray | list[str]] = {}
     for name, depth in channels(run.penetration).items():
-        header.append(f"{name}.penetration [m]")
-        columns.append(_texts(depth))
+        columns[f"{name}.penetration [m]"] = depth
         if name in slip:
-            header.append(f"{name}.sliding_speed [m/s]")
-            columns.append(_texts(slip[name]))
-        header.append(f"{name}.state")
+            columns[f"{name}.sliding_speed [m/s]"] = slip[name]
         # A failed run's state is unknown: an empty cell, as its numbers.
-        columns.append([STATES[code] if code >= 0 else "" for code in state[name].tolist()])
-    _write_columns(path, header, columns)
+        columns[f"{name}.state"] = [STATES[code] if code >= 0 else "" for code in state[name].tolist()]
+    return columns

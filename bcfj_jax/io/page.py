@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.units import engineering, format_si
 
 Rows = Sequence[Sequence[str]]
+
+
+def by_columns(*columns: tuple[str, Sequence[str]]) -> list[list[str]]:
+    """Rows of a table from its columns, each a title and its cells."""
+    titles, cells = zip(*columns, strict=True)
+    return [list(titles), *map(list, zip(*cells, strict=True))]
+
+
 # How a verdict is meant. It has a colour, and a sign for those who do not see the colour.
 GOOD, FAIR, BAD, PLAIN = "good", "fair", "bad", "plain"
 SIGNS = {GOOD: "✓", FAIR: "!", BAD: "✗", PLAIN: "→"}
@@ -100,56 +108,25 @@ def from_content(content: Mapping[str, Any], where: str) -> Page:
     Raises:
         InputError: for a content that is no page.
     """
+    import pydantic
+
     try:
-        return Page(
-            title=_text(content["title"]),
-            verdict=_verdict(content["verdict"]),
-            pictures=_pictures(content["pictures"]),
-            warnings=tuple(map(_text, _list(content["warnings"]))),
-            tables=_blocks(content["tables"]),
-            more=_pictures(content["more"]),
-            folded=_blocks(content["folded"]),
-            model_form=_text(content.get("model_form", "")),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        what = f"is not what a command of bcfj writes ({type(error).__name__}: {error})"
-        raise InputError(where, what[:200], "run the command again in another folder") from None
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{value!r} is no text")
-    return value
-
-
-def _list(value: Any) -> list[Any]:
-    # A text would be a list of its letters.
-    if not isinstance(value, list | tuple):
-        raise ValueError(f"{value!r} is no list")
-    return list(value)
-
-
-def _verdict(value: Mapping[str, Any]) -> Verdict:
-    if value["kind"] not in SIGNS:
-        raise ValueError(f"no verdict '{value['kind']}'")
-    return Verdict(value["kind"], _text(value["word"]), _text(value["sentence"]))
-
-
-def _pictures(values: Iterable[Mapping[str, Any]]) -> tuple[Picture, ...]:
-    found = tuple(Picture(_text(v["file"]), _text(v["title"]), _text(v["shows"])) for v in values)
-    for one in found:
-        if not one.file.endswith(".png"):
-            raise ValueError(f"'{one.file}' is no PNG")
-    return found
-
-
-def _blocks(values: Iterable[Mapping[str, Any]]) -> tuple[Table | Listing, ...]:
-    return tuple(_table(v) if "rows" in v else Listing(_text(v["title"]), _text(v["text"])) for v in values)
-
-
-def _table(value: Mapping[str, Any]) -> Table:
-    rows = [[_text(cell) for cell in _list(row)] for row in _list(value["rows"])]
-    return Table(_text(value["title"]), rows, _text(value["note"]), tuple(map(_table, value["folded"])))
+        page = pydantic.TypeAdapter(Page).validate_python(content)
+        if other := [one.file for one in (*page.pictures, *page.more) if not one.file.endswith(".png")]:
+            raise ValueError(f"'{other[0]}' is no PNG")
+        if page.verdict.kind not in SIGNS:
+            raise ValueError(f"no verdict '{page.verdict.kind}'")
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        listed = first["type"] in ("tuple_type", "sequence_str", "list_type")
+        said = f"{first['input']!r} is no list" if listed else first["msg"]
+        what = f"{'.'.join(map(str, first['loc']))}: {said}"
+    except ValueError as error:
+        what = str(error)
+    else:
+        return replace(page, animation="")
+    found = f"is not what a command of bcfj writes ({what})"
+    raise InputError(where, found[:200], "run the command again in another folder")
 
 
 # Numbers for people.

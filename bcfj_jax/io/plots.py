@@ -118,30 +118,39 @@ def figure(
 
 
 @contextmanager
-def panels(
-    count: int, columns: int, path: Path, width: float, height: float, margins: Margins | None = None
-) -> Iterator[list[Axes]]:
-    """As many axes as are needed, in a grid of so many columns at most, written to a PNG after the block.
-
-    Args:
-        count: of panels, >= 1.
-        columns: most of them side by side.
-        path: of the PNG.
-        width, height: of one panel [in].
-        margins: about each panel, where its labels are of known size.
-    """
-    columns = min(count, columns)
+def sheet(
+    path: Path | Kept, rows: int = 1, columns: int = 1, width: float = 7.5, height: float = 3.2,
+    margins: Margins | None = None, colours: int = 256,
+) -> Iterator[list[Axes]]:  # fmt: skip
+    """The axes of a ``figure`` in our look, written to a PNG after the block (``save``)."""
     with style():
-        drawing, axes = figure(-(-count // columns), columns, width * columns + 0.5, height, margins)
+        drawing, axes = figure(rows, columns, width, height, margins)
+        yield axes
+        save(drawing, path, colours)
+
+
+@contextmanager
+def panels(
+    count: int, columns: int, path: Path | Kept, width: float, height: float, margins: Margins | None = None
+) -> Iterator[list[Axes]]:
+    """As ``sheet``, with ``count`` axes of this width and height [in], in a grid of so many columns at most."""
+    columns = min(count, columns)
+    with sheet(path, -(-count // columns), columns, width * columns + 0.5, height, margins) as axes:
         for axis in axes[count:]:
             axis.set_visible(False)
         yield axes[:count]
-        save(drawing, path)
 
 
 def label(name: str, unit: str, prefix: str = "") -> str:
     """Text for an axis: ("time", "s", "u") -> "time [µs]"."""
     return f"{name} [{prefix.replace('u', 'µ')}{unit}]"
+
+
+def over_time(axis: Axes, times: np.ndarray) -> float:
+    """Name and limit an axis of times [s]; the scale of what is drawn along it."""
+    scale, prefix = engineering(times)
+    axis.set(xlabel=label("time", "s", prefix), xlim=(times[0] * scale, times[-1] * scale))
+    return scale
 
 
 class Kept:

@@ -22,13 +22,9 @@ _REMEDY = 'give a CSV file with a head such as "time [s],torque [kN m]" and a ro
 
 
 def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list[list[float]]:
-    """[[times], [values]] in SI.
+    """[[times], [values]] in SI, of such rows, whose numbers may be texts with a unit, or the name of a CSV file.
 
-    Args:
-        given: such rows, whose numbers may be texts with a unit, or the name of a CSV file.
-        unit: of the values.
-        where: place, for the message.
-        folder: of the scene file, from which a file's name counts; None: the working directory.
+    A name counts from the scene file's ``folder``; without one from the working directory.
 
     Raises:
         InputError: for a file that cannot be read, cells that are no numbers of the unit, and rows of unlike lengths.
@@ -49,44 +45,37 @@ def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list
 
 def _read(path: Path, unit: str, where: str) -> list[list[float]]:
     raw = content(path, 16 * MEGABYTE, where, _REMEDY, "leave out rows that a line between their neighbours replaces")
-    shown = clip(str(path))
+    place = f"{where} {clip(str(path))}"
     try:
         rows = [row for row in csv.reader(io.StringIO(raw.decode("utf-8-sig"))) if any(cell.strip() for cell in row)]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{where} {shown}", f"is no CSV file: {error}", _REMEDY) from None
-    if len(rows) < 3 or any(len(row) != 2 for row in rows):
-        bad = next((k + 1 for k, row in enumerate(rows) if len(row) != 2), None)
-        found = f"row {bad} has {len(rows[bad - 1])} cells" if bad else f"has {len(rows)} rows"
-        raise InputError(f"{where} {shown}", found, _REMEDY)
-    if len(rows) > _MOST:
-        raise InputError(f"{where} {shown}", f"has {len(rows)} rows", f"give at most {_MOST}")
-    made: list[list[float]] = [[], []]
-    for i, (head, own) in enumerate(zip(rows[0], ("s", unit), strict=True)):
-        stated = column(head)[1] or own
-        for k, row in enumerate(rows[1:], 2):
-            cell = row[i].strip()
-            made[i].append(quantity(f"{cell} {stated}", own, f"{where} {shown}, row {k}"))
-    return made
+        raise InputError(place, f"is no CSV file: {error}", _REMEDY) from None
+    for k, row in enumerate(rows, 1):
+        if len(row) != 2:
+            raise InputError(place, f"row {k} has {len(row)} cells", _REMEDY)
+    if not 3 <= len(rows) <= _MOST:
+        remedy = _REMEDY if len(rows) < 3 else f"give at most {_MOST}"
+        raise InputError(place, f"has {len(rows)} rows", remedy)
+    units = [(column(head)[1] or own, own) for head, own in zip(rows[0], ("s", unit), strict=True)]
+    return [
+        [quantity(f"{row[i].strip()} {stated}", own, f"{place}, row {k}") for k, row in enumerate(rows[1:], 2)]
+        for i, (stated, own) in enumerate(units)
+    ]
 
 
 def resolved(content: Mapping[str, Any], folder: Path | None, where: str) -> dict[str, Any]:
     """A scene file's content, its tables over time as SI numbers; what else is in it stays as it is, unchecked."""
     found = dict(content)
-    scene = found.get("scene")
+    scene, loads = found.get("scene"), found.get("load")
     if isinstance(scene, Mapping) and scene.get("kind") == "joint":
-        found["scene"] = {
-            key: table(value, OF_JOINT[key], f"{where}: [scene] {key}", folder)
-            if key in OF_JOINT and value is not None
-            else value
-            for key, value in scene.items()
-        }
-    loads = found.get("load")
+        found["scene"] = dict(scene)
+        for key, unit in OF_JOINT.items():
+            if scene.get(key) is not None:
+                found["scene"][key] = table(scene[key], unit, f"{where}: [scene] {key}", folder)
     if isinstance(loads, list):
-        found["load"] = [_load(entry, folder, f"{where}: [[load]] {k + 1} table") for k, entry in enumerate(loads)]
+        found["load"] = list(loads)
+        for k, entry in enumerate(loads):
+            if isinstance(entry, Mapping) and isinstance(entry.get("table"), str) and entry.get("kind") in OF_LOADS:
+                place = f"{where}: [[load]] {k + 1} table"
+                found["load"][k] = {**entry, "table": table(entry["table"], OF_LOADS[entry["kind"]], place, folder)}
     return found
-
-
-def _load(entry: Any, folder: Path | None, where: str) -> Any:
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("table"), str) or entry.get("kind") not in OF_LOADS:
-        return entry
-    return {**entry, "table": table(entry["table"], OF_LOADS[entry["kind"]], where, folder)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import platform
@@ -21,25 +22,26 @@ def version() -> str:
     return __version__
 
 
-def _version(package: str) -> str:
+def installed(package: str) -> str | None:
+    """The version of an installed package; None where it is not installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+        return None
 
 
 def _commit() -> dict[str, Any]:
     root = Path(__file__).resolve().parents[2]
+
+    def git(*words: str) -> str:
+        asked = ["git", "-C", str(root), *words]
+        return subprocess.run(asked, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+
     # An installed package may lie inside some other repository, whose commit says nothing.
-    if not (root / ".git").exists():
-        return {"commit": None, "modified": None}
-    git = ["git", "-C", str(root)]
-    try:
-        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10, check=True)
-        state = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, timeout=10, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return {"commit": None, "modified": None}
-    return {"commit": head.stdout.strip(), "modified": bool(state.stdout.strip())}
+    if (root / ".git").exists():
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            return {"commit": git("rev-parse", "HEAD"), "modified": bool(git("status", "--porcelain"))}
+    return {"commit": None, "modified": None}
 
 
 def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str, Any]:
@@ -53,7 +55,7 @@ def environment(seed: int | None = None, data: Sequence[Path] = ()) -> dict[str,
         "git": _commit(),
         "python": sys.version.split()[0],
         "platform": platform.platform(),
-        "packages": {name: _version(name) for name in _PACKAGES},
+        "packages": {name: installed(name) or "unknown" for name in _PACKAGES},
         "device": {"backend": jax.default_backend(), "devices": [str(d) for d in jax.devices()]},
         "seed": seed,
         "data": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in data},

@@ -1,7 +1,7 @@
 """``report.html``: one file that opens offline, the verdict first; and tables as text. Jinja2 loads on first use.
 
 Beside it lies ``report.json``, the same page without its pictures, which are PNG files of the folder.
-``analysis.reporting.rebuild`` makes the page again from both.
+``analysis.simulation.folder.rebuild`` makes the page again from both.
 """
 
 from __future__ import annotations
@@ -46,15 +46,9 @@ def text(rows: Rows) -> str:
 
 def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ()) -> Table:
     """What a solve cost: steps, wall time and compile time [s]."""
-    rows = [
-        ["solver", "value"],
-        *more,
-        ["steps accepted", str(stats["accepted"])],
-        ["steps rejected", str(stats["rejected"])],
-        ["wall time", brief(stats["wall_s"], "s")],
-        ["compile time", brief(stats["compile_s"], "s")],
-    ]
-    return Table("Solver", rows)
+    steps = [[f"steps {key}", str(stats[key])] for key in ("accepted", "rejected")]
+    times = [[f"{key} time", brief(stats[f"{key}_s"], "s")] for key in ("wall", "compile")]
+    return Table("Solver", [["solver", "value"], *more, *steps, *times])
 
 
 def write(folder: Path, page: Page, known: str = "") -> Path:
@@ -71,17 +65,15 @@ def write(folder: Path, page: Page, known: str = "") -> Path:
 
 
 def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
-    """The page as one file: pictures of the folder inside, none of which is fetched.
+    """The page as one file: pictures of the folder, or before them of the folder ``drawn``, inside; none is fetched.
 
-    Args:
-        page: what to show; a picture that is not in the folder is left out, and a warning names it.
-        folder: of the results.
-        drawn: a folder whose pictures go before those of the folder.
+    A picture that is not there is left out, and a warning names it.
 
     Raises:
         InputError: for a picture whose name leaves the folder.
     """
     import jinja2
+    from markupsafe import Markup  # HTML and CSS of this package, which is not escaped
 
     missing: list[str] = []
 
@@ -100,8 +92,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
 
     shown, more = inline(page.pictures), inline(page.more)
     lost = [f"The picture {name} is no longer in the result folder." for name in missing]
-    if lost:
-        page = replace(page, warnings=(*page.warnings, *lost))
+    page = replace(page, warnings=(*page.warnings, *lost))
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("bcfj_jax.io", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -109,15 +100,8 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
     return templates.get_template("report.html").render(
         page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)], version=version(),
-        sign=SIGNS[page.verdict.kind], style=_trusted(style), animation=_trusted(page.animation),
+        sign=SIGNS[page.verdict.kind], style=Markup(style), animation=Markup(page.animation),
     ).lstrip()  # fmt: skip
-
-
-def _trusted(text: str) -> Any:
-    """HTML and CSS of this package, which is not escaped."""
-    from markupsafe import Markup
-
-    return Markup(text)
 
 
 def _files(folder: Path) -> list[Listing]:

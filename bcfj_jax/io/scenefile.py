@@ -26,13 +26,13 @@ import numpy as np
 import pydantic
 from jax import Array
 
-from bcfj_jax.contact import laws
+from bcfj_jax.contact import laws, stiffness
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import check_order, check_value, scalar
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
-from bcfj_jax.io.spheres import Spheres
 from bcfj_jax.io.units import quantity, toleranced
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import Channel
@@ -74,6 +74,65 @@ class SceneFile:
     resolved_peaks: bool = False
     reads: tuple[Channel, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)
+
+
+Pair = tuple[Any, Any]
+
+
+def _stiffness(modulus: Pair, poisson: Pair, radius: Pair) -> Array:
+    return stiffness.sphere_sphere(stiffness.effective_modulus(modulus[0], poisson[0], modulus[1], poisson[1]), *radius)
+
+
+class Spheres(tables.Table):
+    """``[scene.spheres]``: one value a body; a plane is a sphere of infinite radius, and infinitely heavy.
+
+    Attributes:
+        radius: > 0 [m], ``inf`` for a plane.
+        youngs_modulus: > 0 [Pa], ``inf`` for a rigid body.
+        poisson: Poisson's ratios [-], -1 < nu <= 0.5.
+        density: > 0 [kg/m^3]; that of a plane does not matter.
+    """
+
+    radius: list[Any]
+    youngs_modulus: list[Any]
+    poisson: list[Any]
+    density: list[Any]
+
+    def derived(self, where: str) -> dict[str, float]:
+        """Stiffness (4/3) E* sqrt(R), exponent 1.5 and effective mass m1 m2/(m1 + m2) of a Hertz contact.
+
+        Raises:
+            InputError: for values out of range, two planes, or two rigid bodies.
+        """
+        radius = self._pair("radius", "m", where, 0.0, math.inf)
+        modulus = self._pair("youngs_modulus", "Pa", where, 0.0, math.inf)
+        poisson = self._pair("poisson", "1", where, -1.0, 0.5)
+        density = self._pair("density", "kg/m^3", where, 0.0, math.inf)
+        for name, pair in (("radius", radius), ("youngs_modulus", modulus)):
+            if all(math.isinf(value) for value in pair):
+                raise InputError(f"{where} {name}", "both are infinite", "one of the two bodies must have a finite one")
+        masses = [4.0 / 3.0 * math.pi * r**3 * rho for r, rho in zip(radius, density, strict=True)]
+        heavy = [m for m in masses if math.isfinite(m)]
+        if not heavy:
+            raise InputError(f"{where} density", "no body has a finite mass", "give at least one a finite density")
+        return {
+            "stiffness": float(ask("two spheres", _stiffness, (), (modulus, poisson, radius))),
+            "exponent": 1.5,
+            "mass": 1.0 / sum(1.0 / m for m in heavy),
+        }
+
+    def _pair(self, name: str, unit: str, where: str, low: float, high: float) -> Pair:
+        place = f"{where} {name}"
+        given = getattr(self, name)
+        if len(given) != 2:
+            raise InputError(place, f"{given} has {len(given)} values", "give a list of two, one a body")
+        pair = (quantity(given[0], unit, place), quantity(given[1], unit, place))
+        for value in pair:
+            # A NaN lies in no range.
+            if not low < value <= high:
+                bound = "" if math.isinf(high) else f" and <= {high:g}"
+                raise InputError(place, f"{value:g} is out of range", f"give values > {low:g}{bound}")
+        return pair
 
 
 class _Time(tables.Table):
@@ -165,10 +224,16 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     if listed:
         mechanismfile.refuse_unread(scene, params, file.parameters, where)
     readings, reads = mechanismfile.readings(table, scene, where)
-    end = _end(scene, params, file.time, where)
+    asked = file.time.end
+    end = horizon(scene, params) if asked is None else quantity(asked, "s", f"{where}: [time] end")
+    if not (math.isfinite(end) and end > 0):
+        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
     samples = file.time.samples or scene.samples
     accuracy, solver = _accuracy(file.accuracy, where), file.accuracy.solver
-    if (longest := _longest(file.time, where)) is not None:
+    steps, peaks = file.accuracy.max_steps, file.accuracy.resolved_peaks
+    longest = file.time.longest_step
+    if longest is not None:
+        longest = scalar(f"{where}: [time]", LONGEST, longest)
         scene = replace(scene, longest_step=longest)  # pyright: ignore[reportArgumentType]
     scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
@@ -176,31 +241,17 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         **made_of,
         "parameters": {name: float(value) for name, value in params.items()},
         "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
-        "accuracy": {
-            "level" if isinstance(accuracy, str) else "force_error": accuracy,
-            "max_steps": file.accuracy.max_steps,
-        }
+        "accuracy": {"level" if isinstance(accuracy, str) else "force_error": accuracy, "max_steps": steps}
         | ({"solver": solver} if solver else {})
-        | ({"resolved_peaks": True} if file.accuracy.resolved_peaks else {}),
+        | ({"resolved_peaks": True} if peaks else {}),
     } | ({"read": readings} if readings else {})
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
-    steps = file.accuracy.max_steps
-    if file.accuracy.resolved_peaks and solver == "bdf":
+    if peaks and solver == "bdf":
         remedy = "leave the solver out, or take rodas3 or sdirk2"
         raise InputError(f"{where}: [accuracy] resolved_peaks", "with the solver 'bdf'", remedy)
-    peaks = file.accuracy.resolved_peaks
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
-
-
-def _longest(time: _Time, where: str) -> float | None:
-    """The solver's longest step [s]; None where nothing is said.
-
-    Raises:
-        InputError: for what is no length of time above 0.
-    """
-    return None if time.longest_step is None else scalar(f"{where}: [time]", LONGEST, time.longest_step)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -252,8 +303,7 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
         raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), kinds) + usercode.hint())
     parts = {name: getattr(file, name) for name in mechanismfile.TABLES}
     if kind == mechanismfile.KIND:
-        built = mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters)
-        return built.scene, built.resolved, None
+        return *mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters), None
     if given := [name for name, entries in parts.items() if entries]:
         brackets = f"[quantity.{next(iter(file.quantity))}]" if given[0] == "quantity" else f"[[{given[0]}]]"
         remedy = f'say kind = "{mechanismfile.KIND}" to list parts of your own'
@@ -266,21 +316,16 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
         if options.get(name) is not None and options[name] not in known:
             hint = nearest(options[name], known) + usercode.hint()
             raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", hint)
-    try:
+    own = f"scene '{kind}'"
+    with tables.placed(lambda said: f"{place} {said.removeprefix(own).strip()}"):
         scene = scenes.make(kind, **options)
-    except InputError as error:
-        key = error.where.removeprefix(f"scene '{kind}'").strip()
-        raise InputError(f"{place} {key}", error.found, error.remedy) from None
     spheres = getattr(checked, "spheres", None)
     if spheres and _elastic_name(scene) != "power":
         found = f"spheres with elastic = '{_elastic_name(scene)}'"
         raise InputError(f"{place} elastic", found, "spheres are in Hertz contact: leave elastic out, or say 'power'")
-    return scene, {"scene": {"kind": kind} | _resolved_options(scene, options | _given(file, options))}, spheres
-
-
-def _given(file: _File, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that the file gives, as it writes them."""
-    return {name: file.scene[name] for name in options if name in file.scene}
+    # Options that the file gives, as it writes them.
+    given_options = {name: file.scene.get(name, value) for name, value in options.items()}
+    return scene, {"scene": {"kind": kind} | _resolved_options(scene, given_options)}, spheres
 
 
 def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -298,7 +343,6 @@ def _resolved_options(scene: AbstractModel, options: Mapping[str, Any]) -> dict[
 
 
 def _elastic_name(scene: AbstractModel) -> str | None:
-    """Name of the first contact's elastic part; None for a law that has none of these."""
     part = getattr(scene.contacts[0].law, "elastic", None)
     return next((name for name, known in laws.ELASTIC.items() if type(known) is type(part)), None)
 
@@ -343,13 +387,6 @@ def _values(
             tolerances[name] = tolerance
     check_order(f"{where}: [parameters]", known, {**defaults, **values})
     return values, tolerances
-
-
-def _end(scene: AbstractModel, params: dict[str, Array], time: _Time, where: str) -> float:
-    end = horizon(scene, params) if time.end is None else quantity(time.end, "s", f"{where}: [time] end")
-    if not (math.isfinite(end) and end > 0):
-        raise InputError(f"{where}: [time] end", f"{end:g} s is out of range", "give a time > 0")
-    return end
 
 
 def _accuracy(table: _Accuracy, where: str) -> str | float:

@@ -85,43 +85,38 @@ max_steps = 400000  # attempted steps; beyond them the run fails
 def _options(kind: str, scene: AbstractModel) -> Iterator[str]:
     """Lines of [scene]: those that many scenes share in the same words, all others in their docstring's."""
     function = scenes.SCENES[kind]
-    said, one = _arguments(function), scene.contacts[len(scene.contacts) // 2].name if scene.contacts else ""
+    said, several = _arguments(function), len(scene.contacts) > 1
+    one = scene.contacts[len(scene.contacts) // 2].name if scene.contacts else ""
+    off = "# " if several else ""  # Of several contacts each law has its own elastic part.
+    # Lines of options that many scenes share; "..." stands for what the docstring says.
+    shared = {
+        "law": f"law = {{value}}  # {_wrapped(laws.LAWS)}\n# Without a law, giving restitution below selects the law exact, "
+        "which delivers it. Each law has its own parameters.",
+        "elastic": f'{off}elastic = "power"  # {_wrapped(laws.ELASTIC)}',
+        "smoothing": "smoothing = {value}  # false leaves out the contact regularisation and its parameter",
+        "friction": f"friction = {{value}}  # false for none, true for brown_mcphee, or {_wrapped(laws.FRICTION)}",
+        "laws": f'# laws = {{{{ {one} = "hertz" }}}}  # other normal-force laws for single contacts, by name',
+        "frictions": f"# frictions = {{{{ {one} = false }}}}  # other friction laws for single contacts, as friction",
+        "elastics": '# elastics = {{ seat_cage = "liu_sphere" }}  # ...',
+        "stiffnesses": '# stiffnesses = {{ seat_cage = "geometry" }}  # ...',
+        "fluctuating": '# fluctuating = ["torque"]  # ...',
+        "contacts": f"# contacts = {json.dumps([contact.name for contact in scene.contacts])}\n...",
+    }
     for name, option in inspect.signature(function).parameters.items():
-        value = json.dumps(option.default)
-        if name == "law":
-            yield f"law = {value}  # {_wrapped(laws.LAWS)}"
-            yield (
-                "# Without a law, giving restitution below selects the law exact, which delivers it. "
-                "Each law has its own parameters."
-            )
-        elif name == "elastic":
-            # Of several contacts each law has its own elastic part.
-            off = "# " if len(scene.contacts) > 1 else ""
-            yield f'{off}elastic = "power"  # {_wrapped(laws.ELASTIC)}'
-        elif name == "smoothing":
-            yield f"smoothing = {value}  # false leaves out the contact regularisation and its parameter"
-        elif name == "friction":
-            yield f"friction = {value}  # false for none, true for brown_mcphee, or {_wrapped(laws.FRICTION)}"
-        elif name == "laws":
-            yield f'# laws = {{ {one} = "hertz" }}  # other normal-force laws for single contacts, by name'
-        elif name == "frictions":
-            yield f"# frictions = {{ {one} = false }}  # other friction laws for single contacts, as friction"
-        elif name in ("elastics", "stiffnesses"):
-            example = {"elastics": "liu_sphere", "stiffnesses": "geometry"}[name]
-            yield _commented(f'# {name} = {{ seat_cage = "{example}" }}  # ', said.get(name, ""))
-        elif name == "contacts":
-            yield f"# contacts = {json.dumps([contact.name for contact in scene.contacts])}"
-            yield _commented("", said.get(name, ""))
+        value, text = json.dumps(option.default), said.get(name, "")
+        follows = getattr(scene, name, None)
+        if name in shared:
+            line = shared[name].format(value=value)
         elif name.endswith("_table"):
-            yield _commented(f'# {name} = "{name.removesuffix("_table")}.csv"  # ', said.get(name, ""))
-        elif name == "fluctuating":
-            yield _commented('# fluctuating = ["torque"]  # ', said.get(name, ""))
-        elif isinstance(follows := getattr(scene, name, None), bool) and option.default is None:
-            yield _commented(f"# {name} = {json.dumps(follows)}  # ", said.get(name, ""))
+            line = f'# {name} = "{name.removesuffix("_table")}.csv"  # ...'
         elif option.default is None:
-            yield _commented(f"# {name}: ", said.get(name, ""))
+            line = f"# {name} = {json.dumps(follows)}  # ..." if isinstance(follows, bool) else f"# {name}: ..."
         else:
-            yield _commented(f"{name} = {value}", said.get(name, ""))
+            line = f"{name} = {value}..."
+        before, dots, _ = line.rpartition("...")
+        *above, last = (before if dots else line).split("\n")
+        yield from above
+        yield _commented(last, text) if dots else last
 
 
 def _arguments(function: object) -> dict[str, str]:

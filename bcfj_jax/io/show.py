@@ -27,14 +27,7 @@ MOST_ROWS = 9
 
 
 class Told(NamedTuple):
-    """A result in short.
-
-    Attributes:
-        verdict: how it ended, in a few words: the first line.
-        lines: sentences below it.
-        rows: a table of texts, its first row the heads; empty for none.
-        after: sentences below the table.
-    """
+    """A result in short: how it ended, in a few words; sentences; a table, titles first; sentences below it."""
 
     verdict: str
     lines: Sequence[str] = ()
@@ -75,7 +68,6 @@ def _view(found: Any) -> View:
 
 
 def _short(rows: Rows) -> tuple[list[Sequence[str]], int]:
-    """A table's first rows, and how many are left out."""
     left = max(0, len(rows) - 1 - MOST_ROWS)
     return list(rows[: len(rows) - left]), left
 
@@ -84,30 +76,27 @@ def text(found: Any) -> str:
     """A result in at most 15 lines."""
     told = _view(found).told(found)
     rows, left = _short(told.rows)
-    lines = [f"{type(found).__name__}: {told.verdict}", *told.lines]
-    if rows:
-        lines += report.text([[str(cell) for cell in row] for row in rows]).splitlines()
-    if left:
-        lines.append(f"... and {left} more")
-    return "\n".join([*lines, *told.after])
+    table = report.text([[str(cell) for cell in row] for row in rows]).splitlines() if rows else []
+    more = [f"... and {left} more"] if left else []
+    return "\n".join([f"{type(found).__name__}: {told.verdict}", *told.lines, *table, *more, *told.after])
 
 
 def html(found: Any) -> str:
     """The same as HTML; all of it is escaped."""
     told = _view(found).told(found)
     rows, left = _short(told.rows)
-    parts = [f"<p><b>{escape(type(found).__name__)}: {escape(told.verdict)}</b></p>"]
-    parts += [f"<p>{escape(line)}</p>" for line in told.lines]
+
+    def cells(row: Sequence[str], tag: str) -> str:
+        return "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in row)
+
+    table = ""
     if rows:
-        head, *body = ("".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in row) for tag, row in _tagged(rows))
-        lines = "".join(f"<tr>{row}</tr>" for row in body)
-        parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>")
-    parts += [f"<p>... and {left} more</p>"] if left else []
-    return "".join([*parts, *(f"<p>{escape(line)}</p>" for line in told.after)])
-
-
-def _tagged(rows: Rows) -> list[tuple[str, Sequence[str]]]:
-    return [("th" if k == 0 else "td", row) for k, row in enumerate(rows)]
+        body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[1:])
+        table = f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
+    more = [f"... and {left} more"] if left else []
+    lines = (f"<p>{escape(line)}</p>" for line in (*more, *told.after))
+    head = f"<p><b>{escape(type(found).__name__)}: {escape(told.verdict)}</b></p>"
+    return "".join([head, *(f"<p>{escape(line)}</p>" for line in told.lines), table, *lines])
 
 
 def frame(found: Any) -> Any:

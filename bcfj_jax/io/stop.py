@@ -60,7 +60,6 @@ def _remember(number: int, frame: FrameType | None) -> None:
 
 
 def _importing(frame: FrameType | None) -> int:
-    """How many imports are under way in a stack."""
     count = 0
     while frame is not None:
         count += frame.f_code.co_filename == "<frozen importlib._bootstrap>"
@@ -121,15 +120,10 @@ def last() -> int:
 
 @contextlib.contextmanager
 def heeded(*others: signal.Signals) -> Iterator[None]:
-    """Within, Ctrl-C is remembered. Where it is ignored, as by a shell's background jobs, it stays ignored.
-
-    Within another, what came since the outer one began, and was reported to nobody, is raised at once.
-
-    Args:
-        others: signals that shall do the same, such as SIGTERM: for a command, whose process is its own.
+    """Within, Ctrl-C is remembered, and ``others`` like it. Where it is ignored, as by a shell's background jobs, it stays so.
 
     Raises:
-        KeyboardInterrupt: if Ctrl-C came since an outer one began.
+        KeyboardInterrupt: within another, if Ctrl-C came since that one began, and was reported to nobody.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

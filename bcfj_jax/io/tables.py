@@ -7,7 +7,7 @@ import os
 import re
 import tomllib
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -52,7 +52,12 @@ def read(path: Path) -> dict[str, Any]:
         InputError: when there is no such file, it is no text or no TOML; the last with its line.
     """
     shown, right = clip(str(path)), "give the path of a TOML file"
-    raw = _bytes(path, shown, right)
+    try:
+        raw = content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
+    except InputError as error:
+        # The path is the place already.
+        found = "there is no such file" if error.found.startswith("no file") else error.found
+        raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -77,12 +82,9 @@ def read(path: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[str]) -> Iterator[None]:
-    """Within, a file and the scene that it names, or holds as a table, read as changed.
+    """Within, a study's or a design's file and the scene that it names, or holds as a table, read as changed.
 
-    Args:
-        path: a study's or a design's file.
-        wanted: changes; those of a table in ``own`` are the file's, others the scene's.
-        own: tables of such a file.
+    Changes of a table in ``own`` are the file's, others the scene's.
 
     Raises:
         InputError: as ``changing``, and for what is no such file.
@@ -101,13 +103,13 @@ def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[st
         yield
 
 
-def _bytes(path: Path, shown: str, right: str) -> bytes:
+@contextlib.contextmanager
+def placed(place: Callable[[str], str]) -> Iterator[None]:
+    """Within, what is refused names another place, which is made of the one that it names itself."""
     try:
-        return content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
+        yield
     except InputError as error:
-        # The path is the place already.
-        found = "there is no such file" if error.found.startswith("no file") else error.found
-        raise InputError(shown, found.removeprefix(f"{shown} "), error.remedy) from None
+        raise InputError(place(error.where), error.found, error.remedy) from error.__cause__
 
 
 def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
@@ -122,10 +124,7 @@ def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
 def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> dict[str, Any]:
     """As ``flat``, of tables by name: ``[free.seat_ball.stiffness]`` is the table of ``seat_ball.stiffness``.
 
-    Args:
-        table: the tables.
-        model: what one of them may hold; a table of nothing but other keys, all tables, is a part of a name.
-        inside: that part.
+    A table of nothing but keys that ``model`` does not have, all tables, is a part of a name.
     """
     found: dict[str, Any] = {}
     for key, value in table.items():
@@ -137,13 +136,7 @@ def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> di
 
 
 def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
-    """A table checked against its model.
-
-    Args:
-        model: what the table may hold.
-        table: what it does hold.
-        where: file name, for the message.
-        inside: the table's own name, where it is part of a file.
+    """A table checked against its model; ``inside`` is its own name, where it is part of a file.
 
     Raises:
         InputError: for the first key that is unknown (with the nearest right one), missing or of a wrong type.
@@ -164,14 +157,11 @@ def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
         raise InputError(place, f"the key '{key}' is missing", "it must be given")
     tabled = problem["type"] in ("model_type", "model_attributes_type", "dict_type")
     message = "a table: keys and values" if tabled else problem["msg"].removeprefix("Input should be ")
-    given = problem["input"]
-    raise InputError(
-        place, f"{clip(repr(given) if isinstance(given, str) else given)} is not accepted", f"give {message}"
-    )
+    given = repr(problem["input"]) if isinstance(problem["input"], str) else problem["input"]
+    raise InputError(place, f"{clip(given)} is not accepted", f"give {message}")
 
 
 def _known(model: type[pydantic.BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Keys that the table at a place in the model may have."""
     for part in loc:
         field = model.model_fields.get(str(part))
         # A part that names no field is a position in a list or a free name in a table of tables.

@@ -79,7 +79,6 @@ def _unit(text: str, where: str, given: str, remedy: str) -> pint.Unit:
 
 
 def _cased(text: str) -> str:
-    """A remedy for a unit in the wrong case, such as "KN"."""
     right = {known.lower(): known for known in _CASED}.get(text.strip().lower())
     return f"write {right}; case matters, as in mN and MN" if right else ""
 
@@ -101,13 +100,7 @@ def _times(value: float, factor: float) -> float:
 
 
 def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None = None) -> float:
-    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000.
-
-    Args:
-        unit_text: the unit as the user wrote it; "" and "1" are dimensionless.
-        si_unit: the unit it must become; "1" is dimensionless, "N/m^n" a contact stiffness.
-        where: place, for the message.
-        exponent: n of a stiffness, where it is known.
+    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000; further arguments as ``quantity``.
 
     Raises:
         InputError: for an unknown unit, a wrong dimension, and a unit with an offset (degC).
@@ -116,32 +109,33 @@ def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None
 
 
 def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
-    common = GRAVITIES.get(unit_text) if si_unit == "m/s^2" else None
-    common = _COMMON.get((unit_text, si_unit)) if common is None else common
+    if si_unit == "m/s^2" and unit_text in GRAVITIES:
+        return GRAVITIES[unit_text]
+    common = _COMMON.get((unit_text, si_unit))
     return _by_pint(unit_text, si_unit, where, exponent, given) if common is None else common
 
 
 def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
     if si_unit == _STIFFNESS:
         return _stiffness_factor(unit_text, where, exponent, given)
-    right = f"give {_remedy(si_unit)}"
-    unit = _unit(unit_text, where, given, _remedy(si_unit))
-    given = clip(given)
-    target = parse(si_unit)
+    remedy = _remedy(si_unit)
+    unit, target, given = _unit(unit_text, where, given, remedy), parse(si_unit), clip(given)
+
+    def refused(why: str) -> InputError:
+        return InputError(where, f"'{given}' {why}", f"give {remedy}")
+
     if unit.dimensionality != target.dimensionality:
-        wrong = (
-            "has a unit, and a plain number is wanted"
-            if si_unit == "1"
-            else f"is not in a unit that converts to {si_unit}"
+        plain = si_unit == "1"
+        raise refused(
+            "has a unit, and a plain number is wanted" if plain else f"is not in a unit that converts to {si_unit}"
         )
-        raise InputError(where, f"'{given}' {wrong}", right)
     if si_unit in ("rad/s", "Hz"):
         unit = _turning(unit_text, unit, si_unit, where, given)
     offset, factor = _line(unit, target)
     if offset != 0.0:
-        raise InputError(where, f"'{given}' is in a unit with an offset", right)
+        raise refused("is in a unit with an offset")
     if not (math.isfinite(factor) and factor > 0.0):
-        raise InputError(where, f"'{given}' is in a unit of no finite size", right)
+        raise refused("is in a unit of no finite size")
     return _snapped(factor)
 
 
@@ -171,20 +165,16 @@ def _turning(unit_text: str, unit: pint.Unit, si_unit: str, where: str, given: s
 
 
 def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given: str) -> float:
-    shown = 1.5 if exponent is None else exponent
-    remedy = f'a stiffness such as "1e10 N/m^{shown:g}"'
+    remedy = f'a stiffness such as "1e10 N/m^{1.5 if exponent is None else exponent:g}"'
     unit = _unit(unit_text, where, given, remedy)
     dimensions: dict[str, Any] = dict(unit.dimensionality)
     found = 1.0 - float(dimensions.pop("[length]", 0))
     if dimensions != {"[mass]": 1, "[time]": -2} or found <= 0:
         raise InputError(where, f"'{given}' is not in a unit of force over length to the exponent", f"give {remedy}")
     if exponent is not None and abs(found - exponent) > 1e-9:
-        raise InputError(
-            where,
-            f"'{given}' is in force over length^{found:g}, but the contact's exponent is {exponent:g}",
-            f"the unit of K in F = K d^n is N/m^n, so K cannot be converted to another exponent; give {remedy} "
-            f"or set exponent = {found:g}",
-        )
+        said = f"'{given}' is in force over length^{found:g}, but the contact's exponent is {exponent:g}"
+        why = "the unit of K in F = K d^n is N/m^n, so K cannot be converted to another exponent"
+        raise InputError(where, said, f"{why}; give {remedy} or set exponent = {found:g}")
     size = float(registry().Quantity(1.0, unit).to_base_units().magnitude)
     if not (math.isfinite(size) and size > 0.0):
         raise InputError(where, f"'{clip(given)}' is in a unit of no finite size", f"give {remedy}")
@@ -209,21 +199,22 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     if not isinstance(value, str):
         raise InputError(where, f"{clip(value)} is not a number", remedy)
     _short(value, where, remedy)
-    match = _NUMBER.fullmatch(value)
     if comma := _COMMAS.fullmatch(value):
         found, right = _without_commas(comma[1])
         texts = " or ".join(f'"{number}{comma[2]}"' for number in right)
         raise InputError(where, f"'{value}' has {found}", f"write {texts}: decimals have a point, thousands no mark")
+    match = _NUMBER.fullmatch(value)
     if match is None:
         raise InputError(where, f"'{value}' is not a number with a unit", remedy)
     number, text = float(match[1]), match[2]
     if math.isinf(number) and "inf" not in match[1]:
         raise InputError(where, f"'{value}' is too large for a number of 64 bits", remedy)
-    if not text and unit == _STIFFNESS:
-        return number  # Its unit goes with the exponent; without one it is SI, as a bare number is.
-    if not text and unit != "1":
+    if text:
+        return _times(number, _factor(text, unit, where, exponent, value))
+    # The unit of a stiffness goes with the exponent; without one it is SI, as a bare number is.
+    if unit not in (_STIFFNESS, "1"):
         raise InputError(where, f"'{value}' has no unit", f"{remedy}, or a bare number without quotes for {unit}")
-    return _times(number, _factor(text, unit, where, exponent, value)) if text else number
+    return number
 
 
 def _without_commas(number: str) -> tuple[str, list[str]]:
@@ -264,10 +255,9 @@ def toleranced(value: object, unit: str, where: str, *, exponent: float | None =
     if not isinstance(value, str) or not (found := re.fullmatch(r"(.*?)\s*(?:\+-|\+/-|±)\s*(.*)", value)):
         return quantity(value, unit, where, exponent=exponent), None
     number = quantity(found[1], unit, where, exponent=exponent)
-    if found[2].endswith("%"):
-        tolerance = abs(number) * quantity(found[2], "1", where)
-    else:
-        tolerance = quantity(found[2], unit, where, exponent=exponent)
+    share = found[2].endswith("%")
+    tolerance = quantity(found[2], "1" if share else unit, where, exponent=None if share else exponent)
+    tolerance *= abs(number) if share else 1.0
     if not (math.isfinite(tolerance) and tolerance >= 0.0):
         raise InputError(where, f"a tolerance of '{found[2]}'", 'give one above 0, as in "+- 2 %"')
     return number, tolerance
@@ -281,16 +271,16 @@ def coherent(unit: str, where: str) -> str:
     """
     if unit in ("1", _STIFFNESS):
         return unit
-    made = _unit(unit, where, unit, "an SI unit such as m, N/m or rad/s")
+    right = "an SI unit such as m, N/m or rad/s"
+    made = _unit(unit, where, unit, right)
     try:
         found = registry().Quantity(1.0, made).to_base_units()
     except Exception:
-        raise InputError(where, f"'{unit}' is not an SI unit", "give an SI unit such as m, N/m or rad/s") from None
+        raise InputError(where, f"'{unit}' is not an SI unit", f"give {right}") from None
     if abs(found.magnitude - 1.0) > 1e-12:
         plain = f"{found.units:~C}".replace("**", "^") or "1"
-        near = (known for known in _EXAMPLES if alike(known, plain))
-        right = plain if plain in _EXAMPLES else next(near, plain)
-        raise InputError(where, f"'{unit}' is not an SI unit", f"values are kept in SI: give {right}")
+        near = plain if plain in _EXAMPLES else next((known for known in _EXAMPLES if alike(known, plain)), plain)
+        raise InputError(where, f"'{unit}' is not an SI unit", f"values are kept in SI: give {near}")
     return unit
 
 

@@ -19,13 +19,13 @@ DIMENSIONLESS = ("", "1", "-", "\u2013", "\u2014", "[-]")
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 _SIGNS = str.maketrans({"μ": "µ", "·": "*", "⋅": "*", "∙": "*", "•": "*", "×": "*", "−": "-", "\u00a0": " ", "∕": "/"})  # noqa: RUF001
 _POWER = r"[-+]?\d+(?:\.\d+)?(?:/\d+)?"
-_TOKEN = re.compile(
-    rf"""\s*(?:
+# A factor of a product: a symbol, 1 or a group in brackets, with its power.
+_FACTOR = re.compile(
+    rf"""\s*(?P<sign>[*/]?)\s*(?:
       (?P<symbol>°[CF]?|%|‰|(?!\d)[A-Za-zµΩ_]+(?:_?\d+(?![\d.]))?(?:-\d(?!\d))?)
-    | (?P<power>(?:\^|\*\*)\s*(?:\(\s*{_POWER}\s*\)|{_POWER}))
-    | (?P<one>1(?![\d.]))
-    | (?P<sign>[*/()])
-    )\s*""",
+    | 1(?![\d.])
+    | \((?P<group>[^()]*)\)
+    )\s*(?P<power>(?:\^|\*\*)\s*(?:\(\s*{_POWER}\s*\)|{_POWER}))?\s*""",
     re.VERBOSE,
 )
 # Torques and impulses are written without a space. Pint reads "Nm" as a count per length of yarn.
@@ -60,7 +60,7 @@ def parse(text: str) -> pint.Unit:
     text = text.strip()
     if text in DIMENSIONLESS:
         return registry().Unit("")
-    return _product(_factors(_tokens(text)))
+    return _product(_factors(_plain(text)))
 
 
 def symbols(text: str) -> list[str]:
@@ -69,56 +69,50 @@ def symbols(text: str) -> list[str]:
     Raises:
         UnitText: as ``parse``.
     """
-    return [symbol for symbol, _ in _factors(_tokens(text.strip()))] if text.strip() not in DIMENSIONLESS else []
+    return [symbol for symbol, _ in _factors(_plain(text.strip()))] if text.strip() not in DIMENSIONLESS else []
 
 
-def _tokens(text: str) -> list[tuple[str, str]]:
-    plain = re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text).translate(_SIGNS)
-    tokens, at = [], 0
-    while at < len(plain):
-        found = _TOKEN.match(plain, at)
-        if found is None:
-            raise UnitText(f"is no unit: '{plain[at : at + 20]}' cannot be read")
-        tokens.append((str(found.lastgroup), found[str(found.lastgroup)]))
-        at = found.end()
-    return tokens
+def _plain(text: str) -> str:
+    return re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text).translate(_SIGNS)
 
 
-def _factors(tokens: list[tuple[str, str]]) -> list[tuple[str, float]]:
+def _factors(text: str) -> list[tuple[str, float]]:
     """Symbols with their powers; a group in brackets has its own power, and no group inside."""
     factors: list[tuple[str, float]] = []
-    group: int | None = None  # where in ``factors`` an open group begins
-    outer, side, last, ready = 1.0, 1.0, (0, 0), False  # signs of the power; what a power acts on; an operand stands
-    for kind, text in tokens:
-        begin = len(factors)
-        if kind == "symbol":
-            factors.append((text, outer * side))
-            side, last, ready = 1.0, (begin, begin + 1), True
-        elif kind == "one":
-            side, last, ready = 1.0, (begin, begin), True
-        elif kind == "power":
-            if not ready or last == (0, 0):
-                raise UnitText("is no unit: a power stands where a symbol must")
-            power = _power(text)
-            factors[slice(*last)] = [(symbol, own * power) for symbol, own in factors[slice(*last)]]
-            last = (0, 0)
-        elif text == "(":
-            if group is not None:
-                raise UnitText("has brackets inside brackets: write it as one product, as in N/(m s)")
-            group, outer, side, ready = begin, side, 1.0, False
-        elif text == ")":
-            if group is None or not ready:
-                raise UnitText("is no unit: its brackets do not match")
-            last, group, outer = (group, begin), None, 1.0
-        else:
-            if not ready:
-                raise UnitText(f"is no unit: '{text}' stands where a symbol must")
-            side, ready = (-1.0 if text == "/" else 1.0), False
-    if group is not None or not ready:
-        raise UnitText("is no unit: it ends where a symbol must follow" if group is None else "has an open bracket")
+    at = 0
+    if text.lstrip()[:1] in ("*", "/"):
+        raise UnitText(f"is no unit: '{text.lstrip()[0]}' stands where a symbol must")
+    while at < len(text):
+        found = _FACTOR.match(text, at)
+        group = found["group"] if found else None
+        if found is None or (group is not None and not group.strip()):
+            raise UnitText(_fault(text[at:]))
+        if found["power"] and not (found["symbol"] or group or factors):
+            raise UnitText("is no unit: a power stands where a symbol must")
+        own = [(found["symbol"], 1.0)] if found["symbol"] else _factors(group) if group else []
+        power = (-1.0 if found["sign"] == "/" else 1.0) * _power(found["power"] or "1")
+        factors += [(symbol, each * power) for symbol, each in own]
+        at = found.end()
     if len(factors) > _MOST_SYMBOLS:
         raise UnitText(f"has {len(factors)} symbols, more than {_MOST_SYMBOLS}")
     return factors
+
+
+def _fault(rest: str) -> str:
+    """Why no factor begins here."""
+    if re.match(r"\s*(\^|\*\*)", rest):
+        return "is no unit: a power stands where a symbol must"
+    rest = re.sub(r"^\s*[*/]?\s*", "", rest)
+    if not rest:
+        return "is no unit: it ends where a symbol must follow"
+    if rest.startswith("("):
+        nested = "(" in rest[1:].partition(")")[0]
+        return (
+            "has brackets inside brackets: write it as one product, as in N/(m s)" if nested else "has an open bracket"
+        )
+    if rest.startswith(")"):
+        return "is no unit: its brackets do not match"
+    return f"is no unit: '{rest[:20]}' cannot be read"
 
 
 def _power(text: str) -> float:

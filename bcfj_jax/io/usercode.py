@@ -72,14 +72,9 @@ _functions: dict[str, Callable[..., Any]] = {}
 
 
 def use_code(path: str | Path, sha256: str = "") -> ModuleType:
-    """Execute a Python file, once, and let scene files use what it defines (module docstring).
+    """Execute a Python file, once, and let scene files use what it defines (module docstring); the file as a module.
 
-    Args:
-        path: the file. Named again, it is executed again only where its content is another.
-        sha256: what its content must be, if that is known.
-
-    Returns:
-        The file as a module.
+    Named again, it is executed again only where its content is another. ``sha256``: what its content must be, if known.
 
     Raises:
         InputError: for a file that cannot be read, has another content, or raises; for a class that is not complete, and a
@@ -138,11 +133,7 @@ def hint() -> str:
 
 
 def same_as(kept: Iterable[Mapping[str, str]], where: str) -> None:
-    """Refuse to go on with a job that was begun with other code.
-
-    Args:
-        kept: what ``record`` was when it was begun.
-        where: place, for the message.
+    """Refuse to go on with a job that was begun with other code; ``kept`` is what ``record`` was then.
 
     Raises:
         InputError: naming the file.
@@ -222,9 +213,7 @@ def _registered(module: ModuleType, shown: str) -> tuple[tuple[MutableMapping[st
             found.append((_functions, name, value))
             if _of_a_scene(cast("Callable[..., Any]", value)):
                 found.append((scenes.SCENES, name, value))
-            continue
-        part = _part(module, name, value, shown)
-        if part is not None:
+        elif part := _part(module, name, value, shown):
             found.append((part[0], name, part[1]))
     for registry, name, _ in found:
         if name in registry or (registry is scenes.SCENES and name == MECHANISM):
@@ -246,28 +235,28 @@ def _of_a_scene(function: Callable[..., Any]) -> bool:
 def _part(module: ModuleType, name: str, value: Any, shown: str) -> tuple[MutableMapping[str, Any], Any] | None:
     """The registry of a law, an elastic part, a friction law or a gap, and what goes there; None of anything else."""
     own = isinstance(value, type) and value.__module__ == module.__name__
+    where = f"{shown} {name}"
     for kind, called, registry in _KINDS:
-        if own and issubclass(value, kind):
-            missing = sorted(getattr(value, "__abstractmethods__", ()))
-            if missing and not name.startswith("Abstract"):
-                found = f"the {called} lacks {', '.join(missing)}"
-                raise InputError(f"{shown} {name}", found, "give it, or call the class Abstract...")
-            if missing:
-                return None
-            if kind is AbstractGap:
-                return registry, value
-            try:
-                made = value()
-            except InputError as error:
-                place = f"{shown} {error.where.removeprefix('class ')}"
-                raise InputError(place, error.found, error.remedy) from None
-            except TypeError:
-                return None  # It needs arguments: objects of it may have names of their own.
-            _check(made, called, f"{shown} {name}")
-            return registry, made
         if isinstance(value, kind):
-            _check(value, called, f"{shown} {name}")
+            _check(value, called, where)
             return registry, value
+        if not (own and issubclass(value, kind)):
+            continue
+        if missing := sorted(getattr(value, "__abstractmethods__", ())):
+            if name.startswith("Abstract"):
+                return None
+            found = f"the {called} lacks {', '.join(missing)}"
+            raise InputError(where, found, "give it, or call the class Abstract...")
+        if kind is AbstractGap:
+            return registry, value
+        try:
+            made = value()
+        except InputError as error:
+            raise InputError(f"{shown} {error.where.removeprefix('class ')}", error.found, error.remedy) from None
+        except TypeError:
+            return None  # It needs arguments: objects of it may have names of their own.
+        _check(made, called, where)
+        return registry, made
     return None
 
 

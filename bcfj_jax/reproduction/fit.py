@@ -62,11 +62,9 @@ def targets() -> np.ndarray:
 
 
 class Estimate(NamedTuple):
-    """One fitted unknown.
+    """One fitted unknown: "determined", "not determined" or "at bound".
 
-    Attributes:
-        factor95: it could be larger or smaller by this factor, were the peaks known to ``ERROR`` and the model right.
-        verdict: "determined", "not determined" or "at bound".
+    It could be larger or smaller by ``factor95``, were the peaks known to ``ERROR`` and the model right.
     """
 
     value: float
@@ -164,13 +162,9 @@ def fit(
     wanted: np.ndarray | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> PeakFit:
-    """Fit unknowns to peaks.
+    """Fit unknowns to six peaks in the order of ``TARGETS``, by default the paper's.
 
-    Args:
-        params: all parameters; those of the unknowns are the first start.
-        unknowns: what is free, and in what bounds.
-        wanted: six peaks in the order of ``TARGETS``; by default the paper's.
-        say: receives the progress.
+    The unknowns' values in ``params`` are the first start.
     """
     model = _Model(params, unknowns, targets() if wanted is None else wanted)
     design = qmc.Sobol(len(unknowns), rng=0).random(_SCREENED)
@@ -209,17 +203,9 @@ def _assess(model: _Model, ends: list[tuple[float, np.ndarray]]) -> PeakFit:
         estimates[unknown.name] = Estimate(value, float(factor), verdict)
     costs = tuple(cost for cost, _ in ends)
     agreeing = sum(cost <= best + 0.01 * max(best, 0.5 * ERROR**2) for cost in costs)
+    determined = int(np.sum(singular > KNOWN))
     return PeakFit(
-        estimates,
-        found,
-        residual,
-        singular,
-        directions,
-        int(np.sum(singular > KNOWN)),
-        costs,
-        model.reach,
-        agreeing,
-        model.evaluations,
+        estimates, found, residual, singular, directions, determined, costs, model.reach, agreeing, model.evaluations
     )
 
 

@@ -77,17 +77,12 @@ def slip(record: Record) -> float:
     return float(record.turns.seat[-1] - record.turns.cage[-1])
 
 
-def measured(record: Record, frame: str, turn: float) -> dict[str, tuple[float, ...]]:
-    """The claims of ``FRAMED`` in a frame, in their units; NaN for what it does not show.
+def rhythm(times: np.ndarray, seat: np.ndarray, head: np.ndarray, turn: float) -> dict[str, tuple[float, ...]]:
+    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units.
 
-    Args:
-        record: a run of the joint with both pilots.
-        frame: one of ``FRAMES``.
-        turn: time of one revolution [s].
+    NaN for what they do not show; ``turn`` is the time of one revolution [s].
     """
-    times = record.run.times
     window = later(times)
-    seat, head = (components(record, name, frame) for name in ("seat_cage", "head_cage"))
     periods = tuple(histories.period(times, seat[:, k], window) for k in range(3))
     cycle = periods[0] if math.isfinite(periods[0]) else turn
     try:
@@ -104,10 +99,17 @@ def measured(record: Record, frame: str, turn: float) -> dict[str, tuple[float, 
         "Q19": (1.0 / periods[0],),
         "Q20": (float(np.max(np.abs(seat[:, 0]))),),
         "Q21": (float(np.max(np.abs(head[:, 0]))),),
-        "Q22": (abs(apart),),
+        "Q22": (apart,),
         "Q35": (sizes[0],),
         "Q36": (sizes[1],),
     }
+
+
+def measured(record: Record, frame: str, turn: float) -> dict[str, tuple[float, ...]]:
+    """``rhythm`` of a joint with both pilots in one of ``FRAMES``; the delay (Q22) without its sign."""
+    seat, head = (components(record, name, frame) for name in ("seat_cage", "head_cage"))
+    found = rhythm(record.run.times, seat, head, turn)
+    return found | {"Q22": (abs(found["Q22"][0]),)}
 
 
 def reached(values: tuple[float, ...], id: str, within: float) -> bool:

@@ -13,9 +13,8 @@ import numpy as np
 
 from bcfj_jax.analysis import features, histories
 from bcfj_jax.analysis.derivatives.starting import SETTLED, of_members, starting
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.reproduction.claims import claim
-from bcfj_jax.reproduction.frames import ORDER, WINDOW_AXIAL, WINDOW_NORMAL, later
+from bcfj_jax.reproduction.frames import ORDER, WINDOW_NORMAL, later, rhythm
 from bcfj_jax.reproduction.record import Balance
 from bcfj_jax.solve.simulation import Run
 
@@ -66,57 +65,40 @@ def resultant(force: np.ndarray) -> np.ndarray:
 def measure(run: Run, balance: Balance, turn: float, fine: Run | None = None) -> dict[str, Measured]:
     """Values for the figures Q17 to Q36, forces as each contact resolves them (``frames`` has other axes).
 
-    Args:
-        run: the joint's, at even times.
-        balance: of the cage.
-        turn: time of one revolution [s].
-        fine: the same run with more times in it, for peaks and onsets.
+    ``turn`` is the time of one revolution [s]; ``fine`` the same run with more times in it, for peaks and onsets.
     """
     fine = fine or run
-    found = _rhythm(run, turn) | _peaks(fine) | _start(run, fine, turn) | _residuals(run)
-    rest = float(np.linalg.norm(balance.forces - balance.inertia))
-    sum_of_forces = float(np.linalg.norm(balance.forces))
-    found["Q24"] = Measured(
-        (rest,),
-        f"at t = {balance.time:g} s; sum of forces {sum_of_forces:.2g} N; acceleration from the cage's velocity at "
-        "neighbouring instants, so that the run is tested and not its own right-hand side",
-    )
-    return found
-
-
-def _period(times: np.ndarray, values: np.ndarray) -> float:
-    return histories.period(times, values, later(times))
-
-
-def _rhythm(run: Run, turn: float) -> dict[str, Measured]:
-    t, seat, head = run.times, run.force["seat_cage"], run.force["head_cage"]
-    cage = tuple(_period(t, seat[:, k]) for k in range(3))
-    repeats = cage[0]
-    share = turn / repeats if math.isfinite(repeats) else math.nan
-    why = ""
-    if math.isfinite(share) and abs(share - round(share)) < 0.02 and round(share) > 1:
-        why = f"equal balls follow each other: the cage's load repeats {round(share)} times a turn"
-    spread = max(cage) - min(cage) if np.isfinite(cage).all() else math.nan
-    first = run.force["seat_ball"][:, 0, 0]
-    ball = _period(t, first)
-    window = later(t)
-    base = repeats if math.isfinite(repeats) else turn
-    apart = _delay(t, seat[:, 0], head[:, 0], base, window)
-    lags = f"known up to whole periods of {base:.4g} s" if math.isfinite(apart) else ""
+    rest, whole = (float(np.linalg.norm(x)) for x in (balance.forces - balance.inertia, balance.forces))
     return {
-        "Q17": Measured(cage, why),
-        "Q18": Measured((spread,), "greatest less smallest of Q17"),
-        "Q19": Measured((1.0 / repeats,), why),
-        "Q22": Measured((apart,), lags),
-        "Q25": Measured((ball, 1.0 / ball)),
+        **_rhythm(run, turn),
+        **_peaks(fine),
+        **_start(run, fine, turn),
+        "Q24": Measured(
+            (rest,),
+            f"at t = {balance.time:g} s; sum of forces {whole:.2g} N; acceleration from the cage's velocity at "
+            "neighbouring instants, so that the run is tested and not its own right-hand side",
+        ),
     }
 
 
-def _delay(t: np.ndarray, first: np.ndarray, second: np.ndarray, period: float, window: tuple[float, float]) -> float:
-    try:
-        return float(histories.delay(t, first, second, period, window))
-    except InputError:
-        return math.nan
+def _rhythm(run: Run, turn: float) -> dict[str, Measured]:
+    t = run.times
+    found = rhythm(t, run.force["seat_cage"], run.force["head_cage"], turn)
+    repeats, apart = found["Q17"][0], found["Q22"][0]
+    share, why = turn / repeats, ""
+    if math.isfinite(share) and abs(share - round(share)) < 0.02 and round(share) > 1:
+        why = f"equal balls follow each other: the cage's load repeats {round(share)} times a turn"
+    base = repeats if math.isfinite(repeats) else turn
+    left = (
+        "half of greatest less smallest residual; a load that repeats itself more often than the polynomial bends counts as "
+        "residual"
+    )
+    remarks = {"Q17": why, "Q18": "greatest less smallest of Q17", "Q19": why}
+    remarks["Q22"] = f"known up to whole periods of {base:.4g} s" if math.isfinite(apart) else ""
+    for id in ("Q35", "Q36"):
+        remarks[id] = left if math.isfinite(found[id][0]) else "the run ends before the window does"
+    ball = histories.period(t, run.force["seat_ball"][:, 0, 0], later(t))
+    return {id: Measured(found[id], text) for id, text in remarks.items()} | {"Q25": Measured((ball, 1.0 / ball))}
 
 
 def _members(peaks: np.ndarray) -> str:
@@ -125,88 +107,61 @@ def _members(peaks: np.ndarray) -> str:
 
 
 def _peaks(run: Run) -> dict[str, Measured]:
-    window, seat, head = (run.force[name] for name in ("cage_ball", "seat_ball", "head_ball"))
-    into, out = resultant(seat), resultant(head)
+    seat, head, least, greatest, *_ = six(run).tolist()
+    into, out = (resultant(run.force[name]) for name in ("seat_ball", "head_ball"))
     return {
-        "Q20": Measured((float(np.max(run.force["seat_cage"][:, 0])),)),
-        "Q21": Measured((float(np.max(run.force["head_cage"][:, 0])),)),
-        "Q23": Measured((float(np.min(window[..., 0])), float(np.max(window[..., 0])))),
+        "Q20": Measured((seat,)),
+        "Q21": Measured((head,)),
+        "Q23": Measured((least, greatest)),
         "Q26": Measured((float(np.max(into)),), _members(np.max(into, axis=0))),
         "Q27": Measured((float(np.max(out)),), _members(np.max(out, axis=0))),
         "Q28": Measured((float(features.transfer_loss(into, out)),)),
     }
 
 
+def six(run: Run, every: int = 1) -> np.ndarray:
+    """The six peaks of a run in the order of ``peaks.TARGETS``, of every so many samples [N]."""
+    force = {name: values[::every] for name, values in run.force.items()}
+    window = force["cage_ball"][..., 0]
+    grooves = [np.max(resultant(force[name])) for name in ("seat_ball", "head_ball")]
+    pilots = [np.max(force[name][:, 0]) for name in ("seat_cage", "head_cage")]
+    return np.array([*pilots, np.min(window), np.max(window), *grooves])
+
+
 def _started(kind: str, times: np.ndarray, forces: np.ndarray, turn: float) -> float:
-    """A feature of ``starting`` [s] of the members' forces (T, k)."""
     none = np.zeros((0, times.size))
     return of_members(kind, [starting(kind, times, force, none, turn) for force in forces.T])[0]
 
 
 def _parted(run: Run) -> float:
     """First time from which both pilots bear without a break [s]; NaN where they part in the later run, too."""
-    free = np.zeros(run.times.size, bool)
-    for name in ("seat_cage", "head_cage"):
-        free |= run.penetration[name] <= 0
+    free = (run.penetration["seat_cage"] <= 0) | (run.penetration["head_cage"] <= 0)
     last = int(np.flatnonzero(free)[-1]) + 1 if free.any() else 0
     return float(run.times[last]) if last < run.times.size and run.times[last] <= later(run.times)[0] else math.nan
 
 
 def _start(run: Run, fine: Run, turn: float) -> dict[str, Measured]:
-    """Onsets, start-up window and settling."""
-    t, force = run.times, run.force["seat_ball"][..., 0]
     first, second = (
         _started("onset", fine.times, resultant(fine.force[name]), turn) for name in ("seat_ball", "head_ball")
     )
-    settled = _started("settling", t, force, turn)
+    settled = _started("settling", run.times, run.force["seat_ball"][..., 0], turn)
+    begin = f"loads begin at {1e3 * first:.3g} ms at point 4 and {1e3 * second:.3g} ms at point 5"
     return {
-        "Q29": Measured(
-            (second - first,),
-            f"loads begin at {1e3 * first:.3g} ms at point 4 and {1e3 * second:.3g} ms at point 5",
-        ),
+        "Q29": Measured((second - first,), begin),
         "Q30": Measured((_parted(fine),), "both pilots bear without a break from there"),
         "Q31": Measured((settled,), f"every ball repeats itself within {SETTLED:.0%} of its peak from there"),
     }
 
 
-def _residuals(run: Run) -> dict[str, Measured]:
-    found = {}
-    for name, axis, window in (("Q35", 0, WINDOW_NORMAL), ("Q36", 1, WINDOW_AXIAL)):
-        if run.times[-1] < window[1]:
-            found[name] = Measured((math.nan,), "the run ends before the window does")
-            continue
-        size = features.residual_oscillation(run.times, run.force["seat_cage"][:, axis], window, ORDER)
-        found[name] = Measured(
-            (float(size),), "half of greatest less smallest residual; a load that repeats itself "
-            "more often than the polynomial bends counts as residual",
-        )  # fmt: skip
-    return found
-
-
 def inequalities(run: Run, turn: float, tight: Run | None) -> list[Inequality]:
-    """The qualitative claims Q37, each as an inequality.
-
-    Args:
-        run: the joint's.
-        turn: time of one revolution [s].
-        tight: the same with smaller clearances, if it was run.
-    """
+    """The qualitative claims Q37, each as an inequality; ``tight`` is the run with smaller clearances."""
     rows = []
     for point, name in ((1, "seat_cage"), (2, "head_cage")):
-        normal, axial, tangential = np.max(np.abs(run.force[name]), axis=0)
-        others = max(axial, tangential)
-        rows.append(
-            Inequality(
-                f"point {point}: normal far above axial and tangential (at least {FAR_ABOVE:g} times)",
-                bool(normal >= FAR_ABOVE * others),
-                f"{normal / 1e3:.4g} kN against {others / 1e3:.4g} kN",
-            )
-        )
-    rows.append(_smoother_balls(run))
-    rows.append(_wear(run, turn))
-    if tight is not None:
-        rows += _clearance(run, tight)
-    return rows
+        normal, *others = np.max(np.abs(run.force[name]), axis=0)
+        text = f"point {point}: normal far above axial and tangential (at least {FAR_ABOVE:g} times)"
+        numbers = f"{normal / 1e3:.4g} kN against {max(others) / 1e3:.4g} kN"
+        rows.append(Inequality(text, bool(normal >= FAR_ABOVE * max(others)), numbers))
+    return [*rows, _smoother_balls(run), _wear(run, turn), *([] if tight is None else _clearance(run, tight))]
 
 
 def residuals(run: Run) -> dict[str, tuple[float, float]]:
@@ -258,24 +213,16 @@ def _wear(run: Run, turn: float) -> Inequality:
 def _clearance(run: Run, tight: Run) -> list[Inequality]:
     rows = []
     for name in ("seat_cage", "head_cage"):
-        counts = []
+        counts, peaks = [], []
         for r in (run, tight):
             # While the load rises the spheres chatter, a sample long: chance, and not what is claimed.
-            late = features.within(r.times, later(r.times))
-            pressed = r.penetration[name][late] > 0
+            pressed = r.penetration[name][features.within(r.times, later(r.times))] > 0
             counts.append(int(np.sum(pressed[1:] & ~pressed[:-1])))
-        peaks = [float(np.max(r.force[name][:, 0])) for r in (run, tight)]
-        rows.append(
-            Inequality(
-                f"{name}: larger clearance gives fewer contacts", counts[0] < counts[1] if any(counts) else None,
-                f"{counts[0]} against {counts[1]} with a tenth of the clearances" if any(counts)
-                else "once loaded, the spheres do not part with either",
-            )
-        )  # fmt: skip
-        rows.append(
-            Inequality(
-                f"{name}: larger clearance gives a higher peak", peaks[0] > peaks[1],
-                f"{peaks[0] / 1e3:.4g} kN against {peaks[1] / 1e3:.4g} kN with a tenth of the clearances",
-            )
-        )  # fmt: skip
+            peaks.append(float(np.max(r.force[name][:, 0])))
+        met = f"{counts[0]} against {counts[1]} with a tenth of the clearances"
+        fewer = counts[0] < counts[1] if any(counts) else None
+        met = met if any(counts) else "once loaded, the spheres do not part with either"
+        tops = f"{peaks[0] / 1e3:.4g} kN against {peaks[1] / 1e3:.4g} kN with a tenth of the clearances"
+        rows.append(Inequality(f"{name}: larger clearance gives fewer contacts", fewer, met))
+        rows.append(Inequality(f"{name}: larger clearance gives a higher peak", peaks[0] > peaks[1], tops))
     return rows

@@ -50,16 +50,9 @@ def instants(params: Params, balls: int) -> np.ndarray:
 
 def _peaks(scene: Joint, params: Params, times: Array, found: Found) -> Array:
     force = quasistatic_forces(scene, params, times, found)
-    return jnp.stack(
-        [
-            jnp.max(force["seat_cage"]),
-            jnp.max(force["head_cage"]),
-            jnp.min(force["cage_ball"]),
-            jnp.max(force["cage_ball"]),
-            jnp.max(force["seat_ball"]),
-            jnp.max(force["head_ball"]),
-        ]
-    )
+    window = force["cage_ball"]
+    seat, head, into, out = (jnp.max(force[n]) for n in ("seat_cage", "head_cage", "seat_ball", "head_ball"))
+    return jnp.stack([seat, head, jnp.min(window), jnp.max(window), into, out])
 
 
 @eqx.filter_jit
@@ -73,12 +66,9 @@ def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Fou
 
 
 def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[str, np.ndarray], bool]:
-    """The numbers of ``TARGETS`` [N], their derivatives by each free parameter, and whether equilibrium was found.
+    """The numbers of ``TARGETS`` [N], their derivatives by each parameter in ``free``, and whether equilibrium was found.
 
-    Args:
-        scene: ``still_scene``.
-        params: all parameters.
-        free: those to differentiate by, which replace the ones in ``params``; stiffnesses follow (``tied``).
+    Those in ``free`` replace the ones in ``params``; stiffnesses follow (``tied``).
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}

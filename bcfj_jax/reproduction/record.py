@@ -109,25 +109,17 @@ _compiled: dict[tuple[Joint, int], Callable[..., _Outcome]] = {}
 
 
 def record(
-    scene: Joint,
-    params: Params,
-    end: float = END,
-    step: float = STEP,
-    start: tuple[float, float] | None = None,
-    accuracy: float = ACCURACY,
-    instants: int = 0,
+    scene: Joint, params: Params, end: float = END, start: tuple[float, float] | None = None, instants: int = 0
 ) -> Record:
-    """Run a dynamic joint with a free cage as the paper did: output every ``step`` up to ``end`` [s].
+    """Run a dynamic joint with a free cage as the paper did: output every ``STEP`` up to ``end`` [s].
 
     Args:
-        scene, params: the joint's.
-        end, step: of the regular output [s].
+        scene, params, end: of the run.
         start: until when and how finely the start is looked at besides [s, s]; None for not.
-        accuracy: force error asked for, a fraction of the peak.
         instants: least number of instants to look at, the added ones before the end: runs of one scene with as many
             share a compiled program.
     """
-    regular = np.linspace(0.0, end, round(end / step) + 1)
+    regular = np.linspace(0.0, end, round(end / STEP) + 1)
     instant = INSTANT if end > INSTANT + _HALF else 0.5 * end
     at = np.array([instant - _HALF, instant, instant + _HALF])
     close = np.arange(0.0, start[0], start[1]) if start else np.zeros(1)
@@ -136,7 +128,7 @@ def record(
     times = times[np.concatenate([[True], np.diff(times) > 1e-9])]
     added = np.linspace(times[-2], times[-1], max(instants - times.size, 0) + 2)[1:-1]
     times = np.concatenate([times[:-1], added, times[-1:]])
-    how = plan(scene, accuracy, _MAX_STEPS)
+    how = plan(scene, ACCURACY, _MAX_STEPS)
     arguments = (scene, dict(params), jnp.asarray(times), how)
     begin = time.perf_counter()
     key = (scene, times.size)

@@ -7,7 +7,7 @@ bears at most 1.65 kN of both signs at a window); they are impacts of parts that
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,9 +15,8 @@ from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import PLAIN, Joint
 from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction.fit import targets
-from bcfj_jax.reproduction.measures import resultant
+from bcfj_jax.reproduction.measures import six
 from bcfj_jax.reproduction.record import STEP, Record, record
-from bcfj_jax.solve.simulation import Run
 
 # Until when and how finely the start is read [s].
 START = (3e-3, 1e-6)
@@ -44,32 +43,17 @@ IDENTIFIES = (
 )
 
 
-class Start(NamedTuple):
-    """Six peaks of a variant [N], in the order of ``peaks.TARGETS``, by how finely they are read [s]."""
-
-    peaks: dict[float, np.ndarray]
-
-
 def scene() -> Joint:
     """The plain joint, in which the knobs were turned."""
     return joint(law="adams_impact", **PLAIN)
 
 
-def six(run: Run, every: int = 1) -> np.ndarray:
-    """The six peaks of a run in the order of ``peaks.TARGETS``, of every so many samples [N]."""
-    force = {name: values[::every] for name, values in run.force.items()}
-    window = force["cage_ball"][..., 0]
-    grooves = [np.max(resultant(force[name])) for name in ("seat_ball", "head_ball")]
-    pilots = [np.max(force[name][:, 0]) for name in ("seat_cage", "head_cage")]
-    return np.array([*pilots, np.min(window), np.max(window), *grooves])
-
-
-def start(found: Record) -> Start:
-    """The peaks of a start, read more and less finely."""
+def start(found: Record) -> dict[float, np.ndarray]:
+    """Six peaks of a start [N], in the order of ``peaks.TARGETS``, by how finely they are read [s]."""
     early = found.fine.times < START[0] - 0.5 * START[1]
     cut = {name: values[early] for name, values in found.fine.force.items()}
     run = found.fine._replace(times=found.fine.times[early], force=cut)
-    return Start({every * START[1]: six(run, every) for every in READINGS})
+    return {every * START[1]: six(run, every) for every in READINGS}
 
 
 def duration(name: str, end: float) -> float:
@@ -84,13 +68,13 @@ def simulate(name: str, end: float, instants: int = 0) -> tuple[Record, Params]:
     return record(made, params, end, start=START, instants=instants), params
 
 
-def rows(found: dict[str, Start]) -> list[list[str]]:
+def rows(found: Mapping[str, Mapping[float, np.ndarray]]) -> list[list[str]]:
     """Peaks of every variant, how each is read, and by how much they miss the paper's."""
     wanted = targets()
     head = ["start", "read every", "Q20", "Q21", "Q23 least", "Q23 greatest", "Q26", "Q27", "worst miss"]
     table = [head, ["paper", "-", *(f"{value / 1e3:.4g} kN" for value in wanted), "-"]]
     for name, one in found.items():
-        for every, values in one.peaks.items():
+        for every, values in one.items():
             miss = values / wanted - 1.0
             cells = [f"{v / 1e3:.4g} kN ({m:+.0%})" for v, m in zip(values, miss, strict=True)]
             table.append([name, f"{every * 1e6:g} us", *cells, f"{np.max(np.abs(miss)):.0%}"])

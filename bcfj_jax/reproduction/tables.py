@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from bcfj_jax.io.page import by_columns
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
@@ -48,6 +49,7 @@ READ = {
     "Q37": ("inequalities, table below", "small_clearances.png"),
 }
 FITTED_TO = "Q20, Q21, Q23, Q26, Q27"
+FITTED = tuple(FITTED_TO.split(", "))
 AS_GIVEN = (
     "As given: the scene's defaults, nothing fitted. The paper states speed, torque, angle, friction and exponent; the "
     "others are sizes of the same group's joint, derived from them, or guesses marked GUESS in "
@@ -62,7 +64,6 @@ MISFIT = (
     "The fit misses part of what it was fitted to: its values estimate no real joint, and the rest of the calibrated "
     "column is what this model does at them, nothing more."
 )
-SEVERAL = "as the paper's"
 BOUNDED = (
     "The calibration stays inside physical bounds, and the stiffness of the pilots follows their play (Lankarani and "
     "Nikravesh)."
@@ -72,24 +73,23 @@ SETTLED_WINDOW = (
     "of both signs on the bisector (linear program), 12.6 kN with any tilting moment that friction could give."
 )
 
+# Numbers for each claim by variant.
+Found = Mapping[str, Mapping[str, Measured]]
+
+
+def _decided(row: Claim, found: Mapping[str, Measured] | None) -> tuple[float, ...]:
+    """A run's numbers for a claim that they can decide; none where either has none, or a guess decides."""
+    values = found[row.id].values if found is not None and row.id in found else ()
+    open_ = row.id in _WHY_OPEN or len(values) != len(row.values) or not all(map(math.isfinite, values))
+    return () if open_ else values
+
 
 def verdict_of(row: Claim, found: Mapping[str, Measured] | None) -> str:
-    """Whether a run's numbers reach a claim within ``ERROR``; open where either gives none, or a guess decides."""
-    values = found[row.id].values if found is not None and row.id in found else ()
-    if row.id in _WHY_OPEN or len(values) != len(row.values) or not values or not all(map(math.isfinite, values)):
+    """Whether a run's numbers reach a claim within ``ERROR``."""
+    if not (values := _decided(row, found)):
         return OPEN
-    met = [abs(v - p) <= ERROR * abs(p) for v, p in zip(values, row.values, strict=True)]
-    return REACHED if all(met) else MISSED
-
-
-def _miss(row: Claim, values: Sequence[float]) -> str:
-    """By how much numbers are off, in words; "" where that says nothing."""
-    if row.id in _WHY_OPEN or len(values) != len(row.values) or not all(map(math.isfinite, values)):
-        return ""
-    shares = [v / p - 1.0 for v, p in zip(values, row.values, strict=True)]
-    if all(abs(share) < 10.0 for share in shares):
-        return f" ({', '.join(f'{share:+.0%}' for share in shares)})"
-    return ""
+    met = all(abs(v - p) <= ERROR * abs(p) for v, p in zip(values, row.values, strict=True))
+    return REACHED if met else MISSED
 
 
 def shown(values: Sequence[float], unit: str) -> str:
@@ -118,35 +118,28 @@ def used(params: Params, end: float, step: float, balls: int) -> dict[str, str]:
         "Q14": f"{p['drive_speed'] * 30 / math.pi:g} r/min",
         "Q15": format_si(p["load_torque"], "N m"),
         "Q16": str(balls),
-        "Q32": SEVERAL,
-        "Q33": SEVERAL,
-        "Q34": SEVERAL,
+        **dict.fromkeys(("Q32", "Q33", "Q34"), "as the paper's"),
     }
 
 
 def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Inequality] | None) -> str:
     if row.id == "Q37" and tests is not None:
         known = [t.holds for t in tests if t.holds is not None]
-        return f"{sum(known)} of {len(known)} hold" + (
-            f", {len(tests) - len(known)} unknown" * (len(known) < len(tests))
-        )
+        unknown = len(tests) - len(known)
+        return f"{sum(known)} of {len(known)} hold{f', {unknown} unknown' if unknown else ''}"
     if row.kind != FIGURE or found is None or row.id not in found:
         return "-"
-    return shown(found[row.id].values, row.unit) + _miss(row, found[row.id].values)
+    shares = [v / p - 1.0 for v, p in zip(_decided(row, found), row.values, strict=False)]
+    miss = f" ({', '.join(f'{share:+.0%}' for share in shares)})" if all(abs(x) < 10.0 for x in shares) else ""
+    return shown(found[row.id].values, row.unit) + (miss if shares else "")
 
 
 def rows(
-    inputs: Mapping[str, str],
-    measured: Mapping[str, Mapping[str, Measured]],
-    tests: Mapping[str, Sequence[Inequality]],
-    framed: Mapping[str, str],
+    inputs: Mapping[str, str], measured: Found, tests: Mapping[str, Sequence[Inequality]], framed: Mapping[str, str]
 ) -> list[list[str]]:
-    """The table, its titles first.
+    """The table, its titles first, from ``used`` and, by variant, ``measured`` and ``tests``.
 
-    Args:
-        inputs: ``used``.
-        measured, tests: by variant.
-        framed: by claim the frame in which its number was read, where that is not the contact's.
+    ``framed``: by claim the frame in which its number was read, where that is not the contact's.
     """
     table = [HEAD]
     for row in CLAIMS:
@@ -162,14 +155,11 @@ def rows(
             verdict = words[0] if len(set(words)) == 1 else "; ".join(words)
         if row.id == "Q37":
             verdict = "one by one, below"
-        remarks = [row.remark] if row.remark else []
-        if row.id in FITTED_TO.split(", "):
-            remarks.append("calibrated: fitted to this, no prediction; sudden start: met by hand")
-        if row.id in _WHY_OPEN:
-            remarks.append(_WHY_OPEN[row.id])
+        fitted = "calibrated: fitted to this, no prediction; sudden start: met by hand" if row.id in FITTED else ""
         remark = found[0][row.id].remark if found[0] is not None and row.id in found[0] else ""
-        remarks += [f"model: {remark}"] if remark else []
-        table.append([row.id, row.quantity, row.printed, *cells, verdict, read, picture, "; ".join(remarks)])
+        remarks = (row.remark, fitted, _WHY_OPEN.get(row.id, ""), f"model: {remark}" if remark else "")
+        whole = "; ".join(filter(None, remarks))
+        table.append([row.id, row.quantity, row.printed, *cells, verdict, read, picture, whole])
     return table
 
 
@@ -205,9 +195,10 @@ def unknown_rows(params: Params, fit: PeakFit) -> list[list[str]]:
     table = [["unknown", "as given", "fitted", "known to a factor of", "verdict", "bounds", "why these"]]
     for u in UNKNOWNS:
         e = fit.estimates[u.name]
-        numbers = [format_si(v, u.unit, 4) for v in (float(params[u.name]), e.value)]
-        bounds = f"{format_si(u.lower, u.unit, 4)} to {format_si(u.upper, u.unit, 4)}"
-        table.append([u.name, *numbers, f"{e.factor95:.2g}", e.verdict, bounds, u.reason])
+        given, value, lower, upper = (
+            format_si(v, u.unit, 4) for v in (float(params[u.name]), e.value, u.lower, u.upper)
+        )
+        table.append([u.name, given, value, f"{e.factor95:.2g}", e.verdict, f"{lower} to {upper}", u.reason])
     return table
 
 
@@ -215,38 +206,37 @@ def peak_rows(
     given: Mapping[str, Measured] | None, fit: PeakFit, calibrated: Mapping[str, Measured] | None
 ) -> list[list[str]]:
     """The numbers fitted: paper, quasistatic at the fit, dynamic at the fit and as given."""
-    table = [
-        [
-            "fitted to",
-            "paper",
-            "fit, quasistatic",
-            "miss",
-            "same values, dynamic",
-            "miss",
-            "as given, dynamic",
-            "least and greatest met in the search",
-        ]
-    ]
     wanted = targets()
-    for k, name in enumerate(TARGETS):
-        id, part = name.split()[0], int(name.endswith("greatest"))
-        dynamic = math.nan if calibrated is None else calibrated[id].values[part]
-        plain = math.nan if given is None else given[id].values[part]
-        misses = [f"{value / wanted[k] - 1:+.1%}" if math.isfinite(value) else "-" for value in (fit.peaks[k], dynamic)]
-        cells = [format_si(float(v), "N", 4) for v in (wanted[k], fit.peaks[k], dynamic, plain)]
-        table.append(
-            [name, cells[0], cells[1], misses[0], cells[2], misses[1], cells[3], shown(fit.reach[:, k].tolist(), "N")]
-        )
-    return table
+    places = [(name.split()[0], int(name.endswith("greatest"))) for name in TARGETS]
+
+    def of(found: Mapping[str, Measured] | None) -> list[float]:
+        return [math.nan if found is None else found[id].values[part] for id, part in places]
+
+    def newtons(values: Iterable[float]) -> list[str]:
+        return [format_si(float(v), "N", 4) for v in values]
+
+    def misses(values: Iterable[float]) -> list[str]:
+        return [f"{v / p - 1:+.1%}" if math.isfinite(v) else "-" for v, p in zip(values, wanted, strict=True)]
+
+    return by_columns(
+        ("fitted to", TARGETS),
+        ("paper", newtons(wanted)),
+        ("fit, quasistatic", newtons(fit.peaks)),
+        ("miss", misses(fit.peaks)),
+        ("same values, dynamic", newtons(of(calibrated))),
+        ("miss", misses(of(calibrated))),
+        ("as given, dynamic", newtons(of(given))),
+        ("least and greatest met in the search", [shown(ends, "N") for ends in fit.reach.T.tolist()]),
+    )
 
 
 def combination_rows(fit: PeakFit) -> list[list[str]]:
     """What the peaks determine: combinations of the unknowns (in the unit box), best known first."""
-    names = tuple(fit.estimates)
-    return [["singular value", "combination of logarithms", "verdict"]] + [
-        [f"{s:.3g}", combination(d, names), "determined" if s > KNOWN else "not determined"]
-        for s, d in zip(fit.singular, fit.directions, strict=True)
-    ]
+    return by_columns(
+        ("singular value", [f"{s:.3g}" for s in fit.singular]),
+        ("combination of logarithms", [combination(d, tuple(fit.estimates)) for d in fit.directions]),
+        ("verdict", ["determined" if s > KNOWN else "not determined" for s in fit.singular]),
+    )
 
 
 def fit_json(fit: PeakFit, params: Params) -> dict[str, Any]:
@@ -279,11 +269,7 @@ def markdown(
     lines = [f"# {title}", "", f"**{verdict}**", ""]
     lines += [line for note in notes for line in (note, "")]
     for heading, table in tables:
-        lines += [f"## {heading}", "", *_markdown(table), ""]
+        cells = [[cell.replace("|", "\\|") for cell in row] for row in table]
+        head, *others = [f"| {' | '.join(row)} |" for row in cells]
+        lines += [f"## {heading}", "", head, "|" + "---|" * len(table[0]), *others, ""]
     return "\n".join(lines)
-
-
-def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in table]
-    lines = [f"| {' | '.join(row)} |" for row in cells]
-    return [lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]

@@ -66,20 +66,28 @@ def carried_out(asked: Check) -> Row:
     return Row(*about, deviation, deviation <= asked.tolerance, took, error)
 
 
-def relative(found: Any, expected: Any) -> float:
-    """Largest |found - expected| / |expected|, entry by entry; NaN if any is NaN. Shapes that do not fit raise."""
+def _apart(found: Any, expected: Any) -> tuple[np.ndarray, np.ndarray]:
     found, expected = np.asarray(found, float), np.asarray(expected, float)
     if found.shape != expected.shape:
         raise ValueError(f"found {found.shape} numbers, expected {expected.shape}")
-    return float(np.max(np.abs(found - expected) / np.abs(expected)))
+    return np.abs(found - expected), np.abs(expected)
+
+
+def relative(found: Any, expected: Any) -> float:
+    """Largest |found - expected| / |expected|, entry by entry; NaN if any is NaN. Shapes that do not fit raise."""
+    apart, size = _apart(found, expected)
+    return float(np.max(apart / size))
 
 
 def of_largest(found: Any, expected: Any) -> float:
     """Largest |found - expected| over the largest |expected|; NaN if any is NaN. Shapes that do not fit raise."""
-    found, expected = np.asarray(found, float), np.asarray(expected, float)
-    if found.shape != expected.shape:
-        raise ValueError(f"found {found.shape} numbers, expected {expected.shape}")
-    return float(np.max(np.abs(found - expected)) / np.max(np.abs(expected)))
+    apart, size = _apart(found, expected)
+    return float(np.max(apart) / np.max(size))
+
+
+def worst(deviations: Iterable[float]) -> float:
+    """The largest of several deviations; NaN if any is NaN."""
+    return float(np.max(list(deviations)))
 
 
 def last_digits(found: Iterable[float], printed: Iterable[str]) -> float:

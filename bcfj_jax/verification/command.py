@@ -43,16 +43,12 @@ def passed(rows: Sequence[Row]) -> bool:
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as a table for a terminal, what failed in words below it, and a sentence on the whole."""
-    lines = [["", "deviation", "tolerance", "what", "source"]]
-    lines += [
-        ["ok" if row.ok else "FAILED", _number(row.deviation), _number(row.tolerance), row.what, row.source]
-        for row in rows
-    ]
-    text = [report.text(lines), ""]
-    for row in rows:
-        if not row.ok:
-            why = row.error or f"deviation {_number(row.deviation)} ({row.measure}), tolerance {_number(row.tolerance)}"
-            text.append(f"failed: {row.name}: {why}")
+    failed = {False: "FAILED", True: "ok"}
+    cells = [[failed[r.ok], _number(r.deviation), _number(r.tolerance), r.what, r.source] for r in rows]
+    text = [report.text([["", "deviation", "tolerance", "what", "source"], *cells]), ""]
+    for row in (row for row in rows if not row.ok):
+        why = f"deviation {_number(row.deviation)} ({row.measure}), tolerance {_number(row.tolerance)}"
+        text.append(f"failed: {row.name}: {row.error or why}")
     good, seconds = sum(row.ok for row in rows), sum(row.seconds for row in rows)
     text.append(f"{good} of {len(rows)} checks passed in {seconds:.0f} s")
     text.append("Deviations are relative, but of printed tables: those are in units of the last printed digit.")

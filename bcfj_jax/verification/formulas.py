@@ -6,23 +6,20 @@ import numpy as np
 
 from bcfj_jax.contact import restitution, stiffness
 from bcfj_jax.verification import oracles
-from bcfj_jax.verification.check import LAST_DIGIT, Check, check, last_digits, relative
+from bcfj_jax.verification.check import LAST_DIGIT, Check, check, last_digits, relative, worst
 
 
-@check(
-    "restitution that 11 laws deliver, 11 values each",
-    "laws as published; exact relation, table by DOP853",
-    0.51,
-    LAST_DIGIT,
-)
+@check("restitution that 11 laws deliver, 11 values each", "laws as published; exact relation, table by DOP853", 0.51,
+       LAST_DIGIT)  # fmt: skip
 def restitution_laws() -> float:
     """The laws' damping factors through the exact relation, to the printed digits."""
     asked = np.array([float(row[0]) for row in oracles.RESTITUTION])
-    worst = last_digits(np.asarray(restitution.exact(asked)), [row[1] for row in oracles.RESTITUTION])
-    for column, law in enumerate(oracles.RESTITUTION_LAWS, 2):
-        found = np.asarray(restitution.delivered_restitution(restitution.FACTORS[law](asked)))
-        worst = max(worst, last_digits(found, [row[column] for row in oracles.RESTITUTION]))
-    return worst
+    columns = [restitution.exact(asked)]
+    for law in oracles.RESTITUTION_LAWS:
+        columns.append(restitution.delivered_restitution(restitution.FACTORS[law](asked)))
+    return worst(
+        last_digits(np.asarray(found), [row[k] for row in oracles.RESTITUTION]) for k, found in enumerate(columns, 1)
+    )
 
 
 @check("exact restitution relation, damping factor 1e-3 to 1e3", "Lambert W function (SciPy)", 1e-9)
@@ -50,26 +47,18 @@ def sphere_stiffness() -> float:
     """(4/3) E* sqrt(R)."""
     found = [stiffness.sphere_in_socket(oracles.STEEL, 0.04, 0.04 - gap) for gap, _ in oracles.SOCKETS]
     found.append(stiffness.sphere_plane(oracles.STEEL, 0.008))
-    printed = [text for _, text in oracles.SOCKETS] + [oracles.BALL_ON_FLAT]
-    scaled = [(float(x), text) for x, text in zip(found, printed, strict=True)]
-    return last_digits(*zip(*scaled, strict=True))
+    return last_digits(map(float, found), [*(text for _, text in oracles.SOCKETS), oracles.BALL_ON_FLAT])
 
 
 @check("two spheres and sphere on wall: K, depth, peak, duration", "Chung and Ooi 2011, tests 1 and 2", 2e-5)
 def chung_ooi_formulas() -> float:
     """The closed form of the benchmark, to five digits."""
-    worst = 0.0
+    parts = (restitution.undamped_penetration, restitution.undamped_peak, restitution.undamped_duration)
+    apart = []
     for case in oracles.CHUNG_OOI:
         k = float(stiffness.sphere_sphere(stiffness.effective_modulus(*case.material), *case.radii))
-        scene = (k, 1.5, case.mass, case.speed)
-        found = [
-            k,
-            restitution.undamped_penetration(*scene),
-            restitution.undamped_peak(*scene),
-            restitution.undamped_duration(*scene),
-        ]
-        worst = max(worst, relative(np.array(found, float), case.closed))
-    return worst
+        apart.append(relative([k, *(float(part(k, 1.5, case.mass, case.speed)) for part in parts)], case.closed))
+    return worst(apart)
 
 
 @check("elliptic Hertz contact, curvature ratio 1.01 to 1e4", "Hamrock's equations, elliptic integrals by SciPy", 1e-9)
@@ -97,14 +86,14 @@ def elliptic_contact() -> float:
 @check("ball in groove: stiffness, depth and pressure of 6 races", "Hertz with Jones' curvatures", 0.55, LAST_DIGIT)
 def groove_races() -> float:
     """The table was printed from fewer digits: hence the slack of 0.05."""
-    worst = 0.0
+    apart = []
     for outer, conformity, printed in oracles.RACES:
         race = stiffness.ball_in_groove(oracles.STEEL, 0.008, 0.0358, np.pi / 4, conformity, outer)
         found = [race.ellipticity, race.stiffness]
         for load in (11951.1, 39840.0):
             found += [race.penetration(load) * 1e6, race.peak_pressure(load) * 1e-9]
-        worst = max(worst, last_digits([float(x) for x in found], printed.split()))
-    return worst
+        apart.append(last_digits(map(float, found), printed.split()))
+    return worst(apart)
 
 
 @check("cylinder in cylindrical hole: force by penetration", "Johnson 1985, inverted by Lambert W (SciPy)", 1e-10)

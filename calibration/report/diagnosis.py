@@ -69,15 +69,11 @@ def sentence(d: Diagnosis) -> str:
     if not d.trials:
         return f"{text}; run --diagnose to confirm by fits"
     best = next((t for t in d.trials if t.confirmed and t.fit), None)
-    if best is None or best.fit is None:
+    if best is None:
         return f"{text}{_laws(d) if d.trials[0].law else '; no fit confirms it'}"
-    if best.law:
-        text += _laws(d)
-    text += (
-        f"; the fit with {best.law or 'it'} is decisively better, and the law is {d.alone[0].fit.law.answer} then"
-        if d.alone[0].fit
-        else ""
-    )
+    text += _laws(d) if best.law else ""
+    if alone := d.alone[0].fit:
+        text += f"; the fit with {best.law or 'it'} is decisively better, and the law is {alone.law.answer} then"
     pair = next((t for t in d.trials if len(t.names) > 1 and t.confirmed), None)
     text += f"; {' and '.join(pair.names)} together explain more" if pair and pair.gain > best.gain + DECISIVE else ""
     return text + (f"; the data do not distinguish it from {' or '.join(others)}" if others else "")
@@ -90,10 +86,8 @@ def _laws(d: Diagnosis) -> str:
     return f"; the law {' or '.join(good)} explains it" if good else f"; none of {len(tried)} other laws explains it"
 
 
-def _shown_lines(d: Diagnosis) -> list[tuple[str, str]]:
-    """Names and lines of what to put in the problem file: of the named suspect, and of a pair that is better still."""
-    found = [(name, d.lines[name]) for name in d.named if d.lines[name]]
-    return found + [(" and ".join(t.names), t.lines) for t in d.trials if len(t.names) > 1 and t.confirmed]
+def _plain(fit: Fit | None) -> dict[str, Any]:
+    return {n: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for n, p in fit.parameters.items()} if fit else {}
 
 
 def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
@@ -113,24 +107,24 @@ def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
                 "names": list(t.names), "with_law": t.law or None, "lines": t.lines,
                 "bic_change": -t.gain, "confirmed": t.confirmed,
                 "verdict": t.fit.verdict if t.fit else None, "law": t.fit.law.answer if t.fit else None,
-                "reason": t.reason or None,
-                "parameters": {
-                    name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in t.fit.parameters.items()
-                } if t.fit else {},
+                "reason": t.reason or None, "parameters": _plain(t.fit),
             }
             for t in d.trials
         ],
-        "plain": {name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in plain.parameters.items()},
+        "plain": _plain(plain),
     }  # fmt: skip
 
 
 def sections(d: Diagnosis, plain: Fit) -> list[tuple[str, list[list[str]]]]:
-    """Headings and tables for screen and report."""
-    found = [(f"What would explain the miss: {sentence(d)}", rows(d))] if len(rows(d)) > 1 else []
+    """Headings and tables for screen and report; what to put in the problem file, of a pair that is better still, too."""
+    head, table = f"What would explain the miss: {sentence(d)}", rows(d)
+    found = [(head, table)] if len(table) > 1 else []
     if d.agreed:
         found.append((agreement.heading(d.agreed), agreement.rows(d.agreed)))
     if d.trials:
         found.append(("Estimates with each", values(d, plain)))
-    for name, text in _shown_lines(d):
+    lines = [(name, d.lines[name]) for name in d.named if d.lines[name]]
+    lines += [(" and ".join(t.names), t.lines) for t in d.trials if len(t.names) > 1 and t.confirmed]
+    for name, text in lines:
         found.append(("Lines for the problem file", [[f"# {name}"], *([line] for line in text.splitlines())]))
-    return found or [(f"What would explain the miss: {sentence(d)}", [["suspect"], ["none"]])]
+    return found or [(head, [["suspect"], ["none"]])]

@@ -17,8 +17,9 @@ def verdict(result: Fit) -> Verdict:
     shown = [(name, p) for name, p in parameters.items() if p.ci95] or list(result.parameters.items())
     known = _known(*shown[0]) if shown else ""
     known = f"If {found.condition}, {known}" if found and shown[0][1].ci95 else known
-    sentence = " ".join(filter(None, [known, _unknown(result)]))
-    return Verdict(kind, f"{word[0].upper()}{word[1:]}", sentence)
+    lost = [name for name, p in result.parameters.items() if not p.identifiable]
+    unknown = f"Not determined by the data: {', '.join(lost)}." if lost else ""
+    return Verdict(kind, f"{word[0].upper()}{word[1:]}", " ".join(filter(None, [known, unknown])))
 
 
 def _known(name: str, p: Parameter) -> str:
@@ -26,11 +27,6 @@ def _known(name: str, p: Parameter) -> str:
     if not ends:
         return f"{name} is {value}, without an interval: the data do not determine it."
     return f"{name} is {value}, with 95 % confidence {' to '.join(ends)}."
-
-
-def _unknown(result: Fit) -> str:
-    lost = [name for name, p in result.parameters.items() if not p.identifiable]
-    return f"Not determined by the data: {', '.join(lost)}." if lost else ""
 
 
 def block(heading: str, rows: Rows) -> Table | Listing:

@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops, sides
 from bcfj_jax.io.page import Picture, counted
-from bcfj_jax.io.plots import COLOURS, engineering, figure, label, plain, save, style
+from bcfj_jax.io.plots import COLOURS, engineering, label, plain, sheet
 from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
@@ -32,22 +32,20 @@ def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     runs = {record.name: _run(fit, problem, record) for record in fit.records if record.data}
-    with style():
-        drawing, axes = figure(2 * rows, columns, width=6.0 * columns + 1.0, height=2.4)
+    with sheet(path, 2 * rows, columns, width=6.0 * columns + 1.0, height=2.4) as axes:
         grid = np.array(axes).reshape(2 * rows, columns)
         for axis in axes:
             axis.set_visible(False)
         for k, (record, channel) in enumerate(panels):
             row, column = divmod(k, columns)
             _panel(grid[2 * row, column], grid[2 * row + 1, column], record, channel, runs[record.name])
-        save(drawing, path)
     held = sum(record.held_out for record, _ in panels)
     strips = np.concatenate([(r.data[c] - r.prediction[c]) / r.sigma[c] for r, c in panels])
     inside = float(np.mean(np.abs(strips[np.isfinite(strips)]) <= 2.0))
     shows = (
-        f"{counted(len(panels), 'record')}{f', {held} of them held out' if held else ''}: data, the fitted curve, and "
+        f"{counted(len(panels), 'record')}{f', {held} of them held out' if held else ''}: data, the fitted curve, and below "
+        f"each the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
     )
-    shows += f"below each the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
     return Picture(path.name, "Data and fit", shows)
 
 
@@ -62,12 +60,11 @@ def _run(fit: Fit, problem: Problem | None, record: Record) -> Run:
 
 def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> None:
     time_scale, time_prefix = engineering(record.times)
-    data = record.data[channel]
+    data, own = record.data[channel], record.params
     scale, prefix = engineering(data)
-    upper.set_visible(True)
-    lower.set_visible(True)
+    for axis in (upper, lower):
+        axis.set_visible(True)
     name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
-    own = record.params
     offset = sum(own.get(name, 0.0) for name in offsets_of(channel, run.readings))
     curve = own["gain"] * run.readings[channel] + offset
     # The curve lies over the data, and is light enough in a dense record to leave them to be seen.
@@ -75,9 +72,8 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     upper.plot((run.times + own["time_offset"]) * time_scale, curve * scale, color=colour, lw=1.6, label=name)
     # Its table speaks of the size of a contact's force; the record has its sign.
     force = run.force.get(channel.removesuffix(".normal"))
-    signs = "" if force is None else sides(force[..., 0])
-    upper.set_title(f"{plain(record.name)}: {channel}{signs}" + (" (held out)" if record.held_out else ""))
-    upper.set_ylabel(reading_label(channel, prefix))
+    title = f"{plain(record.name)}: {channel}{'' if force is None else sides(force[..., 0])}"
+    upper.set(title=title + (" (held out)" if record.held_out else ""), ylabel=reading_label(channel, prefix))
     upper.legend(loc="upper right")
     strip = (data - record.prediction[channel]) / record.sigma[channel]
     lower.axhspan(-2, 2, color="#e8eef6", lw=0)
@@ -101,19 +97,18 @@ def force_penetration(fit: Fit, problem: Problem | None, path: Path) -> Picture 
 def starts(fit: Fit, path: Path) -> Picture:
     """Waterfall: the cost at which each start ended, best first."""
     costs = np.array([row["chi2"] for row in fit.starts], dtype=float)
-    with style():
-        drawing, (axis,) = figure(1)
-        good = np.isfinite(costs)
+    good = np.isfinite(costs)
+    above = costs[good] - costs[good].min()
+    with sheet(path) as (axis,):
         # Differences below a millionth of a sigma squared are the optimiser's own tolerance.
-        axis.semilogy(np.flatnonzero(good) + 1, np.maximum(costs[good] - costs[good].min(), 1e-6), "o")
+        axis.semilogy(np.flatnonzero(good) + 1, np.maximum(above, 1e-6), "o")
         for k in np.flatnonzero(~good):
             axis.axvline(float(k + 1), color=COLOURS[1], lw=1, ls=":")
-        axis.set_title(f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)")
-        axis.set_xlabel("start")
-        axis.set_ylabel("cost above the best\n[weighted squares, at least 1e-6]")
-        axis.set_xlim(0.5, costs.size + 0.5)
-        axis.set_ylim(5e-7, max(1.0, 2.0 * float(np.nanmax(costs) - np.nanmin(costs))))
-        save(drawing, path)
-    best = int(np.count_nonzero(costs[good] - costs[good].min() <= 1e-3)) if good.any() else 0
+        axis.set(
+            title=f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)", xlabel="start",
+            ylabel="cost above the best\n[weighted squares, at least 1e-6]", xlim=(0.5, costs.size + 0.5),
+            ylim=(5e-7, max(1.0, 2.0 * float(np.nanmax(costs) - np.nanmin(costs)))),
+        )  # fmt: skip
+    best, failed = int(np.count_nonzero(above <= 1e-3)), int((~good).sum())
     shows = f"Cost at which each of {costs.size} starts of the search ended, best first: {best} reach the best, "
-    return Picture(path.name, "Where the search ended", f"{shows}{int((~good).sum())} failed.")
+    return Picture(path.name, "Where the search ended", f"{shows}{failed} failed.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.page import Picture, counted
-from bcfj_jax.io.plots import COLOURS, engineering, figure, label, panels, plain, save, style
+from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain, sheet
 from calibration.fit import Fit
 from calibration.uncertainty.posterior import Posterior
 from calibration.uncertainty.profile import Profile
@@ -25,26 +25,22 @@ _CEILING = 1.6
 def draw(fit: Fit, folder: Path) -> list[Picture]:
     """Those of ``FILES`` that a fit has something for: profiles and draws where there are any."""
     units = {name: p.unit for name, p in fit.parameters.items()} | {"reference_force": "N"}
-    found = []
-    if fit.evidence.profiles:
-        several = list(fit.evidence.profiles.values())
+    found, evidence = [], fit.evidence
+    if several := list(evidence.profiles.values()):
         profiles(several, units, folder / FILES[0])
-        shows = (
-            f"Cost along each parameter, the others fitted again: {', '.join(f'{p.name} {p.shape}' for p in several)}."
-        )
-        found.append(Picture(FILES[0], "Profiles", shows))
-    if fit.evidence.posterior is not None:
-        posterior(fit.evidence.posterior, units, folder / FILES[1])
-        shows = f"Draws from the posterior of {', '.join(fit.evidence.posterior.labels)}; 95 % shaded."
+        shapes = ", ".join(f"{p.name} {p.shape}" for p in several)
+        found.append(Picture(FILES[0], "Profiles", f"Cost along each parameter, the others fitted again: {shapes}."))
+    if evidence.posterior is not None:
+        posterior(evidence.posterior, units, folder / FILES[1])
+        shows = f"Draws from the posterior of {', '.join(evidence.posterior.labels)}; 95 % shaded."
         found.append(Picture(FILES[1], "Posterior", shows))
     if fit.correlation is not None and len(fit.labels) > 1:
         names = ["reference_force" if p.kind == "derived" else name for name, p in fit.parameters.items()]
         correlation(fit.correlation, names, folder / FILES[2])
         apart = np.abs(np.asarray(fit.correlation) - np.eye(len(names)))
         i, k = np.unravel_index(int(np.argmax(apart)), apart.shape)
-        shows = (
-            f"Correlations of the estimates; the largest is {fit.correlation[i, k]:+.2f}, of {names[i]} and {names[k]}."
-        )
+        most = f"{fit.correlation[i, k]:+.2f}, of {names[i]} and {names[k]}"
+        shows = f"Correlations of the estimates; the largest is {most}."
         found.append(Picture(FILES[2], "Correlation of the estimates", shows))
     if series := residual_series(fit):
         residual_acf(series, folder / FILES[3])
@@ -66,13 +62,7 @@ def residual_series(fit: Fit) -> dict[str, np.ndarray]:
 
 
 def profiles(found: Sequence[Profile], units: Mapping[str, str], path: Path) -> None:
-    """Every profile with its threshold, its interval shaded, and the parabola that the covariance stands for.
-
-    Args:
-        found: profiles to draw.
-        units: SI unit by the profile's name.
-        path: of the PNG.
-    """
+    """Every profile with its threshold, its interval shaded, and the parabola that the covariance stands for."""
     with panels(len(found), 3, path, 4.2, 3.4) as axes:
         for axis, profile in zip(axes, found, strict=True):
             _profile(axis, profile, units[profile.name])
@@ -95,10 +85,10 @@ def _profile(axis: Axes, profile: Profile, unit: str) -> None:
     axis.axhline(profile.threshold, color=COLOURS[1], lw=1, label="95 %")
     if profile.interval:
         axis.axvspan(profile.interval[0] * scale, profile.interval[1] * scale, color="#e8eef6", lw=0, zorder=0)
-    axis.set_ylim(-0.03 * profile.threshold, _CEILING * profile.threshold)
-    axis.set_title(f"{profile.name}: {profile.shape}")
-    axis.set_xlabel(label(profile.name, unit, prefix))
-    axis.set_ylabel("cost above the best")
+    axis.set(
+        ylim=(-0.03 * profile.threshold, _CEILING * profile.threshold), title=f"{profile.name}: {profile.shape}",
+        xlabel=label(profile.name, unit, prefix), ylabel="cost above the best",
+    )  # fmt: skip
     axis.legend(fontsize=8, loc="upper center", ncols=3, columnspacing=1.0, handlelength=1.4)
 
 
@@ -118,19 +108,12 @@ def _scale(values: np.ndarray, unit: str) -> tuple[float, str]:
 
 
 def posterior(found: Posterior, units: Mapping[str, str], path: Path) -> None:
-    """Marginals on the diagonal, with their 95 % interval, and pairs below it.
-
-    Args:
-        found: draws.
-        units: SI unit by label.
-        path: of the PNG.
-    """
+    """Marginals on the diagonal, with their 95 % interval, and pairs below it; units are SI, by label."""
     count = len(found.labels)
     draws = found.draws.reshape(-1, count)
     thinned = draws[:: max(1, len(draws) // 1000)]
-    with style():
-        drawing, axes = figure(count, count, width=2.4 * count + 1.0, height=2.2)
-        scales = [_scale(draws[:, k], units[name]) for k, name in enumerate(found.labels)]
+    scales = [_scale(draws[:, k], units[name]) for k, name in enumerate(found.labels)]
+    with sheet(path, count, count, width=2.4 * count + 1.0, height=2.2) as axes:
         for row, column in np.ndindex(count, count):
             axis = axes[row * count + column]
             axis.set_visible(column <= row)
@@ -145,12 +128,12 @@ def posterior(found: Posterior, units: Mapping[str, str], path: Path) -> None:
                 _marginal(axis, x, found.intervals[found.labels[row]], scales[row][0])
             else:
                 axis.plot(thinned[:, column] * scales[column][0], y, ".", ms=2, alpha=0.3, color=COLOURS[0])
+            names = [label(name, units[name], scale[1]) for name, scale in zip(found.labels, scales, strict=True)]
             if row == count - 1:
-                axis.set_xlabel(label(found.labels[column], units[found.labels[column]], scales[column][1]), fontsize=8)
+                axis.set_xlabel(names[column], fontsize=8)
             if column == 0 and row:
-                axis.set_ylabel(label(found.labels[row], units[found.labels[row]], scales[row][1]), fontsize=8)
-        drawing.suptitle(found.refusal or f"{len(draws)} draws, shaded: 95 %", fontsize=11)
-        save(drawing, path)
+                axis.set_ylabel(names[row], fontsize=8)
+        axes[0].figure.suptitle(found.refusal or f"{len(draws)} draws, shaded: 95 %", fontsize=11)
 
 
 def _marginal(axis: Axes, values: np.ndarray, interval: tuple[float, float] | None, scale: float) -> None:
@@ -164,8 +147,7 @@ def _marginal(axis: Axes, values: np.ndarray, interval: tuple[float, float] | No
 def correlation(matrix: np.ndarray, labels: Sequence[str], path: Path) -> None:
     """Correlations (P, P) of the estimates as a map with its numbers."""
     count = len(labels)
-    with style():
-        drawing, (axis,) = figure(1, width=1.0 * count + 3.2, height=0.85 * count + 1.8)
+    with sheet(path, width=1.0 * count + 3.2, height=0.85 * count + 1.8) as (axis,):
         picture = axis.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
         for row, column in np.ndindex(count, count):
             dark = abs(matrix[row, column]) > 0.6
@@ -175,17 +157,11 @@ def correlation(matrix: np.ndarray, labels: Sequence[str], path: Path) -> None:
         axis.set_yticks(range(count), list(labels))
         axis.grid(False)
         axis.set_title("correlation of the estimates")
-        drawing.colorbar(picture, ax=axis, shrink=0.8)
-        save(drawing, path)
+        axis.figure.colorbar(picture, ax=axis, shrink=0.8)
 
 
 def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
-    """Autocorrelation of residuals by lag in samples, with the bounds that 95 % of white noise keeps.
-
-    Args:
-        series: white residuals (n,) in time order by name of record and channel.
-        path: of the PNG.
-    """
+    """Autocorrelation of white residuals (n,) by lag in samples, with the bounds that 95 % of white noise keeps."""
     with panels(len(series), 2, path, 6.0, 2.6) as axes:
         for axis, (name, residuals) in zip(axes, series.items(), strict=True):
             lags = min(40, residuals.size // 3)
@@ -196,11 +172,9 @@ def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
             axis.plot(np.arange(1, lags + 1), values, "o", ms=3.5, color=COLOURS[0])
             axis.axhline(0.0, color=COLOURS[5], lw=0.8)
             outside = int(np.count_nonzero(np.abs(values) > bound))
-            axis.set_title(f"{plain(name)}: {outside} of {lags} lags outside (white: {0.05 * lags:.0f})")
-            axis.set_ylim(-1.05, 1.05)
             axis.locator_params(axis="x", integer=True)
-            axis.set_xlabel("lag [samples]")
-            axis.set_ylabel("autocorrelation")
+            title = f"{plain(name)}: {outside} of {lags} lags outside (white: {0.05 * lags:.0f})"
+            axis.set(title=title, ylim=(-1.05, 1.05), xlabel="lag [samples]", ylabel="autocorrelation")
 
 
 def autocorrelation(residuals: np.ndarray, lags: int) -> np.ndarray:

@@ -229,7 +229,7 @@ def test_onsets_by_hand():
 @pytest.mark.slow
 def test_a_sudden_start_meets_all_six_peaks():
     found, _ = sudden.simulate(sudden.SUDDEN, 0.05)
-    peaks = sudden.start(found).peaks
+    peaks = sudden.start(found)
     assert np.abs(next(iter(peaks.values())) / fit.targets() - 1.0).max() < 0.16
     # Read every millisecond the same start shows none of them.
     assert np.abs(peaks[1e-3] / fit.targets() - 1.0).max() > 0.9

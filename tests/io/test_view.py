@@ -17,7 +17,7 @@ from joints import plain_joint
 import bcfj_jax as bj
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.io.view import animation, fragment, gltf, movie, painter
+from bcfj_jax.io.view import animation, export, fragment, gltf, painter
 from bcfj_jax.models.joint.start import nominal
 
 pytestmark = pytest.mark.full
@@ -176,7 +176,7 @@ def test_the_ideal_mechanism_has_no_play(crank):
         s = 20.0
         apart = [animation.posed(by_name[n], k, s)[0] - animation.posed(by_name[n], k, 0.0)[0] for n in by_name]
         assert np.allclose(apart, [s * t.shift[k] for t in of.tracks])
-    assert of.exaggeration in fragment.steps(of) and of.exaggeration > 1.0
+    assert of.exaggeration in fragment.steps(of.most) and of.exaggeration > 1.0
 
 
 def test_play_that_is_seen_is_not_exaggerated():
@@ -275,7 +275,7 @@ def test_the_figure_stands_alone(crank):
     of = crank[3]
     text = fragment.fragment(of)
     assert text == fragment.fragment(of)
-    assert len(fragment.script().encode()) <= 30_000
+    assert len(fragment._text("viewer.js").encode()) <= 30_000
     assert len(text.encode()) < 150_000
     assert not re.search(r"https?:|//[a-z]+\.[a-z]|@import|\burl\(|\beval\b|new Function|console\.", text)
     page = Outline()
@@ -410,12 +410,12 @@ def test_gltf_reads_back(crank):
 def test_movies(crank, tmp_path, monkeypatch):
     from PIL import Image
 
-    monkeypatch.setattr(movie, "_GIF", (4, 12))
-    monkeypatch.setattr(movie, "_MP4", (6, 25))
+    monkeypatch.setattr(export, "_GIF", (4, 12))
+    monkeypatch.setattr(export, "_MP4", (6, 25))
     scene, params, run, _ = crank
     path = bj.animate(scene, params, run, tmp_path / "a.gif")
     with Image.open(path) as found:
-        assert found.size == movie.SIZE and getattr(found, "n_frames", 1) == 4
+        assert found.size == export.SIZE and getattr(found, "n_frames", 1) == 4
     mp4 = bj.animate(scene, params, run, tmp_path / "a.mp4").read_bytes()
     assert mp4[4:8] == b"ftyp" and len(mp4) > 2000
     page = bj.animate(scene, params, run, tmp_path / "a.html", "A < B").read_text()

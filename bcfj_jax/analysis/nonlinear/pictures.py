@@ -30,8 +30,7 @@ def draw_bifurcation(values: ArrayLike, points: ArrayLike, path: Path, *, parame
     """
     x, y = np.asarray(values, dtype=float), np.asarray(points, dtype=float)
     y = y.reshape(*y.shape[:2], -1)
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, height=4.2)
+    with plots.sheet(path, height=4.2) as (axis,):
         for k in range(y.shape[2]):
             at = np.broadcast_to(x[:, None], y.shape[:2])
             name = str(k + 1) if y.shape[2] > 1 else None
@@ -45,7 +44,6 @@ def draw_bifurcation(values: ArrayLike, points: ArrayLike, path: Path, *, parame
         axis.set(xlabel=parameter, ylabel=reading)
         axis.set_axisbelow(True)
         axis.set_xmargin(0.01)
-        plots.save(drawing, path)
     return path
 
 
@@ -59,8 +57,7 @@ def draw_section(x: ArrayLike, y: ArrayLike, path: Path, *, labels: tuple[str, s
         title: of the picture.
     """
     first, second = (np.asarray(a, dtype=float).reshape(len(np.asarray(a)), -1) for a in (x, y))
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, width=5.6, height=4.6)
+    with plots.sheet(path, width=5.6, height=4.6) as (axis,):
         many = first.shape[1] > 1
         for k in range(first.shape[1]):
             name = str(k + 1) if many else None
@@ -68,15 +65,13 @@ def draw_section(x: ArrayLike, y: ArrayLike, path: Path, *, labels: tuple[str, s
         if many:
             axis.legend(ncols=8, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=2, borderpad=0)
         axis.set(xlabel=labels[0], ylabel=labels[1], title=title)
-        plots.save(drawing, path)
     return path
 
 
 def draw_exponent(found: Exponent | dict[str, Exponent], path: Path) -> Path:
     """Convergence of an exponent, or of several by name: the estimate so far, a band for its standard error."""
     several = found if isinstance(found, dict) else {"": found}
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, height=3.6)
+    with plots.sheet(path, height=3.6) as (axis,):
         unit = "per iteration"
         for name, one in several.items():
             timed = one.interval != 1.0
@@ -90,7 +85,6 @@ def draw_exponent(found: Exponent | dict[str, Exponent], path: Path) -> Path:
         axis.set(xlabel="time [s]" if unit == "1/s" else "iteration", ylabel=f"exponent [{unit}]")
         axis.set_xmargin(0.0)
         axis.legend(fontsize=9)
-        plots.save(drawing, path)
     return path
 
 

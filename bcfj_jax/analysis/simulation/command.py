@@ -43,16 +43,13 @@ def run(
     Args:
         what: a scene file, or a built-in scene's name.
         out: folder for the results, None for one made up.
-        say: receives the progress and the warnings.
+        say, show: receive progress and warnings; the results.
         measure_error: whether the run is made once more, ten times finer, to measure its force error.
         animations: files beside, as ``movies`` names them.
         frames: bodies, or "world", in whose axes the forces of all contacts are written, too.
 
     Returns:
         Whether the run reached its end.
-
-    Raises:
-        InputError: for bad input, and where something would be overwritten.
     """
     given = quickest(load(what))
     framed = results.framed(given.scene, frames)

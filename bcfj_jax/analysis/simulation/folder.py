@@ -1,4 +1,4 @@
-"""A run of ``bcfj simulate`` read back from its folder, for a report that is made again.
+"""``bcfj report``: the report of a folder made again; a run of ``bcfj simulate`` is read back for it.
 
 The files hold what pictures and tables need; the rates of penetration and the states of the solver are not in them.
 """
@@ -9,16 +9,20 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.analysis.simulation import page
+from bcfj_jax.analysis.simulation import page as pages
+from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import report
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from bcfj_jax.io.outputs import COMPONENTS
+from bcfj_jax.io.outputs import COMPONENTS, atomic, write_json, write_text
 from bcfj_jax.io.page import Page, Picture, Table
 from bcfj_jax.io.scenefile import SceneFile, load
 from bcfj_jax.mechanism.readings import CREEPING, STATES, UNKNOWN
@@ -26,6 +30,9 @@ from bcfj_jax.solve.extremes import Extremes
 from bcfj_jax.solve.simulation import Run
 
 NEEDED = ("forces.csv", "contacts.csv", "summary.json", "run.toml")
+
+
+_AGAIN = "run bcfj simulate again in another folder"
 
 
 def _read(path: Path) -> str:
@@ -41,7 +48,7 @@ def _columns(path: Path) -> dict[str, list[str]]:
     """
     rows = list(csv.reader(io.StringIO(_read(path))))
     if len(rows) < 3 or any(len(row) != len(rows[0]) for row in rows):
-        raise InputError(str(path), "is no table of a run", "run bcfj simulate again in another folder")
+        raise InputError(str(path), "is no table of a run", _AGAIN)
     return dict(zip(rows[0], map(list, zip(*rows[1:], strict=True)), strict=True))
 
 
@@ -49,7 +56,14 @@ def _numbers(cells: list[str], where: str) -> np.ndarray:
     try:
         return np.array([float(cell) if cell else math.nan for cell in cells])
     except ValueError as error:
-        raise InputError(where, str(error), "run bcfj simulate again in another folder") from None
+        raise InputError(where, str(error), _AGAIN) from None
+
+
+def _codes(words: list[str], where: str) -> np.ndarray:
+    del where
+    # "sticking" is what older runs' files say of creeping.
+    number = {word: code for code, word in enumerate(STATES)} | {"sticking": CREEPING}
+    return np.array([number.get(word, UNKNOWN) for word in words], dtype=np.int8)
 
 
 def summary(folder: Path) -> dict[str, Any]:
@@ -69,48 +83,38 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
-    """The run of a folder: forces, penetrations, slips, states and peaks; rates are NaN, and there is no trajectory.
-
-    Args:
-        folder: of ``bcfj simulate``.
-        given: the scene of its ``run.toml``.
-        known: its ``summary.json``.
+    """The run of a folder from its ``summary.json``: forces, penetrations, slips, states and peaks; rates are NaN.
 
     Raises:
         InputError: for a file that does not hold what ``bcfj simulate`` writes.
     """
     forces, contacts = _columns(folder / "forces.csv"), _columns(folder / "contacts.csv")
     if "time [s]" not in forces or forces["time [s]"] != contacts.get("time [s]"):
-        found = "forces.csv and contacts.csv have no time [s] in common"
-        raise InputError(str(folder), found, "run bcfj simulate again in another folder")
-    times = _numbers(forces["time [s]"], "forces.csv")
+        raise InputError(str(folder), "forces.csv and contacts.csv have no time [s] in common", _AGAIN)
+    members = given.scene.members
 
-    def stacked(table: dict[str, list[str]], name: str, count: int, end: str, codes: bool = False) -> np.ndarray | None:
-        heads = [f"{name}_{k + 1}{end}" for k in range(count)] or [f"{name}{end}"]
-        if any(head not in table for head in heads):
-            return None
-        made = [_codes(table[h]) if codes else _numbers(table[h], h) for h in heads]
-        return np.stack(made, 1) if count else made[0]
+    def histories(table: dict[str, list[str]], end: str, read: Any = _numbers) -> dict[str, np.ndarray]:
+        """By contact the columns of this end, members side by side, where the table has them all."""
+        found = {}
+        for name, count in members.items():
+            heads = [f"{name}_{k + 1}{end}" for k in range(count)] or [f"{name}{end}"]
+            if all(head in table for head in heads):
+                each = [read(table[head], head) for head in heads]
+                found[name] = np.stack(each, 1) if count else each[0]
+        return found
 
-    force, depth, slip, state = {}, {}, {}, {}
-    for name, count in given.scene.members.items():
-        parts = [stacked(forces, name, count, f".{part} [N]") for part in COMPONENTS]
-        deep = stacked(contacts, name, count, ".penetration [m]")
-        if deep is None or any(part is None for part in parts):
-            raise InputError(str(folder), f"has no history of {name}", "run bcfj simulate again in another folder")
-        force[name], depth[name] = np.stack([p for p in parts if p is not None], -1), deep
-        slides, codes = (
-            stacked(contacts, name, count, ".sliding_speed [m/s]"),
-            stacked(contacts, name, count, ".state", True),
-        )
-        slip |= {} if slides is None else {name: slides}
-        state |= {} if codes is None else {name: codes}
-    stats = {**known["solver"], "wall_s": known.get("wall_s", math.nan), "compile_s": known.get("compile_s", math.nan)}
+    parts = [histories(forces, f".{part} [N]") for part in COMPONENTS]
+    depth = histories(contacts, ".penetration [m]")
+    if lost := [name for name in members if any(name not in part for part in (*parts, depth))]:
+        raise InputError(str(folder), f"has no history of {lost[0]}", _AGAIN)
+    force = {name: np.stack([part[name] for part in parts], -1) for name in members}
+    stats = {**known["solver"], **{key: known.get(key, math.nan) for key in ("wall_s", "compile_s")}}
     failure = known.get("failure_time")
     return Run(
-        times, force, depth, {name: np.full_like(x, np.nan) for name, x in depth.items()}, slip, known["status"],
-        known.get("reason", ""), math.nan if failure is None else failure, stats, state,
-        extremes=_extremes(given.scene.members, known["contacts"]),
+        _numbers(forces["time [s]"], "forces.csv"), force, depth, {n: np.full_like(x, np.nan) for n, x in depth.items()},
+        histories(contacts, ".sliding_speed [m/s]"), known["status"], known.get("reason", ""),
+        math.nan if failure is None else failure, stats, histories(contacts, ".state", _codes),
+        extremes=_extremes(members, known["contacts"]),
     )  # fmt: skip
 
 
@@ -127,33 +131,52 @@ def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, An
     return found
 
 
-def _codes(words: list[str]) -> np.ndarray:
-    # "sticking" is what older runs' files say of creeping.
-    number = {word: code for code, word in enumerate(STATES)} | {"sticking": CREEPING}
-    return np.array([number.get(word, UNKNOWN) for word in words], dtype=np.int8)
+def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
+    """Write ``report.html`` of any command's folder again; pictures of a run that its numbers are enough for are redrawn.
 
-
-def redrawn(folder: Path, place: Path) -> tuple[list[Picture], Run, SceneFile, dict[str, Any]]:
-    """Draw the pictures of a run's folder again, into another place: those that its files are enough for.
+    Only ``report.html`` is replaced, as a whole; the path of it. A picture that is missing is written; one that is there
+    is kept as it is, although the report shows it as this version draws it.
 
     Raises:
-        InputError: where the folder's files do not hold a run, or its scene cannot be made, as without its own code.
+        InputError: for a folder that holds no results, or results that are not whole.
     """
-    known = summary(folder)
-    given = load(folder / "run.toml")
-    run = read(folder, given, known)
-    return page.drawn(place, run, given.scene, given.params, (), known["contacts"]), run, given, known
+    is_run = folder.is_dir() and all((folder / name).is_file() for name in NEEDED)
+    page = report.kept(folder) if (folder / report.JSON).exists() or not is_run else None
+    with tempfile.TemporaryDirectory() as place:
+        drawn, fresh = Path(place), []
+        if is_run:
+            try:
+                known = summary(folder)
+                given = load(folder / "run.toml")
+                run = read(folder, given, known)
+                fresh = pages.drawn(drawn, run, given.scene, given.params, (), known["contacts"])
+                if page is None:
+                    page = _page(folder, pages.Ran(run, given.scene, known), fresh, given)
+            except InputError as error:
+                if page is None:
+                    raise
+                say(f"pictures are kept as they are: {error}")
+        assert page is not None
+        page = _with(page, fresh)
+        for one in fresh:
+            if not (folder / one.file).exists():
+                with atomic(folder / one.file) as temporary:
+                    temporary.write_bytes((drawn / one.file).read_bytes())
+        write_text(folder / report.HTML, report.html(page, folder, drawn))
+    return folder / report.HTML
 
 
-def page_of(
-    title: str, shown: list[Picture], run: Run, given: SceneFile, known: dict[str, Any], rows: list[list[str]]
-) -> Page:
-    """The page of a folder that keeps none, from its numbers.
+def _page(folder: Path, of: pages.Ran, shown: list[Picture], given: SceneFile) -> Page:
+    rows = Table("Input: values and what they mean", results.input_rows(given))
+    page = pages.made(f"Simulation of {given.scene.kind}", of, shown, [rows])
+    write_json(folder / report.JSON, page.content())
+    return replace(page, animation=report.animation(folder))
 
-    Args:
-        title: its heading.
-        shown, run, given, known: as ``redrawn`` gives them.
-        rows: the table of the input.
-    """
-    more = [Table("Input: values and what they mean", rows)]
-    return page.made(title, run, given.scene, known, shown, more, [])
+
+def _with(page: Page, fresh: list[Picture]) -> Page:
+    """The page with pictures that were drawn again in place of its own, and new ones at the end."""
+    named = {one.file: one for one in fresh}
+    own = [one.file for one in (*page.pictures, *page.more)]
+    new = tuple(one for one in fresh if one.file not in own)
+    first, more = (tuple(named.get(one.file, one) for one in part) for part in (page.pictures, page.more))
+    return replace(page, pictures=first, more=(*more, *new))

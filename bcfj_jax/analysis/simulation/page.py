@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,12 +24,8 @@ from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.simulation import Run
 
 FORCES, LOOPS, READINGS = "forces.png", "force_penetration.png", "readings.png"
-AROUND, ORBITS, STATE, ORDERS = (
-    "loads_around_axis.png",
-    "clearance_circle.png",
-    "contact_states.png",
-    "order_spectrum.png",
-)
+AROUND, ORBITS, STATE = "loads_around_axis.png", "clearance_circle.png", "contact_states.png"
+ORDERS = "order_spectrum.png"
 # Of a contact in the summary: how often it was in contact between two samples alone.
 BETWEEN = "between_samples"
 # Features that a table of several contacts leaves to the table of each.
@@ -49,34 +46,27 @@ def turning(scene: AbstractModel, params: Params) -> Turning | None:
 
 def widths(scene: AbstractModel, params: Params) -> dict[str, float]:
     """By contact, the width of its regularisation [m], where it has one."""
-    found = {}
-    for contact in scene.contacts:
-        if f"{contact.name}.smoothing" in params or "smoothing" in params:
-            found[contact.name] = float(scene.coefficient(params, contact.name, "smoothing"))
-    return found
+    known = [c.name for c in scene.contacts if f"{c.name}.smoothing" in params or "smoothing" in params]
+    return {name: float(scene.coefficient(params, name, "smoothing")) for name in known}
 
 
 def drawn(
     folder: Path, run: Run, scene: AbstractModel, params: Params, reads: Sequence[Channel], contacts: Mapping[str, Any]
 ) -> list[Picture]:
-    """Draw all pictures of a run, those that matter first.
+    """Draw all pictures of a run, those that matter first; a run read from files has no trajectory, and no orbits.
 
-    Args:
-        folder: for the PNG files.
-        run: what was simulated; a run read from files has no trajectory, and no orbits.
-        scene, params: of what.
-        reads: what [[read]] asks for.
-        contacts: ``summary.json``'s, whose periods give the loading cycles in steady motion.
+    ``contacts`` are those of ``summary.json``: their periods give the loading cycles in steady motion.
     """
     drive = turning(scene, params)
     found: list[Picture | None] = []
     many = {name for name, count in scene.members.items() if count and name in run.force}
+    good = bool(run.force) and run.status == "ok"
     cycles = {}
-    if drive and run.status == "ok":
-        firsts = {name: f"{name}_1" if name in many else name for name in run.force}
-        periods = {name: contacts.get(first, {}).get("period") for name, first in firsts.items()}
-        cycles = {name: float(p) for name, p in periods.items() if p is not None and math.isfinite(p)}
-    if run.force and many and run.status == "ok":
+    for name in run.force if drive and good else ():
+        period = contacts.get(f"{name}_1" if name in many else name, {}).get("period")
+        if period is not None and math.isfinite(period):
+            cycles[name] = float(period)
+    if many and good:
         found.append(views.around(run, folder / AROUND, drive))
     if run.force:
         found.append(pictures.forces(run, folder / FORCES))
@@ -87,7 +77,7 @@ def drawn(
         found.append(views.orbits(run, orbits, folder / ORBITS, drive))
     if run.state and (len(run.state) > 1 or many or any(contact.friction for contact in scene.contacts)):
         found.append(views.states(run, folder / STATE, drive))
-    if drive and run.force and run.status == "ok":
+    if drive and good:
         found.append(views.orders(run, folder / ORDERS, drive))
     return [one for one in found if one is not None]
 
@@ -105,29 +95,26 @@ def verdict(run: Run, content: Mapping[str, Any], absurd: Sequence[Finding] = ()
 
 
 def _verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
-    accuracy = content.get("accuracy") or {}
-    until = accuracy.get("agree_until")
-    apart = until is not None and math.isfinite(until)
-    differs = (
-        f"Two runs disagree from {brief(until, 's')} on, in {accuracy.get('differs') or 'a force'}." if apart else ""
-    )
     if run.status == "failed":
         return Verdict(BAD, "Failed", f"The run ended at {brief(run.failure_time, 's')}: {run.reason}.")
+    accuracy, found = content.get("accuracy") or {}, content.get("balance", {})
+    until, differs = accuracy.get("agree_until"), ""
+    if until is not None and math.isfinite(until):
+        differs = f"Two runs disagree from {brief(until, 's')} on, in {accuracy.get('differs') or 'a force'}."
     said, measured = _highest(run, accuracy), _worst(accuracy)
     name, worst = max(measured.items(), key=lambda x: np.inf if math.isnan(x[1]) else x[1], default=("", 0.0))
-    found = content.get("balance", {})
+
+    def told(kind: str, word: str, *sentences: str) -> Verdict:
+        return Verdict(kind, word, " ".join(filter(None, sentences)))
+
     if found.get("verdict") == balance.MISSED:
-        return Verdict(
-            BAD, "Forces and motion contradict each other", " ".join(filter(None, (found["reason"], differs, said)))
-        )
+        return told(BAD, "Forces and motion contradict each other", found["reason"], differs, said)
     if run.status != "ok":
-        return Verdict(BAD, run.status.capitalize(), " ".join(filter(None, (f"{run.reason}.", differs, said))))
+        return told(BAD, run.status.capitalize(), f"{run.reason}.", differs, said)
     if measured and not worst <= accuracy["asked"]:
-        also = f" The worst is {name}: {percent(worst, 2)}." if f"in {name}" not in said else ""
-        return Verdict(FAIR, "Less accurate than asked", f"{said}{also} {differs}".strip())
-    if apart:
-        return Verdict(FAIR, f"Sure until {brief(until, 's')}", f"{said} {differs}")
-    return Verdict(GOOD, "Finished", said)
+        also = f"The worst is {name}: {percent(worst, 2)}." if f"in {name}" not in said else ""
+        return told(FAIR, "Less accurate than asked", said, also, differs)
+    return told(FAIR, f"Sure until {brief(until, 's')}", said, differs) if differs else Verdict(GOOD, "Finished", said)
 
 
 def _worst(accuracy: Mapping[str, Any]) -> dict[str, float]:
@@ -171,7 +158,6 @@ def by_contact(
 
 def _rows(
     groups: Sequence[tuple[str, list[Mapping[str, Any]]]],
-    cell: Callable[[list[Any], str], str],
     without: Sequence[str] = (),
     between: bool = False,
     beside: Mapping[str, Sequence[str]] | None = None,
@@ -184,21 +170,14 @@ def _rows(
     known = [(key, unit) for key, unit in features.UNITS.items() if key in there and (key != "side" or backwards)]
     known += [(BETWEEN, "1")] if between else []
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
-    for name, group in groups:
-        rows.append([name, *(cell([one.get(key) for one in group], unit) for key, unit in known)])
-    for heading, cells in (beside or {}).items():
-        rows = [[*row, cell] for row, cell in zip(rows, (heading, *cells), strict=True)]
-    return _turned(rows) if len(groups) < 3 or beside else rows
-
-
-def _turned(rows: list[list[str]]) -> list[list[str]]:
-    """Features down and contacts across."""
-    (_, *names), *rest = [list(row) for row in zip(*rows, strict=True)]
-    return [["feature", *names], *rest]
-
-
-def _cell(values: list[Any], unit: str) -> str:
-    return span([v for v in values if v is not None], unit)
+    for k, (name, group) in enumerate(groups):
+        cells = [span([one[key] for one in group if one.get(key) is not None], unit) for key, unit in known]
+        rows.append([name, *cells, *(each[k] for each in (beside or {}).values())])
+    rows[0] += list(beside or {})
+    if len(groups) < 3 or beside:
+        (_, *names), *rest = [list(row) for row in zip(*rows, strict=True)]
+        return [["feature", *names], *rest]
+    return rows
 
 
 def _shares(groups: Sequence[tuple[str, list[Mapping[str, Any]]]]) -> Rows:
@@ -219,7 +198,7 @@ def contact_rows(scene: AbstractModel, content: Mapping[str, Any]) -> list[list[
     # Of several contacts what fits on a screen.
     without = _ASIDE if len(groups) > 2 else ()
     between = any(one.get(BETWEEN) and "peak_of_samples" not in one for one in content["contacts"].values())
-    return _rows(groups, _cell, without, between, _engineering(groups, content))
+    return _rows(groups, without, between, _engineering(groups, content))
 
 
 def _engineering(groups: Sequence[tuple[str, Any]], content: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -236,7 +215,6 @@ def _engineering(groups: Sequence[tuple[str, Any]], content: Mapping[str, Any]) 
 
 
 def _pair(value: Any, unit: str) -> str:
-    """A number, or two as "1.2 x 0.3 mm"."""
     if not isinstance(value, Sequence):
         return brief(value, unit)
     scale, prefix = engineering([x for x in value if x is not None], unit)
@@ -248,10 +226,8 @@ def quantity_rows(content: Mapping[str, Any]) -> list[list[str]]:
     """What the model's engineers read of it as a whole: a row a quantity of ``engineering``; none without."""
     found = content.get("engineering", {}).get("quantities", {})
     columns = list(dict.fromkeys(key for one in found.values() for key in one if key != "unit"))
-    rows = [["quantity", *columns]] if found else []
-    for name, one in found.items():
-        rows.append([name, *(brief(one.get(key), one["unit"]) for key in columns)])
-    return rows
+    rows = [[name, *(brief(one.get(key), one["unit"]) for key in columns)] for name, one in found.items()]
+    return [["quantity", *columns], *rows] if found else []
 
 
 def note(contacts: Mapping[str, Mapping[str, Any]]) -> str:
@@ -273,14 +249,14 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
     folded = []
     if many or len(groups) > 2:
         each = [(name, [values]) for name, values in contacts.items()]
-        folded.append(Table(f"Each of the {len(each)} contacts", _rows(each, _cell)))
+        folded.append(Table(f"Each of the {len(each)} contacts", _rows(each)))
     if all("share_of_time" in one for _, group in groups for one in group):
         folded.append(Table("Share of the time in each state", _shares(groups)))
-    text = f"{note(contacts)}Three significant digits; all digits: summary.json."
-    if many:
-        text = f"Of contacts with members the range over the members. {text}"
-    read = content.get("engineering", {})
-    text = f"{read.get('note', '')} {text}".strip()
+    read, ranges = (
+        content.get("engineering", {}),
+        "Of contacts with members the range over the members. " if many else "",
+    )
+    text = f"{read.get('note', '')} {ranges}{note(contacts)}Three significant digits; all digits: summary.json.".strip()
     found = [Table("Contacts", contact_rows(scene, content), text, tuple(folded))]
     if rows := quantity_rows(content):
         found.append(Table("Moments and forces on parts", rows, read.get("quantities_note", "")))
@@ -296,12 +272,11 @@ def balances(content: Mapping[str, Any]) -> list[Table]:
         return []
     rows = [["body", "balance", "error", "allowed", "verdict"]]
     for body, one in found["of"].items():
-        for what, error in one.items():
-            if isinstance(error, Mapping):
-                cells = (percent(error[key], 2) for key in ("error", "allowed"))
-                rows.append([body, what.replace("_", " "), *cells, one["verdict"]])
-    by = f"Integrated over the {found['quadrature']}; shares of the largest term." if found["quadrature"] else ""
-    return [Table("Balances of momentum and energy", rows, f"{found['sentence']} {by}".strip())]
+        for what, error in ((what, error) for what, error in one.items() if isinstance(error, Mapping)):
+            cells = (percent(error[key], 2) for key in ("error", "allowed"))
+            rows.append([body, what.replace("_", " "), *cells, one["verdict"]])
+    by = f" Integrated over the {found['quadrature']}; shares of the largest term." if found["quadrature"] else ""
+    return [Table("Balances of momentum and energy", rows, f"{found['sentence']}{by}".strip())]
 
 
 def _accuracy(accuracy: Mapping[str, Any]) -> Table:
@@ -332,30 +307,29 @@ def whole_table(content: Mapping[str, Any]) -> list[Table]:
     return [Table("The model as a whole", rows)] if len(rows) > 1 else []
 
 
-def made(
-    title: str, run: Run, scene: AbstractModel, content: Mapping[str, Any], shown: Sequence[Picture], more: Sequence[Table],
-    readings: Rows, choice: str = "", absurd: Sequence[Finding] = (),
-) -> Page:  # fmt: skip
-    """The page of a run.
+class Ran(NamedTuple):
+    """A run: of which scene, what ``summary.json`` says of it, and what of it is not plausible."""
 
-    Args:
-        title: its heading.
-        run, scene: what was simulated.
-        content: ``summary.json``.
-        shown: pictures, those that matter first.
-        more: tables to fold away.
-        readings: what [[read]] asks for, as rows; none without.
-        choice: which level of the model was chosen, in a sentence.
-        absurd: what is not plausible.
-    """
-    answer = verdict(run, content, absurd)
-    if choice:
-        answer = Verdict(answer.kind, answer.word, f"{answer.sentence} {choice}")
-    found = tables(scene, content)
+    run: Run
+    scene: AbstractModel
+    content: Mapping[str, Any]
+    absurd: Sequence[Finding] = ()
+
+
+def choice_sentence(run: Run) -> str:
+    """Which level of the model was chosen, and why; "" where nothing was to be chosen."""
+    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
+
+
+def made(title: str, of: Ran, shown: Sequence[Picture], folded: Sequence[Table], readings: Rows = ()) -> Page:
+    """The page of a run, with its pictures, those that matter first, more tables to fold away, and what [[read]] asks for."""
+    content = of.content
+    answer = verdict(of.run, content, of.absurd)
+    found = tables(of.scene, content)
     if len(readings) > 1:
         found.append(Table("Readings", readings))
     return Page(
-        title=title, verdict=answer, pictures=tuple(shown[:2]), warnings=tuple(content.get("warnings", ())),
-        tables=tuple(found), more=tuple(shown[2:]),
-        folded=(*balances(content), *whole_table(content), *more, report.solver_table(run.stats)),
+        title, replace(answer, sentence=f"{answer.sentence} {choice_sentence(of.run)}".strip()), tuple(shown[:2]),
+        tuple(content.get("warnings", ())), tuple(found), tuple(shown[2:]),
+        (*balances(content), *whole_table(content), *folded, report.solver_table(of.run.stats)),
     )  # fmt: skip

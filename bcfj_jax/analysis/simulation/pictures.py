@@ -14,7 +14,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features
 from bcfj_jax.io.page import Picture, brief, span
-from bcfj_jax.io.plots import COLOURS, Margins, engineering, figure, label, panels, save, style
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, over_time, panels, sheet
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import Channel, quantity_of
 from bcfj_jax.solve.simulation import Run
@@ -73,48 +73,37 @@ def _caption(run: Run) -> str:
 
 def forces(run: Run, path: Path) -> Picture:
     """Normal force against time, one panel a contact; of members the first as a line, all as a band."""
-    time_scale, time_prefix = engineering(run.times)
     several = len(run.force) > 1
     with panels(len(run.force), 2, path, 6.0 if several else 7.0, 2.6 if several else 3.2, Margins()) as axes:
         for axis, (name, history) in zip(axes, run.force.items(), strict=True):
             normal = history[..., 0]
             scale, prefix = engineering(np.ravel(normal))
-            many = normal.ndim == 2
-            if many:
+            times, first, members = run.times * over_time(axis, run.times), normal, ""
+            if normal.ndim == 2:
                 low, high = normal.min(axis=1) * scale, normal.max(axis=1) * scale
-                axis.fill_between(run.times * time_scale, low, high, color=COLOURS[0], alpha=0.22, linewidth=0)
-            first = normal[:, 0] if many else normal
-            axis.plot(run.times * time_scale, first * scale, linewidth=1.2)
-            members = f" (line: {name}_1, band: all {normal.shape[1]})" if many else ""
+                axis.fill_between(times, low, high, color=COLOURS[0], alpha=0.22, linewidth=0)
+                first, members = normal[:, 0], f" (line: {name}_1, band: all {normal.shape[1]})"
+            axis.plot(times, first * scale, linewidth=1.2)
             axis.set_title(f"{name}: normal force{sides(normal)}{members}{_caption(run)}")
-            axis.set_xlabel(label("time", "s", time_prefix))
             axis.set_ylabel(label("force", "N", prefix))
-            axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
             if not np.nanmin(normal, initial=0.0) < 0:
                 axis.set_ylim(bottom=0.0)
-    top = peaks(run)
-    highest = "; ".join(f"{name} {p}" for name, p in top.items())
+    highest = "; ".join(f"{name} {p}" for name, p in peaks(run).items())
     return Picture(path.name, "Contact forces", f"Normal force against time. Highest: {highest}{_caption(run)}.")
 
 
 def readings(run: Run, channels: Sequence[Channel], path: Path) -> Picture:
     """Each reading against time, one panel a reading, members on top of each other."""
-    time_scale, time_prefix = engineering(run.times)
     said = []
-    with style():
-        drawing, axes = figure(len(channels), margins=Margins())
+    with sheet(path, len(channels), margins=Margins()) as axes:
         for axis, one in zip(axes, channels, strict=True):
             values = run.readings[one.name]
             scale, prefix = engineering(np.ravel(values), one.unit)
-            lines = axis.plot(run.times * time_scale, values * scale)
-            axis.set_title(f"{one.name}{_caption(run)}")
-            axis.set_xlabel(label("time", "s", time_prefix))
-            axis.set_ylabel(label(*quantity_of(one.name), prefix))
-            axis.set_xlim(run.times[0] * time_scale, run.times[-1] * time_scale)
+            lines = axis.plot(run.times * over_time(axis, run.times), values * scale)
+            axis.set(title=f"{one.name}{_caption(run)}", ylabel=label(*quantity_of(one.name), prefix))
             if len(lines) > 1:
                 axis.legend(lines, [f"{one.part}_{k + 1}" for k in range(len(lines))], ncols=len(lines), fontsize=8)
             said.append(f"{one.name} {span(np.ravel(values), one.unit)}")
-        save(drawing, path)
     return Picture(path.name, "Readings", f"Readings against time: {'; '.join(said)}.")
 
 
@@ -150,8 +139,7 @@ def loop(run: Run, name: str, peak: Peak, cycle: float = math.nan) -> Loop | Non
     channel = f"{name}_{peak.member}" if peak.member else name
     if not np.nanmax(force, initial=0.0) > 0.0:
         return None
-    steady = math.isfinite(cycle) and 0.0 < cycle < run.times[-1] - run.times[0]
-    if steady:
+    if math.isfinite(cycle) and 0.0 < cycle < run.times[-1] - run.times[0]:
         last = run.times >= run.times[-1] - cycle * (1.0 + 1e-9)
         first = int(np.argmax(last))
         # One cycle ends where it began: the sample before it closes the loop.
@@ -159,12 +147,11 @@ def loop(run: Run, name: str, peak: Peak, cycle: float = math.nan) -> Loop | Non
     top = int(np.nanargmax(force))
     idle = np.flatnonzero(~(force > _CARRIES * force[top]))
     before, after = idle[idle < top], idle[idle > top]
-    if before.size and after.size:
-        part = slice(int(before[-1]), int(after[0]) + 1)
-        return Loop(channel, force[part], depth[part], force, depth, True)
-    if after.size and top and force[0] <= 0.05 * force[top]:
-        return Loop(channel, force[: after[0] + 1], depth[: after[0] + 1], force, depth, True)
-    return Loop(channel, force, depth, force, depth, False)
+    # A run may begin at the very moment of touch.
+    from_start = top and force[0] <= 0.05 * force[top]
+    closed = bool(after.size and (before.size or from_start))
+    part = slice(int(before[-1]) if before.size else 0, int(after[0]) + 1) if closed else slice(None)
+    return Loop(channel, force[part], depth[part], force, depth, closed)
 
 
 def loops(
@@ -172,26 +159,20 @@ def loops(
 ) -> Picture:
     """Normal force against penetration over one loading cycle, one panel a contact; the area is the energy it takes.
 
-    Args:
-        run: what to draw.
-        path: of the PNG.
-        cycles: by contact, period of its load in steady motion [s], where it has one.
-        widths: by contact, the width of its regularisation [m], where it has one.
+    By contact, where it has them: ``cycles``, periods of the load in steady motion [s]; ``widths`` of regularisation [m].
     """
-    said = []
-    with panels(
-        len(run.force), 3 if len(run.force) > 4 else 2, path, 4.0 if len(run.force) > 1 else 6.0, 3.6, Margins()
-    ) as axes:
+    said, count = [], len(run.force)
+    with panels(count, 3 if count > 4 else 2, path, 4.0 if count > 1 else 6.0, 3.6, Margins()) as axes:
         for axis, (name, peak) in zip(axes, peaks(run).items(), strict=True):
             one = loop(run, name, peak, (cycles or {}).get(name, math.nan))
-            text = _loop(axis, one, (widths or {}).get(name, 0.0))
-            axis.set_title(f"{one.channel if one else name}{_caption(run)}")
-            said.append(f"{one.channel if one else name}: {text}")
-    cycle = "from apart to apart about the highest force" if not cycles else "one loading cycle of each contact"
+            called = one.channel if one else name
+            said.append(f"{called}: {_loop(axis, one, (widths or {}).get(name, 0.0))}")
+            axis.set_title(f"{called}{_caption(run)}")
+    cycle = "one loading cycle of each contact" if cycles else "from apart to apart about the highest force"
     shows = (
         f"Normal force against penetration: {cycle} in colour, arrows in the direction of time, the whole run in grey. "
+        f"{'; '.join(said)}."
     )
-    shows += f"{'; '.join(said)}."
     if any(force.ndim == 3 for force in run.force.values()):
         shows += " The penetration is that of a contact's deepest face: where two faces carry, the curve has a kink."
     return Picture(path.name, "Force against penetration", shows)
@@ -221,10 +202,11 @@ def _loop(axis: Axes, one: Loop | None, width: float) -> str:
     corners = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
     axis.add_artist(Polygon(corners, color=COLOURS[0], alpha=0.2, linewidth=0))
     margin = 0.05 * (deepest - least) * depth_scale
-    axis.set_xlim(least * depth_scale - margin, deepest * depth_scale + margin)
-    axis.set_ylim(0.0, 1.06 * max(top, float(np.nanmax(one.before))) * force_scale)
-    axis.set_xlabel(label("penetration", "m", depth_prefix))
-    axis.set_ylabel(label("force", "N", force_prefix))
+    axis.set(
+        xlim=(least * depth_scale - margin, deepest * depth_scale + margin),
+        ylim=(0.0, 1.06 * max(top, float(np.nanmax(one.before))) * force_scale),
+        xlabel=label("penetration", "m", depth_prefix), ylabel=label("force", "N", force_prefix),
+    )  # fmt: skip
     if not few:
         _arrows(axis, x, y)
     taken = float(features.dissipated_work(force, depth))
@@ -243,9 +225,8 @@ def _loop(axis: Axes, one: Loop | None, width: float) -> str:
         axis.axvline(0.0, color=COLOURS[5], linewidth=0.9, linestyle=":")
         carried = f"{brief(at_zero, 'N')} at zero penetration"
         text += f", {carried} because contact begins {brief(width, 'm')} early (smoothing)"
-        axis.text(
-            0.03, 0.87, f"{carried}\n(smoothing {brief(width, 'm')})", transform=axis.transAxes, fontsize=8, va="top"
-        )
+        note = f"{carried}\n(smoothing {brief(width, 'm')})"
+        axis.text(0.03, 0.87, note, transform=axis.transAxes, fontsize=8, va="top")
     return text
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis import balance, envelope, features, histories, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
-from bcfj_jax.io.page import Table, model_form
+from bcfj_jax.io.page import Table, counted, model_form
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import Channel, channel
@@ -22,22 +22,12 @@ from bcfj_jax.solve.measured_error import FACTOR, Accuracy
 from bcfj_jax.solve.plan import force_error
 from bcfj_jax.solve.simulation import Run
 
-if TYPE_CHECKING:
-    from bcfj_jax.io.view.animation import Animation
-
 # Of peak force times deepest penetration: work that the integral's rounding is.
 _ROUNDING = 1e-6
 # A contact that is pressed in this share of the samples carries its load where samples show it: bounces between two
 # samples are counted in the table, and not warned of.
 _CARRIES = 0.5
-FILES = (
-    "forces.csv",
-    "contacts.csv",
-    "summary.json",
-    *report.FILES,
-    "run.toml",
-    "environment.json",
-)
+FILES = ("forces.csv", "contacts.csv", "summary.json", *report.FILES, "run.toml", "environment.json")
 # Of contacts, and of what [[read]] asks for.
 PICTURES, READINGS = (page.FORCES, page.LOOPS), ("readings.csv", page.READINGS)
 # Of forces in the axes of bodies, which are asked for.
@@ -45,11 +35,7 @@ FRAMED, WORLD = "forces_in_frames.csv", "world"
 
 
 def framed(scene: AbstractModel, frames: Sequence[str]) -> tuple[Channel, ...]:
-    """The whole force of every contact in the axes of bodies: its components as readings.
-
-    Args:
-        scene: whose contacts.
-        frames: names of bodies, or "world".
+    """The whole force of every contact in the axes of bodies, or "world": its components as readings.
 
     Raises:
         InputError: for a body that the scene has not, with the nearest that it has.
@@ -69,22 +55,14 @@ def files(given: SceneFile, framed: Sequence[Channel] = ()) -> tuple[str, ...]:
     return (*FILES, *drawn, *more, *given.scene.tables, *asked, *([FRAMED] if framed else []))
 
 
-def choice_sentence(run: Run) -> str:
-    """Which level of the model was chosen, and why; "" where nothing was to be chosen."""
-    return f"Fidelity {run.choice.fidelity}: {run.choice.reason}." if run.choice else ""
-
-
 def verdict(run: Run) -> str:
     """How the run went, in a sentence; when it and the finer run disagree."""
     if run.status == "failed":
         return f"The simulation failed at {format_si(run.failure_time, 's')}: {run.reason}."
-    reached = f"The simulation reached {format_si(float(run.times[-1]), 's')}"
-    accuracy = run.accuracy
+    reached, accuracy = f"The simulation reached {format_si(float(run.times[-1]), 's')}", run.accuracy
     if accuracy is not None and np.isfinite(accuracy.agree_until):
-        since = (
-            f"it and the finer run disagree from {format_si(accuracy.agree_until, 's', 4)} on, in {accuracy.differs}"
-        )
-        reached = f"{reached}, but {since}"
+        since = format_si(accuracy.agree_until, "s", 4)
+        reached += f", but it and the finer run disagree from {since} on, in {accuracy.differs}"
     return f"{reached}." if run.status == "ok" else f"{reached}; {run.status}: {run.reason}."
 
 
@@ -123,15 +101,11 @@ def _percent(share: float, digits: int) -> str:
 
 def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
     return {
-        "asked": accuracy.asked,
-        "measured": measured_errors(accuracy),
-        "from": accuracy.begin,
-        "agree_until": accuracy.agree_until,
-        "differs": accuracy.differs or None,
-        "tolerance": accuracy.tolerance,
+        "asked": accuracy.asked, "measured": measured_errors(accuracy), "from": accuracy.begin,
+        "agree_until": accuracy.agree_until, "differs": accuracy.differs or None, "tolerance": accuracy.tolerance,
         "wall_s": accuracy.wall_s,
         "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
-    }
+    }  # fmt: skip
 
 
 # Contacts.
@@ -154,14 +128,15 @@ RESOLVED_UNITS = {"peak_of_samples": "N", "peak_time": "s", "least": "N", "least
 
 def resolved(run: Run) -> dict[str, dict[str, float]]:
     """By contact, members apart, what was found in the solver's steps; nothing where that was not asked for."""
-    parts = {name: {key: x[None] for key, x in found._asdict().items()} for name, found in run.extremes.items()}
-    apart = {key: outputs.channels({name: part[key] for name, part in parts.items()}) for key in _keys(run)}
-    names = next(iter(apart.values()), {})
-    return {name: {key: float(columns[name][0]) for key, columns in apart.items()} for name in names}
-
-
-def _keys(run: Run) -> tuple[str, ...]:
-    return next((found._fields for found in run.extremes.values()), ())
+    columns: dict[str, dict[str, np.ndarray]] = {}
+    for name, found in run.extremes.items():
+        for key, x in found._asdict().items():
+            columns.setdefault(key, {})[name] = x[None]
+    apart: dict[str, dict[str, float]] = {}
+    for key, each in columns.items():
+        for name, x in outputs.channels(each).items():
+            apart.setdefault(name, {})[key] = float(x[0])
+    return apart
 
 
 def summary(run: Run, turning: bool) -> dict[str, Any]:
@@ -170,71 +145,60 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
     The period of a scene that is ``turning`` is that of its force history, of the last two thirds; else that of its
     contacts.
     """
-    penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
-    stats = run.stats
-    contacts: dict[str, dict[str, Any]] = {
-        name: features.summary(run.times, force[:, 0], penetration[name], rate[name])
-        for name, force in outputs.channels(run.force, 1).items()
-    }
-    if turning:
-        for name, force in outputs.channels(run.force, 1).items():
-            found = histories.settled_period(run.times, np.abs(force[:, 0])) if run.status == "ok" else float("nan")
-            contacts[name]["period"] = found
-    for name, depth in penetration.items():
-        contacts[name][page.BETWEEN] = len(features.unseen(depth, rate[name]))
+    penetration, rate, state = (outputs.channels(x) for x in (run.penetration, run.rate, run.state))
+    stats, contacts = run.stats, {}
+    for name, force in outputs.channels(run.force, 1).items():
+        one: dict[str, Any] = features.summary(run.times, force[:, 0], penetration[name], rate[name])
+        if turning:
+            settled = run.status == "ok"
+            one["period"] = histories.settled_period(run.times, np.abs(force[:, 0])) if settled else float("nan")
+        contacts[name] = one | {page.BETWEEN: len(features.unseen(penetration[name], rate[name]))}
     # Of a failed run nothing is known as a whole.
     for name, found in resolved(run).items() if run.status != "failed" else ():
         whole = features.of_steps(float(run.times[-1]), found)
         kept = {"period": contacts[name]["period"]} if turning else {}
         more = {key: found[key] for key in RESOLVED_UNITS if key in found}
         contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | whole | more | kept
-    for name, state in outputs.channels(run.state).items():
-        contacts[name]["share_of_time"] = share_of_time(run.times, state)
+    for name, codes in state.items():
+        contacts[name]["share_of_time"] = share_of_time(run.times, codes)
     chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
     return chosen | {
-        "status": run.status,
-        "reason": run.reason,
-        "failure_time": run.failure_time,
-        "contacts": contacts,
+        "status": run.status, "reason": run.reason, "failure_time": run.failure_time, "contacts": contacts,
         "units": features.UNITS
         | (RESOLVED_UNITS if run.extremes else {})
         | {page.BETWEEN: "1", "share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
         **({"accuracy": _accuracy_json(run.accuracy)} if run.accuracy else {}),
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
-        "wall_s": stats["wall_s"],
-        "compile_s": stats["compile_s"],
-    }
+        "wall_s": stats["wall_s"], "compile_s": stats["compile_s"],
+    }  # fmt: skip
 
 
 def resolution_warnings(run: Run) -> list[str]:
     """Contacts that the samples do not resolve, so that peaks and impulses taken from them are wrong."""
     missed, shortest = {}, {}
-    penetration, rate = outputs.channels(run.penetration), outputs.channels(run.rate)
-    for name, depth in penetration.items():
-        missed[name] = len(features.unseen(depth, rate[name])) if np.mean(depth > 0) < _CARRIES else 0
-        pressed = np.concatenate([[False], depth > 0, [False]]).astype(int)
-        lengths = np.flatnonzero(np.diff(pressed) < 0) - np.flatnonzero(np.diff(pressed) > 0)
+    rate = outputs.channels(run.rate)
+    for name, depth in outputs.channels(run.penetration).items():
+        if np.mean(depth > 0) < _CARRIES and (count := len(features.unseen(depth, rate[name]))):
+            missed[name] = count
+        edges = np.diff(np.concatenate([[False], depth > 0, [False]]).astype(int))
+        lengths = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
         if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
             shortest[name] = int(lengths.min())
     found = []
     if not (run.force or run.readings):
         found.append("the scene has no contact; name readings in [[read]] tables")
-    missed = {name: count for name, count in missed.items() if count}
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
         count = sum(missed.values())
         short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
-        found.append(
-            f"{_several(missed)}: {short} between two samples; "
-            f"{'histories and pictures' if run.extremes else 'peak, mean, impulse and work'} do not include "
-            f"{'it' if count == 1 else 'them'}; {more}"
-        )
+        what = "histories and pictures" if run.extremes else "peak, mean, impulse and work"
+        them = "it" if count == 1 else "them"
+        found.append(f"{_several(missed)}: {short} between two samples; {what} do not include {them}; {more}")
     if shortest:
-        least = min(shortest.values())
+        samples = counted(min(shortest.values()), "sample")
         coarse = "histories and pictures of it" if run.extremes else "its peak, impulse and work"
         found.append(
-            f"{_several(shortest)}: the shortest contact has only {least} sample{'' if least == 1 else 's'}, so that "
-            f"{coarse} are coarse; {more}"
+            f"{_several(shortest)}: the shortest contact has only {samples}, so that {coarse} are coarse; {more}"
         )
     return found
 
@@ -250,19 +214,13 @@ def work_warnings(run: Run) -> list[str]:
         if work < -_ROUNDING * float(pushed.max() * np.abs(depth).max()):
             # The integral of F dd ends below 0 where less is stored at the end than at the start.
             (given_back if depth[0] > max(depth[-1], 0.0) else coarse).append(name)
-    found = []
-    if given_back:
-        found.append(
-            f"{_several(given_back)}: the dissipated work is below 0: the run begins with the contact pressed, and the "
-            "elastic energy that was stored then has come out"
-        )
+    begins = "the run begins with the contact pressed, and the elastic energy that was stored then has come out"
+    samples = (
+        "which no contact does: the samples do not resolve the force against the penetration: raise [time] samples"
+    )
+    found = [f"{_several(given_back)}: the dissipated work is below 0: {begins}"] if given_back else []
     # In the solver's steps that is the error of the energy balance, which is judged.
-    if coarse and not steps:
-        found.append(
-            f"{_several(coarse)}: the dissipated work is below 0, which no contact does: the samples do not resolve the "
-            "force against the penetration: raise [time] samples"
-        )
-    return found
+    return found + ([f"{_several(coarse)}: the dissipated work is below 0, {samples}"] if coarse and not steps else [])
 
 
 def _several(names: Iterable[str]) -> str:
@@ -276,16 +234,15 @@ def _several(names: Iterable[str]) -> str:
 def input_rows(given: SceneFile) -> list[list[str]]:
     """The scene file for people: a row an option or parameter, with its meaning."""
     resolved: dict[str, Any] = given.resolved
-    rows = [["", "value", "meaning"]]
-    rows += [[f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()]
-    for name, quantity in given.scene.quantities.items():
-        if name not in resolved["parameters"]:
-            continue
-        rows.append([name, quantity.text(resolved["parameters"][name], 8), quantity.meaning])
-    rows += [["time: end", format_si(resolved["time"]["end"], "s"), ""]]
-    rows += [["time: samples", str(resolved["time"]["samples"]), ""]]
-    rows += [[f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()]
-    return rows
+    values, time = resolved["parameters"], resolved["time"]
+    return [
+        ["", "value", "meaning"],
+        *([f"scene: {key}", str(value), ""] for key, value in resolved["scene"].items()),
+        *([k, q.text(values[k], 8), q.meaning] for k, q in given.scene.quantities.items() if k in values),
+        ["time: end", format_si(time["end"], "s"), ""],
+        ["time: samples", str(time["samples"]), ""],
+        *([f"accuracy: {key}", str(value), ""] for key, value in resolved["accuracy"].items()),
+    ]
 
 
 def _readings(reads: Sequence[Channel], run: Run) -> dict[str, np.ndarray]:
@@ -321,22 +278,17 @@ class Written(NamedTuple):
 
 def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[Channel] = ()) -> Written:
     """Write the numbers of a run: of ``files`` all but pictures and report, less tables that the level does not have."""
-    warnings = resolution_warnings(run) + work_warnings(run)
-    warnings += envelope.warnings(given.scene, given.params, run.times)
-    warnings += envelope.of_the_start(given.scene, given.params, run.times, run.force)
-    warnings += given.scene.warnings(given.params, run)
+    scene, params = given.scene, given.params
+    warnings = resolution_warnings(run) + work_warnings(run) + envelope.warnings(scene, params, run.times)
+    warnings += envelope.of_the_start(scene, params, run.times, run.force) + given.scene.warnings(params, run)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
-    head = f"{source}, as it was run: every default, SI\n{choice_sentence(run)}".strip()
+    head = f"{source}, as it was run: every default, SI\n{page.choice_sentence(run)}".strip()
     outputs.write_toml(folder / "run.toml", given.resolved, head)
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
-    outputs.write_forces(folder / "forces.csv", run)
-    outputs.write_contacts(folder / "contacts.csv", run)
-    if given.reads:
-        outputs.write_histories(folder / READINGS[0], run.times, _readings(given.reads, run))
-    if framed:
-        outputs.write_histories(folder / FRAMED, run.times, _readings(framed, run))
-    whole, extra = given.scene.whole(given.params, run)
-    for name, columns in extra.items():
+    whole, extra = scene.whole(params, run)
+    found: dict[str, Any] = {"forces.csv": outputs.force_columns(run), "contacts.csv": outputs.contact_columns(run)}
+    found |= {name: _readings(reads, run) for name, reads in ((READINGS[0], given.reads), (FRAMED, framed)) if reads}
+    for name, columns in {**found, **extra}.items():
         outputs.write_histories(folder / name, run.times, columns)
     judged = balance.of_run(given.scene, given.params, run, force_error(given.accuracy))
     if judged.verdict == balance.MISSED:
@@ -355,14 +307,13 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     if given.reads:
         tables.append(_readings_rows(given, run))
     answer = page.verdict(run, content, absurd)
-    said = (
-        f"{answer.word}. {answer.sentence} {choice_sentence(run)}".strip() if run.status != "failed" else verdict(run)
-    )
-    accuracy = "".join(f"{line}\n" for line in accuracy_sentences(run))
+    said = f"{answer.word}. {answer.sentence} {page.choice_sentence(run)}".strip()
+    said = verdict(run) if run.status == "failed" else said
     digits = [f"{page.note(content['contacts'])}All digits: summary.json."] if run.force else []
     text = "\n\n".join([said, *map(report.text, tables), *digits])
-    if accuracy:
-        accuracy = f"{accuracy}Model form: {model_form(given.scene.model_form)}\n"
+    lines = accuracy_sentences(run)
+    lines += [f"Model form: {model_form(given.scene.model_form)}"] if lines else []
+    accuracy = "".join(f"{line}\n" for line in lines)
     # What is missed stands first.
     balanced = "" if judged.verdict == balance.MISSED else f"{judged.sentence()}\n"
     return Written(f"{text}\n\n{balanced}{accuracy}", warnings, content, absurd)
@@ -372,21 +323,15 @@ def draw(folder: Path, given: SceneFile, run: Run, stem: str, written: Written, 
     """The pictures of a run, its report, and files with the run in motion (``io.view.export``)."""
     shown = page.drawn(folder, run, given.scene, given.params, given.reads, written.content["contacts"])
     found = page.made(
-        f"Simulation of {stem}", run, given.scene, written.content, shown,
+        f"Simulation of {stem}", page.Ran(run, given.scene, written.content, written.absurd), shown,
         [Table("Input: values and what they mean", input_rows(given))],
-        _readings_rows(given, run, 3) if given.reads else (), choice_sentence(run), written.absurd,
+        _readings_rows(given, run, 3) if given.reads else (),
     )  # fmt: skip
-    from bcfj_jax.io.view import animation, export
+    from bcfj_jax.io.view import animation, export, fragment
 
     moving = animation.animation(given.scene, given.params, run, f"Simulation of {stem}")
-    report.write(folder, replace(found, animation="" if moving is None else _section(moving)), given.scene.model_form)
     if moving is not None:
+        found = replace(found, animation=f"<section><h2>In motion</h2>{fragment.fragment(moving)}</section>")
         for name in animations:
             export.write(moving, folder / name)
-
-
-def _section(moving: Animation) -> str:
-    """The report's section with the run in motion."""
-    from bcfj_jax.io.view import fragment
-
-    return f"<section><h2>In motion</h2>{fragment.fragment(moving)}</section>"
+    report.write(folder, found, given.scene.model_form)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.simulation import pictures
-from bcfj_jax.io.outputs import COMPONENTS, channels
+from bcfj_jax.io.outputs import COMPONENTS, channels, force_columns
 from bcfj_jax.io.page import percent
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
@@ -66,7 +66,6 @@ def _known(what: Callable[[Any], Any], values: np.ndarray) -> float:
 
 
 def _share(found: Run, name: str) -> float:
-    """Share of the time in contact, the mean of members."""
     depth = found.penetration[name].reshape(len(found.times), -1)
     if len(found.times) < 2:
         return math.nan
@@ -75,9 +74,7 @@ def _share(found: Run, name: str) -> float:
 
 def frame(found: Run) -> tuple[dict[str, Any], str]:
     """Time [s] as the index; forces as in forces.csv, penetrations, rates, sliding speeds and readings."""
-    columns: dict[str, Any] = {"time [s]": found.times}
-    for name, force in channels(found.force, 1).items():
-        columns |= {f"{name}.{part} [N]": force[:, k] for k, part in enumerate(COMPONENTS)}
+    columns: dict[str, Any] = {"time [s]": found.times, **force_columns(found)}
     for what, unit, history in _scalars(found):
         columns |= {f"{name}.{what} [{unit}]": values for name, values in channels(history).items()}
     for name, values in found.readings.items():

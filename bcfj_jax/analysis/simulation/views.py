@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.io.page import Picture, brief, percent
-from bcfj_jax.io.plots import COLOURS, Margins, engineering, figure, label, panels, save, style
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, over_time, panels, sheet
 from bcfj_jax.mechanism.model import Orbit
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.simulation import Run
@@ -40,61 +40,47 @@ class Turning(NamedTuple):
         return self.turn / self.pitch
 
 
-def last_turn(run: Run, turning: Turning) -> np.ndarray:
-    """Which samples (T,) belong to the last whole turn; all of a run that is shorter."""
+def last_turn(run: Run, turning: Turning | None) -> np.ndarray:
+    """Which samples (T,) belong to the last whole turn; all of a run that is shorter, or where nothing turns."""
+    if turning is None:
+        return np.ones(len(run.times), bool)
     return run.times >= run.times[-1] - turning.turn * (1.0 + 1e-9)
 
 
 def around(run: Run, path: Path, turning: Turning | None) -> Picture:
     """Loads of the members about their axis, one panel a contact: the last turn, the peaks, and one instant."""
-    with_members = {name: force[..., 0] for name, force in run.force.items() if force.ndim == 3}
-    said = []
+    with_members = {name: np.abs(force[..., 0]) for name, force in run.force.items() if force.ndim == 3}
+    part = last_turn(run, turning)
+    times, said = run.times[part], []
     with panels(len(with_members), 3, path, 3.4, 3.7, Margins(0.1, 0.1, 0.45, 0.35)) as axes:
-        for axis, (name, force) in zip(axes, with_members.items(), strict=True):
-            count = force.shape[1]
-            size = np.abs(force)
+        for axis, (name, size) in zip(axes, with_members.items(), strict=True):
+            count, late = size.shape[1], size[part]
             top = float(np.nanmax(size, initial=0.0)) or 1.0
             scale, prefix = engineering([top])
             start = 2.0 * np.pi * np.arange(count) / count
             _spokes(axis, start, top * scale, f"{prefix}N")
-            part = last_turn(run, turning) if turning else np.ones(len(run.times), bool)
-            late, times = size[part], run.times[part]
+            angle = start + (2.0 * np.pi * times[:, None] / turning.turn if turning else np.zeros((times.size, 1)))
             if turning:
-                angle = start + 2.0 * np.pi * times[:, None] / turning.turn
-                axis.plot(
-                    *_polar(angle[:, 0], late[:, 0] * scale),
-                    color=COLOURS[0],
-                    linewidth=1.4,
-                    label="one member, one turn",
-                )
-            else:
-                angle = np.broadcast_to(start, late.shape)
+                line = _polar(angle[:, 0], late[:, 0] * scale)
+                axis.plot(*line, color=COLOURS[0], linewidth=1.4, label="one member, one turn")
             highest = late.max(axis=0)
-            at = late.argmax(axis=0)
-            where = angle[at, np.arange(count)]
+            where = angle[late.argmax(axis=0), np.arange(count)]
             axis.plot(*_polar(where, highest * scale), "o", color=COLOURS[1], markersize=5, label="peak of each")
             k = int(np.argmax(late.max(axis=1)))
             x, y = _polar(angle[k], late[k] * scale)
             axis.plot(np.append(x, x[0]), np.append(y, y[0]), "s-", color=COLOURS[2], markersize=3.5, linewidth=0.9,
                       label=f"all at {brief(float(times[k]), 's')}")  # fmt: skip
             axis.set_title(name)
-            axis.legend(
-                fontsize=7.5,
-                loc="upper center",
-                bbox_to_anchor=(0.5, 0.03),
-                ncols=3,
-                columnspacing=0.8,
-                handlelength=1.2,
-            )
+            axis.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=3, columnspacing=0.8,
+                        handlelength=1.2)  # fmt: skip
             carrying = int(np.count_nonzero(late[k] > 0.05 * late[k].max()))
             said.append(
                 f"{name}: at most {brief(float(highest.max()), 'N')}, when {carrying} of {count} members carry more than "
                 f"a twentieth of it"
             )
     when = "over the last turn" if turning else "over the run"
-    return Picture(
-        path.name, "Loads around the axis", f"Normal force of the members {when}, by angle. {'; '.join(said)}."
-    )
+    shows = f"Normal force of the members {when}, by angle. {'; '.join(said)}."
+    return Picture(path.name, "Loads around the axis", shows)
 
 
 def _polar(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,14 +101,8 @@ def _spokes(axis, start: np.ndarray, top: float, unit: str) -> None:
     for k, a in enumerate(start):
         axis.text(1.17 * top * math.cos(a), 1.17 * top * math.sin(a), str(k + 1), ha="center", va="center", fontsize=8)
     for r in radii[radii <= 1.02 * top]:
-        axis.text(
-            *_polar(np.asarray(np.pi / len(start)), np.asarray(r)),
-            f"{r:g}",
-            fontsize=7,
-            color="#4d4d4d",
-            ha="center",
-            va="center",
-        )
+        place = _polar(np.asarray(np.pi / len(start)), np.asarray(r))
+        axis.text(*place, f"{r:g}", fontsize=7, color="#4d4d4d", ha="center", va="center")
     axis.text(0.01, 0.99, f"[{unit}]".replace("u", "µ"), transform=axis.transAxes, fontsize=8, va="top")
     axis.set(xlim=(-1.28 * top, 1.28 * top), ylim=(-1.28 * top, 1.28 * top), aspect="equal")
     axis.set_axis_off()
@@ -137,7 +117,7 @@ def _round(value: float) -> float:
 
 def orbits(run: Run, found: Mapping[str, Orbit], path: Path, turning: Turning | None) -> Picture:
     """The path of each inner centre in its clearance circle, one panel a contact; the last turn on top."""
-    said = []
+    said, part = [], last_turn(run, turning)
     with panels(len(found), 3, path, 4.3, 4.6, Margins(0.75, 0.2, 0.85, 0.4)) as axes:
         for axis, (name, orbit) in zip(axes, found.items(), strict=True):
             size = np.hypot(orbit.x, orbit.y)
@@ -148,29 +128,20 @@ def orbits(run: Run, found: Mapping[str, Orbit], path: Path, turning: Turning | 
             axis.fill(*circle, color="#e6edf3", zorder=0)
             axis.plot(*circle, color=COLOURS[5], linewidth=1.0, label=f"clearance, {brief(orbit.clearance, 'm')}")
             axis.plot(orbit.x * scale, orbit.y * scale, color=COLOURS[0], linewidth=0.7, alpha=0.55, label="whole run")
-            part = last_turn(run, turning) if turning else np.zeros(len(run.times), bool)
-            if part.any() and not part.all():
-                axis.plot(
-                    orbit.x[part] * scale, orbit.y[part] * scale, color=COLOURS[1], linewidth=1.5, label="last turn"
-                )
+            if not part.all():
+                last = (orbit.x[part] * scale, orbit.y[part] * scale)
+                axis.plot(*last, color=COLOURS[1], linewidth=1.5, label="last turn")
             axis.plot(orbit.x[:1] * scale, orbit.y[:1] * scale, "o", color=COLOURS[5], markersize=4, label="start")
-            axis.set_title(f"{name}: {orbit.what}")
-            most = 1.12 * reach * scale
-            axis.set(xlim=(-most, most), ylim=(-most, most), aspect="equal")
-            axis.set_xlabel(label(orbit.axes[0], "m", prefix))
-            axis.set_ylabel(label(orbit.axes[1], "m", prefix))
+            names = dict(zip(("xlabel", "ylabel"), (label(one, "m", prefix) for one in orbit.axes), strict=True))
+            edge = (-1.12 * reach * scale, 1.12 * reach * scale)
+            axis.set(title=f"{name}: {orbit.what}", xlim=edge, ylim=edge, aspect="equal", **names)
             if axis is axes[0]:
                 axis.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), ncols=4, borderpad=0.0)
-            most = float(np.nanmax(size, initial=0.0))
+            most, clearance = float(np.nanmax(size, initial=0.0)), brief(orbit.clearance, "m")
             past = f", {brief(most - orbit.clearance, 'm')} past the circle" if most > orbit.clearance else ""
-            aside = (
-                f" (and {brief(float(np.nanmax(np.abs(orbit.along))), 'm')} along the axis)"
-                if orbit.along is not None
-                else ""
-            )
-            said.append(
-                f"{orbit.what}: at most {brief(most, 'm')} from the middle{aside}, clearance {brief(orbit.clearance, 'm')}{past}"
-            )
+            along = "" if orbit.along is None else brief(float(np.nanmax(np.abs(orbit.along))), "m")
+            aside = f" (and {along} along the axis)" if along else ""
+            said.append(f"{orbit.what}: at most {brief(most, 'm')} from the middle{aside}, clearance {clearance}{past}")
     shows = f"Path of the inner body's centre in its clearance circle. {'; '.join(said)}."
     return Picture(path.name, "Path in the clearance circle", shows)
 
@@ -181,7 +152,7 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
     from matplotlib.patches import Patch
 
     rows = channels(run.state)
-    part = last_turn(run, turning) if turning else np.ones(len(run.times), bool)
+    part = last_turn(run, turning)
     codes = np.stack([state[part] for state in rows.values()])
     times = run.times[part]
     # A picture has fewer columns than a run has samples: the most telling state of each, so that no contact is lost.
@@ -189,29 +160,18 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
     padded = np.pad(codes, ((0, 0), (0, -codes.shape[1] % each)), mode="edge")
     ranks = np.where(padded >= 0, np.argsort(_RANKED)[padded], -1).reshape(len(rows), -1, each).max(axis=2)
     shown = np.where(ranks >= 0, _RANKED[ranks], -1)
-    scale, prefix = engineering(times)
     kinds = sorted({int(code) for code in np.unique(codes) if code >= 0})
-    with style():
-        drawing, (axis,) = figure(1, height=0.9 + 0.17 * max(len(rows), 4), margins=Margins(left=1.15, above=0.4))
+    height, margins = 0.9 + 0.17 * max(len(rows), 4), Margins(left=1.15, above=0.4)
+    with sheet(path, height=height, margins=margins) as (axis,):
+        scale = over_time(axis, times)
         ends = (times[0] * scale, times[-1] * scale, len(rows) - 0.5, -0.5)
-        field = np.ma.masked_less(shown, 0)
-        axis.imshow(
-            field,
-            aspect="auto",
-            extent=ends,
-            cmap=ListedColormap(_SHADES),
-            vmin=-0.5,
-            vmax=len(STATES) - 0.5,
-            interpolation="nearest",
-        )
+        look: dict[str, Any] = {"cmap": ListedColormap(_SHADES), "vmin": -0.5, "vmax": len(STATES) - 0.5}
+        axis.imshow(np.ma.masked_less(shown, 0), aspect="auto", extent=ends, interpolation="nearest", **look)
         axis.set_yticks(range(len(rows)), list(rows), fontsize=7)
         axis.grid(False)
-        axis.set_xlabel(label("time", "s", prefix))
-        patches = [
-            Patch(facecolor=_SHADES[code], edgecolor="#4a4a4a", linewidth=0.5, label=STATES[code]) for code in kinds
-        ]
+        edge = {"edgecolor": "#4a4a4a", "linewidth": 0.5}
+        patches = [Patch(facecolor=_SHADES[code], label=STATES[code], **edge) for code in kinds]
         axis.legend(handles=patches, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, fontsize=8, borderpad=0.2)
-        save(drawing, path)
     said = []
     for name, state in run.state.items():
         now = state[part]
@@ -219,10 +179,9 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
         total = max(int(np.count_nonzero(known)), 1)
         shares = [(STATES[c], np.count_nonzero(now[known] == c) / total) for c in kinds]
         said.append(f"{name} {', '.join(f'{word} {percent(share, 2)}' for word, share in shares if share > 0)}")
-    when = "over the last turn" if turning and not part.all() else "over the run"
-    return Picture(
-        path.name, "State of each contact", f"State of each contact {when}, shares of the samples: {'; '.join(said)}."
-    )
+    when = "over the run" if part.all() else "over the last turn"
+    shows = f"State of each contact {when}, shares of the samples: {'; '.join(said)}."
+    return Picture(path.name, "State of each contact", shows)
 
 
 def orders(run: Run, path: Path, turning: Turning) -> Picture | None:
@@ -230,50 +189,41 @@ def orders(run: Run, path: Path, turning: Turning) -> Picture | None:
 
     None for a run of less than a turn after its first third.
     """
-    span = run.times[-1] - run.times[0]
-    turns = math.floor(2.0 / 3.0 * span / turning.turn + 1e-9)
+    end, turns = run.times[-1], math.floor(2.0 / 3.0 * (run.times[-1] - run.times[0]) / turning.turn + 1e-9)
     if turns < 1:
         return None
-    count = max(256, 2 * int(np.count_nonzero(run.times >= run.times[-1] - turns * turning.turn) // 2))
-    even = run.times[-1] - turns * turning.turn + turns * turning.turn * np.arange(count) / count
-    most = min(4.0 * turning.passes + 2.0 if turning.passes > 1.5 else 20.0, count / 2 / turns)
-    said, passes = [], turning.passes > 1.5
-    with style():
-        drawing, (axis,) = figure(1, height=3.4, margins=Margins(above=0.55))
-        highest, force_scale, prefix = (
-            0.0,
-            *engineering([p for f in run.force.values() for p in [float(np.nanmax(np.abs(f[..., 0])))]]),
-        )
+    whole, several = turns * turning.turn, turning.passes > 1.5
+    count = max(256, 2 * int(np.count_nonzero(run.times >= end - whole) // 2))
+    even = end - whole + whole * np.arange(count) / count
+    most = min(4.0 * turning.passes + 2.0 if several else 20.0, count / 2 / turns)
+    highest, said = 0.0, []
+    with sheet(path, height=3.4, margins=Margins(above=0.55)) as (axis,):
+        scale, prefix = engineering([float(np.nanmax(np.abs(force[..., 0]))) for force in run.force.values()])
         for number, (name, history) in enumerate(run.force.items()):
-            normal = history[:, 0, 0] if history.ndim == 3 else history[:, 0]
-            wave = np.interp(even, run.times, normal)
-            amplitude = 2.0 * np.abs(np.fft.rfft(wave))[1:] / count * force_scale
-            order = np.arange(1, amplitude.size + 1) / turns
-            near = order <= most
-            channel = f"{name}_1" if history.ndim == 3 else name
-            colour = COLOURS[number % len(COLOURS)]
+            members = history.ndim == 3
+            channel, normal = (f"{name}_1", history[:, 0, 0]) if members else (name, history[:, 0])
+            amplitude = 2.0 * np.abs(np.fft.rfft(np.interp(even, run.times, normal)))[1:] / count * scale
+            step = np.arange(1, amplitude.size + 1)
+            order = step / turns
+            near, colour = order <= most, COLOURS[number % len(COLOURS)]
             # Whole orders only: what lies between them has no place in a motion that repeats itself each turn.
-            whole = np.flatnonzero(near & (np.arange(1, amplitude.size + 1) % turns == 0))
-            place = order[whole] + 0.13 * (number - 0.5 * (len(run.force) - 1))
-            axis.vlines(place, 1e-300, amplitude[whole], color=colour, linewidth=1.0)
-            axis.plot(place, amplitude[whole], "o", color=colour, markersize=2.8, label=channel)
+            shown = np.flatnonzero(near & (step % turns == 0))
+            place = order[shown] + 0.13 * (number - 0.5 * (len(run.force) - 1))
+            axis.vlines(place, 1e-300, amplitude[shown], color=colour, linewidth=1.0)
+            axis.plot(place, amplitude[shown], "o", color=colour, markersize=2.8, label=channel)
             strongest = int(np.argmax(amplitude[near]))
-            highest = max(highest, float(amplitude[strongest]))
-            said.append(
-                f"{channel} {brief(float(amplitude[strongest] / force_scale), 'N')} at order {order[strongest]:.3g}"
-            )
-        for k in range(1, int(most / turning.passes) + 1) if turning.passes > 1.5 else ():
+            top = float(amplitude[strongest])
+            highest = max(highest, top)
+            said.append(f"{channel} {brief(top / scale, 'N')} at order {order[strongest]:.3g}")
+        for k in range(1, int(most / turning.passes) + 1) if several else ():
             axis.axvline(k * turning.passes, color=COLOURS[5], linewidth=0.8, linestyle=":")
-            axis.text(
-                k * turning.passes, 1.01, f"{k} x pass", transform=axis.get_xaxis_transform(), fontsize=7.5, ha="center"
-            )
-        axis.set_yscale("log")
-        axis.set_ylim(max(_RANGE * highest, 1e-300), 2.0 * highest or 1.0)
-        axis.set_xlim(0.0, most)
-        axis.set_xlabel("order of the shaft [1/turn]")
-        axis.set_ylabel(label("amplitude", "N", prefix))
+            above = {"transform": axis.get_xaxis_transform(), "fontsize": 7.5, "ha": "center"}
+            axis.text(k * turning.passes, 1.01, f"{k} x pass", **above)
+        axis.set(
+            yscale="log", ylim=(max(_RANGE * highest, 1e-300), 2.0 * highest or 1.0), xlim=(0.0, most),
+            xlabel="order of the shaft [1/turn]", ylabel=label("amplitude", "N", prefix),
+        )  # fmt: skip
         axis.legend(fontsize=8, ncols=min(len(said), 5), loc="lower left", bbox_to_anchor=(0.0, 1.05), borderpad=0.0)
-        save(drawing, path)
-    passing = f"members pass at orders {turning.passes:g}, {2 * turning.passes:g} and so on; " if passes else ""
+    passing = f"members pass at orders {turning.passes:g}, {2 * turning.passes:g} and so on; " if several else ""
     shows = f"Amplitude of the normal force by order of the shaft, over the last {turns} turns; {passing}strongest: "
     return Picture(path.name, "Order spectrum", f"{shows}{'; '.join(said)}.")

@@ -25,8 +25,7 @@ _TOP, _LEAST = 10.0, 1e-12
 def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> Picture:
     """Work-precision: one panel of values, one of derivatives where there are any."""
     slopes = any(np.isfinite(row["derivative_error"]) for row in study.rows)
-    with plots.style():
-        drawing, axes = plots.figure(1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4)
+    with plots.sheet(path, 1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4) as axes:
         errors = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
         walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
         least_error = study.reference.least_error if study.reference else float("nan")
@@ -44,7 +43,6 @@ def tradeoff(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, 
             )
             axes[1].set_title("derivatives of the forces, rms")
             axes[1].set_ylabel("error of derivatives [-]")
-        plots.save(drawing, path)
     known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
     rings = [
         f"{name} ({span([known[name]])}) for {budgets}" for name, budgets in shared(advice).items() if name in known

@@ -6,6 +6,7 @@ Scenery``), and s the exaggeration. At s = 1 that is the true pose.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.shapes import Drawing, Mesh, joined
@@ -127,13 +129,9 @@ def _scenery(model: AbstractModel, params: Params, times: Array, states: Array) 
 
 
 def animation(model: AbstractModel, params: Params, run: Run, title: str = "", count: int = FRAMES) -> Animation | None:
-    """The animation of a run; None for a model that cannot be drawn, a run that ended at once, and hundreds of bodies.
+    """The animation of a run with its trajectory, of ``count`` frames at most.
 
-    Args:
-        model, params: what was simulated.
-        run: ``simulate``'s, with its trajectory.
-        title: what it is of; by default the model's.
-        count: of frames, at most.
+    None for a model that cannot be drawn, a run that ended at once, and hundreds of bodies.
     """
     numbers: Any = {name: np.asarray(value, float) for name, value in params.items()}
     model = model.level(run.choice.fidelity) if run.choice else model
@@ -175,33 +173,25 @@ def _tracks(model: AbstractModel, found: Any) -> tuple[list[Track], dict[str, li
     for name in [*model.body_names, *(n for n in found.poses if n not in model.body_names)]:
         true, ideal = found.poses[name], found.ideal[name]
         members = model.body_members.get(name, 0) if true.place.ndim > 2 else 0
-        index[name] = []
+        index[name] = list(range(len(tracks), len(tracks) + (members or 1)))
         for k in range(members or 1):
-            pick = (slice(None), k) if members else (slice(None),)
-            at, axes = ideal.place[pick], ideal.axes[pick]
-            turn = rotation_vector(np.einsum("fij,fkj->fik", true.axes[pick], axes))
-            index[name].append(len(tracks))
-            label = f"{name} {k + 1}" if members else name
-            tracks.append(Track(label, at, quaternion(axes), true.place[pick] - at, turn))
+            place, axes, at, to = (x[:, k] if members else x for x in (true.place, true.axes, ideal.place, ideal.axes))
+            turn = rotation_vector(np.einsum("fij,fkj->fik", axes, to))
+            tracks.append(Track(f"{name} {k + 1}" if members else name, at, quaternion(to), place - at, turn))
     return tracks, index
 
 
 def _forces(model: AbstractModel, found: Any, index: dict[str, list[int]]) -> list[Force]:
-    forces = []
-    carriers = model.carriers()
-    for contact in model.contacts:
-        if contact.name not in found.arrows:
-            continue
-        arrow, carrier = found.arrows[contact.name], carriers[contact.name]
+    forces, carriers = [], model.carriers()
+    for contact in (c.name for c in model.contacts if c.name in found.arrows):
+        arrow, carrier = found.arrows[contact], carriers[contact]
         members = arrow.force.shape[1] if arrow.force.ndim > 2 else 0
         for k in range(members or 1):
             point, force = (x[:, k] if members else x for x in (arrow.point, arrow.force))
             track = index[carrier][k if len(index[carrier]) > 1 else 0]
-            place = 0.0
-            if track >= 0:
-                own = found.poses[carrier].place
-                place = own[:, k] if own.ndim > 2 else own
-            forces.append(Force(contact.name, k + 1 if members else 0, track, point - place, force))
+            place = found.poses[carrier].place if track >= 0 else np.zeros_like(point)
+            lever = point - (place[:, k] if place.ndim > 2 else place)
+            forces.append(Force(contact, k + 1 if members else 0, track, lever, force))
     return forces
 
 
@@ -230,23 +220,25 @@ def _bounds(
     for track, mesh, _ in parts:
         # Extreme points of a mesh stand for it.
         extreme = mesh.points[np.unique(np.argmax(mesh.points @ _WAYS.T, axis=0))]
-        if track < 0:
-            corners.append(extreme)
-            continue
-        t = tracks[track]
-        for k in np.unique(np.linspace(0, len(t.place) - 1, _SIZED).astype(int)):
-            place, turn = posed(t, int(k))
+        count = len(tracks[track].place) if track >= 0 else 1
+        for k in np.unique(np.linspace(0, count - 1, _SIZED).astype(int)):
+            place, turn = _pose_of(tracks, track, int(k))
             corners.append(extreme @ turn.T + place)
     points = np.concatenate(corners)
     size = float(np.ptp(points, axis=0).max())
     for force in forces:
-        k = int(np.argmax(np.linalg.norm(force.force, axis=1)))
-        at = force.lever[k] + (posed(tracks[force.track], k)[0] if force.track >= 0 else 0.0)
-        tail = at - ARROW * size * force.force[k] / max(float(np.linalg.norm(force.force[k])), 1e-300)
+        lengths = np.linalg.norm(force.force, axis=1)
+        k = int(np.argmax(lengths))
+        at = force.lever[k] + _pose_of(tracks, force.track, k)[0]
+        tail = at - ARROW * size * force.force[k] / max(float(lengths[k]), 1e-300)
         points = np.concatenate([points, tail[None]])
     seen = points @ axes
     low, high = seen.min(axis=0), seen.max(axis=0)
     return axes @ (0.5 * (low + high)), 0.5 * (high - low)
+
+
+def _pose_of(tracks: list[Track], track: int, k: int) -> tuple[np.ndarray, np.ndarray]:
+    return posed(tracks[track], k) if track >= 0 else (np.zeros(3), np.eye(3))
 
 
 def posed(track: Track, k: int, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -256,18 +248,21 @@ def posed(track: Track, k: int, exaggeration: float = 1.0) -> tuple[np.ndarray, 
 
 
 def _exaggeration(tracks: list[Track], size: float) -> tuple[float, float]:
-    shift = max((float(np.linalg.norm(t.shift, axis=1).max()) for t in tracks), default=0.0)
-    turn = max((float(np.linalg.norm(t.turn, axis=1).max()) for t in tracks), default=0.0)
+    """By how much play is drawn larger by default, and at most."""
+    shift, turn = (
+        max((float(np.linalg.norm(x, axis=1).max()) for x in each), default=0.0)
+        for each in ([t.shift for t in tracks], [t.turn for t in tracks])
+    )
     if not 0.0 < shift < _SEEN * size:
         return 1.0, 1.0
     most = min(20.0 * _WANTED * size / shift, _TURN / max(turn, 1e-12))
-    return _tidy(min(_WANTED * size / shift, most)), max(_tidy(most), 1.0)
+    return steps(min(_WANTED * size / shift, most))[-1], steps(most)[-1]
 
 
-def _tidy(factor: float) -> float:
-    """The greatest of 1, 2, 5, 10, 20 ... that is not above a factor."""
-    power = 10.0 ** np.floor(np.log10(max(factor, 1.0)))
-    return float(max(d * power for d in (1.0, 2.0, 5.0) if d * power <= max(factor, 1.0) * (1.0 + 1e-12)))
+def steps(most: float) -> list[float]:
+    """Exaggerations to choose from: 1, 2, 5, 10 ... up to the most."""
+    powers = range(math.floor(math.log10(max(most, 1.0)) + 1e-12) + 1)
+    return [d * 10.0**k for k in powers for d in (1.0, 2.0, 5.0) if d * 10.0**k <= max(most, 1.0) * (1.0 + 1e-9)]
 
 
 # Rotations.
@@ -275,44 +270,21 @@ def _tidy(factor: float) -> float:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """(F, 4) of matrices (F, 3, 3), scalar first; neighbours in one half-space."""
-    m = axes
-    trace = np.einsum("fii->f", m)
-    diagonal = np.stack([trace, m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]], axis=1)
-    squares = 0.25 * np.stack([1.0 + trace, *(1.0 - trace + 2.0 * m[:, i, i] for i in range(3))], axis=1)
-    best = np.argmax(diagonal, axis=1)
-    rows = np.arange(len(m))
-    a = 0.25 * np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
-    b = 0.25 * (m + np.swapaxes(m, 1, 2))
-    # w x_i is a_i, and x_i x_j is b_ij: the row of the greatest component, over it.
-    table = np.zeros((len(m), 4, 4))
-    table[:, 0, 0], table[:, 0, 1:], table[:, 1:, 0], table[:, 1:, 1:] = squares[:, 0], a, a, b
-    table[:, [1, 2, 3], [1, 2, 3]] = squares[:, 1:]
-    q = table[rows, best] / np.sqrt(squares[rows, best])[:, None]
+    q = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
 
 
 def rotation_vector(axes: np.ndarray) -> np.ndarray:
     """(F, 3) of matrices (F, 3, 3), of at most half a turn."""
-    q = quaternion(axes)
-    q = np.where(q[:, :1] < 0, -q, q)
-    size = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
-    return q[:, 1:] * np.where(size > 1e-12, 2.0 * np.arctan2(size, q[:, :1]) / np.where(size > 0, size, 1.0), 2.0)
+    return Rotation.from_matrix(axes).as_rotvec()
 
 
 def matrix(q: np.ndarray) -> np.ndarray:
-    """(3, 3) of a unit quaternion."""
-    w, x, y, z = q
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    """(3, 3) of a unit quaternion, scalar first."""
+    return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
 def rotation(vector: np.ndarray) -> np.ndarray:
     """(3, 3) of a rotation vector [rad]."""
-    angle = float(np.linalg.norm(vector))
-    half = 0.5 * angle
-    share = np.sin(half) / angle if angle > 0 else 0.5
-    return matrix(np.concatenate([[np.cos(half)], share * np.asarray(vector)]))
+    return Rotation.from_rotvec(vector).as_matrix()

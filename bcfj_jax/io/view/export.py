@@ -1,21 +1,37 @@
-"""``animate``: a run as a page, glTF or a movie, by the suffix of a path."""
+"""``animate``: a run as a page, glTF or a movie, by the suffix of a path.
+
+GIF is written by Pillow, MP4 by ffmpeg (extra ``animation``).
+"""
 
 from __future__ import annotations
 
 import html
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.extras import library
+from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic, write_text
-from bcfj_jax.io.view import movie
+from bcfj_jax.io.view import painter
 from bcfj_jax.io.view.animation import Animation, animation
-from bcfj_jax.io.view.fragment import fragment
+from bcfj_jax.io.view.fragment import fragment, unit_of
 from bcfj_jax.io.view.gltf import glb
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.simulation import Run
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 # By the word of the command line, the suffix of the file.
 FORMATS = {"html": ".html", "gltf": ".glb", "mp4": ".mp4", "gif": ".gif"}
+# Pictures, and pictures a second; width and height [pixels].
+_GIF, _MP4 = (80, 12), (200, 25)
+SIZE = (640, 400)
 
 
 def checked(word: str, where: str = "--animate") -> str:
@@ -26,7 +42,7 @@ def checked(word: str, where: str = "--animate") -> str:
     """
     if word not in FORMATS:
         raise InputError(where, f"no format '{word}'", nearest(word, FORMATS))
-    movie.needed(FORMATS[word])
+    _needed(FORMATS[word])
     return FORMATS[word]
 
 
@@ -72,4 +88,64 @@ def write(of: Animation, path: Path) -> None:
         with atomic(path) as temporary:
             temporary.write_bytes(glb(of))
     else:
-        movie.write(of, path)
+        movie(of, path)
+
+
+def _needed(suffix: str) -> None:
+    """Refuse a movie whose library is missing, before anything is computed.
+
+    Raises:
+        InputError: naming the extra.
+    """
+    if suffix == ".mp4":
+        library("imageio_ffmpeg", "animation .mp4", "animation")
+
+
+def movie(of: Animation, path: Path) -> None:
+    """Write a GIF or an MP4, by the path's suffix.
+
+    Raises:
+        InputError: for an MP4 without the extra ``animation``.
+    """
+    from PIL import Image
+
+    _needed(path.suffix)
+    with stage(f"drawing {path.name}"), atomic(path) as temporary:
+        if path.suffix == ".gif":
+            count, rate = _GIF
+            first, *others = [p.quantize(64, dither=Image.Dither.NONE) for p in pictures(of, count)]
+            later = {"append_images": others, "duration": round(1000 / rate), "loop": 0}
+            first.save(temporary, format="GIF", save_all=True, optimize=False, **later)
+            return
+        _encoded(of, temporary)
+
+
+def _encoded(of: Animation, path: Path) -> None:
+    count, rate = _MP4
+    # JAX warns of a fork with a hook, which imageio_ffmpeg's own writer is.
+    program = library("imageio_ffmpeg", "animation .mp4", "animation").get_ffmpeg_exe()
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{SIZE[0]}x{SIZE[1]}", "-r", str(rate), "-i", "-"]
+    made = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path)]
+    command = [program, "-y", "-loglevel", "error", *given, *made]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdin is not None and running.stderr is not None
+        for picture in pictures(of, count):
+            running.stdin.write(picture.tobytes())
+        running.stdin.close()
+        said = running.stderr.read().decode(errors="replace").strip()
+    if running.returncode:
+        raise InputError("animation .mp4", f"ffmpeg failed: {said[:200]}", "write a GIF instead")
+
+
+def pictures(of: Animation, count: int) -> Iterator[Image]:
+    """Pictures at equal steps of time, each of the frame nearest to it, with time and exaggeration written below."""
+    from PIL import ImageDraw
+
+    factor, unit, digits = unit_of(float(np.abs(of.times).max()), "s")
+    scale = "true to scale" if of.exaggeration == 1.0 else f"clearances x {of.exaggeration:g}"
+    for t in np.linspace(of.times[0], of.times[-1], count):
+        k = int(np.argmin(np.abs(of.times - t)))
+        picture = painter.paint(of, k, SIZE)
+        text = f"{of.title}   {of.times[k] * factor:.{digits}f} {unit}   {scale}"
+        ImageDraw.Draw(picture).text((10, SIZE[1] - 22), text, fill=(27, 31, 35), font_size=14)
+        yield picture

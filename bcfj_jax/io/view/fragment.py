@@ -14,20 +14,14 @@ import numpy as np
 from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.io.units import engineering
 from bcfj_jax.io.view import painter
-from bcfj_jax.io.view.animation import ARROW, LEAST, Animation
+from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, steps
 
 # Seconds that a run takes to be played; width and height of the still picture.
 LASTS, STILL = 12.0, (720, 450)
-_STEPS = (1, 2, 5)
 
 
 def _text(name: str) -> str:
     return resources.files("bcfj_jax.io.view").joinpath(name).read_text(encoding="utf-8")
-
-
-def script() -> str:
-    """The viewer's own text."""
-    return _text("viewer.js")
 
 
 class _Blob:
@@ -83,7 +77,6 @@ def _mesh(blob: _Blob, mesh: Mesh) -> dict[str, Any]:
 
 
 def _rows(blob: _Blob, values: np.ndarray, kind: str) -> list[Any]:
-    """A table over frames; one row of what does not change."""
     still = np.all(values == values[0])
     return blob.put((values[:1] if still else values).ravel(), kind)
 
@@ -121,7 +114,7 @@ def content(of: Animation) -> dict[str, Any]:
     times = blob.put(of.times, "f")
     return {
         "meshes": meshes, "parts": parts, "tracks": tracks, "forces": forces, "times": times,
-        "start": strongest(of), "exaggeration": of.exaggeration, "steps": steps(of), "lasts": LASTS,
+        "start": strongest(of), "exaggeration": of.exaggeration, "steps": steps(of.most), "lasts": LASTS,
         "eye": list(of.eye), "up": list(of.up), "centre": of.centre.tolist(), "half": of.half.tolist(), "size": of.size,
         "arrow": ARROW * of.size, "peak": of.peak or 1.0, "least": LEAST,
         "clock": unit_of(float(np.abs(of.times).max()), "s"), "newton": unit_of(of.peak, "N"),
@@ -133,15 +126,6 @@ def strongest(of: Animation) -> int:
     """The frame with the largest force; the middle one without forces."""
     sizes = [np.linalg.norm(f.force, axis=1) for f in of.forces]
     return int(np.argmax(np.max(sizes, axis=0))) if sizes and of.peak > 0 else len(of.times) // 2
-
-
-def steps(of: Animation) -> list[float]:
-    """Exaggerations to choose from: 1, 2, 5, 10 ... up to the most."""
-    found, power = [], 1.0
-    while power <= of.most:
-        found += [d * power for d in _STEPS if d * power <= of.most * (1.0 + 1e-9)]
-        power *= 10.0
-    return found
 
 
 def _legend(of: Animation) -> str:
@@ -165,45 +149,35 @@ def _sentences(of: Animation) -> list[str]:
             f"Shown are {len(of.times)} of {of.samples} samples: of each spell of time the one with the largest force."
         )
     span = float(of.times[-1] - of.times[0])
-    found.append(f"The run of {_span(span)} is played in {LASTS:.0f} s.")
-    if of.exaggeration > 1.0:
-        found.append(
-            f"Clearances, and displacements from where the mechanism would be without them, are drawn "
-            f"{of.exaggeration:g} times as large as they are."
-        )
-    else:
-        found.append("Everything is drawn true to scale.")
-    return [*found, *of.notes]
-
-
-def _span(seconds: float) -> str:
-    factor, unit, _ = unit_of(seconds, "s")
-    return f"{seconds * factor:.4g} {unit}"
+    factor, unit, _ = unit_of(span, "s")
+    scale = (
+        f"Clearances, and displacements from where the mechanism would be without them, are drawn {of.exaggeration:g} times "
+        "as large as they are."
+    )
+    scale = scale if of.exaggeration > 1.0 else "Everything is drawn true to scale."
+    return [*found, f"The run of {span * factor:.4g} {unit} is played in {LASTS:.0f} s.", scale, *of.notes]
 
 
 def still(of: Animation) -> bytes:
     """The picture at the largest force, PNG."""
     from PIL import Image
 
-    picture = painter.paint(of, strongest(of), STILL)
+    few = painter.paint(of, strongest(of), STILL).quantize(64, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     stream = io.BytesIO()
-    picture.quantize(64, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-        stream, format="PNG", compress_level=6
-    )
+    few.save(stream, format="PNG", compress_level=6)
     return stream.getvalue()
 
 
 def _boxes(of: Animation) -> str:
-    contacts = list(dict.fromkeys(f.contact for f in of.forces))
-    bodies = list(dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts))
+    contacts = dict.fromkeys(f.contact for f in of.forces)
+    bodies = dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts)
     found = ""
     for title, letter, names in (("Forces of", "c", contacts), ("Bodies", "b", bodies)):
+        each = ""
+        for name in list(names)[:12]:
+            shown = html.escape(name.replace("_", " "))
+            each += f'<label><input type="checkbox" value="{letter}{html.escape(name)}" checked>{shown}</label>'
         if len(names) > 1:
-            each = "".join(
-                f'<label><input type="checkbox" value="{letter}{html.escape(n)}" checked>{html.escape(n.replace("_", " "))}'
-                "</label>"
-                for n in names[:12]
-            )
             found += f'<div class="row"><fieldset><legend>{title}</legend>{each}</fieldset></div>'
     return found
 
@@ -232,5 +206,5 @@ def fragment(of: Animation) -> str:
         '<p class="keys">Drag to turn, Shift and drag to move, pinch to zoom; click the picture, then the wheel zooms. '
         "Keys: arrows turn, + and - zoom, space plays, comma and full stop step, Home resets.</p>"
         f"<figcaption>{caption}</figcaption>"
-        f'<script type="application/json">{data}</script><script>{script()}</script></figure>\n'
+        f'<script type="application/json">{data}</script><script>{_text("viewer.js")}</script></figure>\n'
     )

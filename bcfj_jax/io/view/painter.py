@@ -63,18 +63,14 @@ def paint(of: Animation, k: int, size: tuple[int, int], exaggeration: float | No
     fine = (2 * size[0], 2 * size[1])
     seen = camera(of, size[0] / size[1])
     poses = [posed(t, k, factor) for t in of.tracks]
-    corners, colours = [], []
+    lit = []
     for track, mesh, tone in of.parts:
         place, axes = (np.zeros(3), np.eye(3)) if track < 0 else poses[track]
         own = mesh.points if mesh.slack is None else mesh.points + (factor - 1.0) * mesh.slack
-        found = _lit(own @ axes.T + place, mesh, axes, seen, np.array(TONES[tone]))
-        corners.append(found[0])
-        colours.append(found[1])
+        lit.append(_lit(own @ axes.T + place, mesh, axes, seen, np.array(TONES[tone])))
     for place, mesh, colour in _arrows(of, k, poses):
-        found = _lit(mesh.points + place, mesh, np.eye(3), seen, np.array([*colour, 1.0]), flat=0.55)
-        corners.append(found[0])
-        colours.append(found[1])
-    points, colour = np.concatenate(corners), np.concatenate(colours)
+        lit.append(_lit(mesh.points + place, mesh, np.eye(3), seen, np.array([*colour, 1.0]), flat=0.55))
+    points, colour = (np.concatenate(each) for each in zip(*lit, strict=True))
     relative = points - seen.eye
     depth = -relative @ seen.way
     scale = 0.5 * fine[1] / (LENS * depth)
