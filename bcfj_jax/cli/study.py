@@ -30,7 +30,7 @@ def _study(
     ready(files, study)
     from bcfj_jax.analysis.studies import command
 
-    text, found = command.run(study, out, workers, scheduler, dry, say, resuming)
+    text, found = command.run(study, out, (workers, scheduler), dry, say, resuming)
     typer.echo(text)
     return found
 

@@ -38,13 +38,14 @@ Combine = Callable[[Mapping[str, Array]], Array]
 
 
 class Objective(NamedTuple):
-    """Features, and what is made of them: their weighted sum, or ``combine`` of all by name."""
+    """Features, and what is made of them: their weighted sum, or ``combine`` of all by name; least, or with a sign of -1 most."""
 
     name: str
     features: tuple[Feature, ...]
     weights: tuple[float, ...]
     combine: Combine | None
     unit: str
+    sign: float = 1.0
 
     @property
     def peaked(self) -> bool:

@@ -104,17 +104,16 @@ class Design(NamedTuple):
             table[key] = None if table[key] is None else table[key]._asdict()
         space = self.space
         table["free"] = {
-            name: {
-                "unit": q.unit, "lower": space.lower[k], "upper": space.upper[k], "tolerance": space.tolerance[k],
-                "relative": bool(space.relative[k]), "scale": "log" if space.log[k] else "linear",
+            axis.name: {
+                "unit": q.unit, "lower": axis.lower, "upper": axis.upper, "tolerance": tolerance,
+                "relative": bool(relative), "scale": axis.scale,
             }
-            for k, (name, q) in enumerate(zip(space.names, space.quantities, strict=True))
+            for axis, q, tolerance, relative in zip(space.axes, space.quantities, space.tolerance, space.relative, strict=True)
         }  # fmt: skip
         table["verdict"] = self.certificate.verdict if self.certificate else None
         table["starts"] = [
             {
-                "start": dict(zip(space.names, space.values(way.start).tolist(), strict=True)),
-                "end": dict(zip(space.names, space.values(way.end).tolist(), strict=True)),
+                "start": space.named(space.values(way.start)), "end": space.named(space.values(way.end)),
                 "value": way.value, "evaluations": len(way.best), "failed": way.failed, "message": way.message,
             }
             for way in self.starts
@@ -169,7 +168,7 @@ def draw_slices(found: Design, path: Path) -> None:
     halves = found.space.halves(np.array([found.values[n] for n in found.space.names]))
     with panels(len(found.slices), 3, path, 3.6, 2.9) as axes:
         for k, (axis, (name, cut)) in enumerate(zip(axes, found.slices.items(), strict=True)):
-            quantity = found.space.quantities[k]
+            quantity, bounds = found.space.quantities[k], found.space.axes[k]
             plain = quantity.unit not in ("m", "s", "N", "Pa")
             wide, small = (1.0, "") if plain else engineering(cut.values)
             angle = quantity.unit == "rad"
@@ -181,10 +180,9 @@ def draw_slices(found: Design, path: Path) -> None:
             axis.plot(at, found.after * scale, "o", color=_BEST, markersize=6, label="optimum")
             given = found.before_values[name] * wide
             axis.axvline(given, color=_GIVEN, linestyle="--", linewidth=1.0, label="given design")
-            for bound, text in ((found.space.lower[k], "bounds"), (found.space.upper[k], None)):
+            for bound, text in ((bounds.lower, "bounds"), (bounds.upper, None)):
                 axis.axvline(bound * wide, color="#4a4a4a", linewidth=1.2, label=text)
-            if found.space.log[k]:
-                axis.set_xscale("log")
+            axis.set_xscale(bounds.scale)
             side = found.at_bound.get(name)
             axis.set_title(name + (f" ({side} bound)" if side else ""), fontsize=9.5)
             unit = "deg" if angle else quantity.unit

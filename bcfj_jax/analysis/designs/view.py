@@ -28,11 +28,10 @@ def told(found: Design) -> Told:
 def value_rows(found: Design) -> list[list[str]]:
     """Table of the free parameters: before, after, bounds."""
     rows = [["parameter", "before", "after", "lower", "upper", "remark"]]
-    box = found.space
-    for k, (name, quantity) in enumerate(zip(box.names, box.quantities, strict=True)):
-        side = found.at_bound.get(name)
-        numbers = (found.before_values[name], found.values[name], float(box.lower[k]), float(box.upper[k]))
-        rows.append([name, *(shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
+    for axis, quantity in zip(found.space.axes, found.space.quantities, strict=True):
+        side = found.at_bound.get(axis.name)
+        numbers = (found.before_values[axis.name], found.values[axis.name], axis.lower, axis.upper)
+        rows.append([axis.name, *(shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
     return rows
 
 
@@ -51,8 +50,8 @@ def frame(found: Design) -> tuple[dict[str, Any], str]:
         "before": [found.before_values[name] for name in space.names],
         "after": [found.values[name] for name in space.names],
         "unit": [quantity.unit for quantity in space.quantities],
-        "lower": space.lower,
-        "upper": space.upper,
+        "lower": np.array([axis.lower for axis in space.axes]),
+        "upper": np.array([axis.upper for axis in space.axes]),
         "at_bound": [found.at_bound.get(name, "") for name in space.names],
         "gradient": [found.gradient[name] for name in space.names],
         "tolerance": space.tolerance,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +13,7 @@ import numpy as np
 
 from bcfj_jax.analysis.studies import local, specification
 from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core import presented
@@ -61,17 +63,13 @@ class Result(NamedTuple):
         Raises:
             InputError: for a point the study does not have, or a study without histories.
         """
-        zarr = library("zarr", "bcfj study", "study")
         for path in sorted((self.folder / "blocks").glob("*.zarr")):
-            group = zarr.open_group(path, mode="r")
+            group = needs("zarr").open_group(path, mode="r")
             at = np.flatnonzero(group["point"][:] == point)
             if at.size:
                 return group["time"][int(at[0])], group["force"][int(at[0])]
-        raise InputError(
-            f"point {point}",
-            "the study keeps no forces of it",
-            "give a point of the study, and histories = true in its file",
-        )
+        remedy = "give a point of the study, and histories = true in its file"
+        raise InputError(f"point {point}", "the study keeps no forces of it", remedy)
 
 
 def study(
@@ -120,7 +118,7 @@ def needed(histories: bool, scheduler: bool = False) -> None:
         InputError: if one is not installed.
     """
     for name in ("pyarrow", "filelock", *(["zarr"] if histories else [])):
-        library(name, "bcfj study", "study")
+        needs(name)
     if scheduler:
         library("distributed", "bcfj study", "cluster")
 
@@ -142,7 +140,7 @@ def prepare(found: Study, folder: Path) -> Store:
                 raise InputError(f"--out {folder}", "holds another study", remedy)
             usercode.same_as(_code(folder), f"--out {folder}: the study there")
         else:
-            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.seed))
+            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.design.seed))
             outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
     return Store(folder, Blocks(found))
 
@@ -198,25 +196,18 @@ def finish(store: Store) -> Result:
 
 def state(store: Store) -> dict[str, Any]:
     """What ran and what is left."""
-    blocks, study = store.blocks, store.study
+    blocks, count = store.blocks, store.study.count
     finished = [k for k in range(len(blocks)) if store.finished(k)]
     points = sum(len(blocks.points(k)) for k in finished)
-    failed, reasons, steps, rounds = 0, {}, 0, 0
+    failures, steps, rounds = [], 0, 0
     for k in finished:
         table, facts = store.read(k), facts_of(store.path(k))
-        bad = [
-            text
-            for text, status in zip(table["reason"].to_pylist(), table["status"].to_pylist(), strict=True)
-            if status == "failed"
-        ]
-        failed += len(bad)
-        for text in bad:
-            kind = text.split(" at ")[0]
-            reasons[kind] = reasons.get(kind, 0) + 1
+        each = zip(table["reason"].to_pylist(), table["status"].to_pylist(), strict=True)
+        failures += [text.split(" at ")[0] for text, status in each if status == "failed"]
         steps, rounds = steps + sum(facts["steps"]), rounds + facts["rounds"]
     return {
-        "points": study.count, "finished": points, "left": study.count - points, "failed": failed,
-        "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": rounds,
-        "code": usercode.record(), "status": "finished" if points == study.count else "unfinished",
+        "points": count, "finished": points, "left": count - points, "failed": len(failures),
+        "reasons": dict(Counter(failures)), "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps,
+        "rounds": rounds, "code": usercode.record(), "status": "finished" if points == count else "unfinished",
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }  # fmt: skip

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, print_fault, read_whole
 from bcfj_jax.core.errors import InputError, nearest
+
+T = TypeVar("T")
 
 
 class Finished(NamedTuple):
@@ -34,7 +36,7 @@ class Finished(NamedTuple):
     @property
     def shares(self) -> np.ndarray:
         """(N, D) of the way from each lower bound to the upper one: by logarithm on a log axis, by probability on a normal."""
-        return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.axes)], axis=1)
+        return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.design.axes)], axis=1)
 
     def feature(self, name: str) -> np.ndarray:
         """A feature (N,), NaN where the run failed.
@@ -46,6 +48,22 @@ class Finished(NamedTuple):
         if name not in known:
             raise InputError(f"feature '{name}'", "the study did not keep it", nearest(name, known))
         return np.where(self.ok, self.columns[name], np.nan)
+
+    def each(self, ask: Callable[[str], T], features: Sequence[str] = ()) -> tuple[list[T], dict[str, str]]:
+        """What ``ask`` gives of the features named, or of all that have it, and why the others have none.
+
+        Raises:
+            InputError: of the first that has none, where they were named, or where no feature has any.
+        """
+        good, errors = [], {}
+        for name in features or [f.name for f in self.study.features]:
+            try:
+                good.append(ask(name))
+            except InputError as error:
+                errors[name] = error
+        if errors and (features or not good):
+            raise next(iter(errors.values()))
+        return good, {name: f"{error.found}; {error.remedy}" for name, error in errors.items()}
 
 
 def _table(folder: Path, study: Study) -> Any:

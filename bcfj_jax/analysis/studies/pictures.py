@@ -42,7 +42,11 @@ def overview(study: Study, result: Result, folder: Path) -> list[Picture]:
         left_out = _curves(study, result, path)
         beside = f" (with it {', '.join(study.names[1:])})" if study.names[1:] else ""
         shows = f"Each feature against {first}{beside}, in its own unit"
-    elif len(study.names) == 2 and study.kind == "grid" and min(axis.steps for axis in study.axes) >= _FEWEST:
+    elif (
+        len(study.names) == 2
+        and study.design.kind == "grid"
+        and min(axis.steps for axis in study.design.axes) >= _FEWEST
+    ):
         left_out = _maps(study, result, path)
         shows = f"Each feature over {first} and {study.names[1]}"
     else:
@@ -89,14 +93,14 @@ def _curves(study: Study, result: Result, path: Path) -> int:
                 axes.set_ylabel(f"[{prefix}{unit}]".replace("u", "µ"))
             if number >= len(shown) - across:
                 axes.set_xlabel(text)
-            if study.axes[0].scale == "log":
+            if study.design.axes[0].scale == "log":
                 axes.set_xscale("log")
     return len(study.features) - len(shown)
 
 
 def _maps(study: Study, result: Result, path: Path) -> int:
     """Features over the two parameters of a grid; failed points stay white. How many features are left out."""
-    shape = tuple(axis.steps for axis in study.axes)
+    shape = tuple(axis.steps for axis in study.design.axes)
     x, y = (result.column(name).reshape(shape) for name in study.names)
     shown = study.features[:_MOST]
     with plots.panels(len(shown), 3, path, 5.0, 3.6) as panels:
@@ -106,7 +110,7 @@ def _maps(study: Study, result: Result, path: Path) -> int:
             unit = feature_unit(feature.name)
             axes.figure.colorbar(drawn, ax=axes, label=unit if unit != "1" else None)
             axes.set(xlabel=label(study, study.names[0]), ylabel=label(study, study.names[1]), title=feature.name)
-            for axis, scale in zip(study.axes, (axes.set_xscale, axes.set_yscale), strict=True):
+            for axis, scale in zip(study.design.axes, (axes.set_xscale, axes.set_yscale), strict=True):
                 scale("log" if axis.scale == "log" else "linear")
     return len(study.features) - len(shown)
 
@@ -118,6 +122,6 @@ def _clouds(study: Study, result: Result, good: np.ndarray, path: Path) -> int:
         for axes, (feature, name) in zip(panels, pairs[:_MOST], strict=True):
             axes.plot(result.column(name)[good], result.column(feature.name)[good], ".", ms=3)
             axes.set(xlabel=label(study, name), ylabel=feature.name)
-            if any(axis.name == name and axis.scale == "log" for axis in study.axes):
+            if any(axis.name == name and axis.scale == "log" for axis in study.design.axes):
                 axes.set_xscale("log")
     return max(0, len(pairs) - _MOST)

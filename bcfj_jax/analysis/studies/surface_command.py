@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import pictures, surface
-from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED
-from bcfj_jax.analysis.studies.design import Axis
+from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
 from bcfj_jax.analysis.studies.finished import Finished
-from bcfj_jax.analysis.studies.indices_command import finished, unfinished
 from bcfj_jax.analysis.studies.surface import Surface
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import brief
 
@@ -33,23 +31,15 @@ def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool)
     Raises:
         InputError: where there is no such study, and where no feature asked for has a surface.
     """
-    found, folder = finished(what, out)
+    found, folder, first = finished(what, out)
     if found is None:
-        return unfinished(what, folder), INTERRUPTED
-    good: list[Surface] = []
-    errors: dict[str, InputError] = {}
-    for name in features or [f.name for f in found.study.features]:
-        try:
-            good.append(surface.fit(found, name, derivatives))
-        except InputError as error:
-            errors[name] = error
-    if errors and (features or not good):
-        raise next(iter(errors.values()))
+        return first, INTERRUPTED
+    good, errors = found.each(lambda name: surface.fit(found, name, derivatives), features)
     outputs.write_json(folder / JSON, {one.feature: content(one) for one in good})
     for one in good:
         name = f"surface-{one.feature.replace(':', '-')}.png"
         draw(one, found, outputs.inside(folder, name, f"feature {one.feature}"))
-    refused = [f"{name}: no surface: {error.found}; {error.remedy}" for name, error in errors.items()]
+    refused = [f"{name}: no surface: {why}" for name, why in errors.items()]
     return "\n".join([table(good), *refused, f"results in {folder}"]), DONE
 
 

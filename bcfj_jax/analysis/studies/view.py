@@ -49,11 +49,11 @@ def dataset(found: Result) -> Dataset:
     scene = study.given.scene
     columns = {name: found.column(name) for name in study.columns}
     units = {feature.name: feature_unit(feature.name) for feature in study.features}
-    about = {"design": study.kind, "scene": scene.kind, "failed": found.failed}
+    about = {"design": study.design.kind, "scene": scene.kind, "failed": found.failed}
     dims, shape = ("point",), (study.count,)
     coordinates: dict[str, Any] = {"point": (dims, found.column("point"), "")}
-    if study.kind == "grid":
-        dims, shape = study.names, tuple(axis.steps for axis in study.axes)
+    if study.design.kind == "grid":
+        dims, shape = study.names, tuple(axis.steps for axis in study.design.axes)
         at = {name: found.column(name).reshape(shape) for name in study.names}
         coordinates = {
             name: ((name,), np.moveaxis(at[name], k, 0).reshape(shape[k], -1)[:, 0], scene.quantities[name].unit)
