@@ -90,16 +90,9 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
 
 
 def stroboscopic(
-    scene: AbstractModel,
-    params: Params,
-    revolutions: int = 40,
-    *,
-    transients: int = 20,
-    phase: float = 0.0,
-    period: Period = None,
-    accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS,
-) -> Section:
+    scene: AbstractModel, params: Params, revolutions: int = 40, *, transients: int = 20, phase: float = 0.0,
+    period: Period = None, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
+) -> Section:  # fmt: skip
     """States and contact readings of a driven scene, once per revolution of its drive.
 
     Sampled by the drive's phase: with a ``flexible`` drive the seat itself is ahead or behind. The load must have

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import level
+from bcfj_jax.analysis.engine import differentiated, simulated
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
 from bcfj_jax.io.scenefile import SceneFile, from_table, shown
-from bcfj_jax.solve.plan import plan
-from bcfj_jax.solve.simulation import Run, simulate
+from bcfj_jax.solve.simulation import Run
 
 # Parameters that derivatives are taken by, the first few that a scene has and that are not 0.
 _MAIN = (
@@ -40,12 +40,7 @@ def loaded(table: Mapping[str, Any]) -> SceneFile:
 
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
-
-    def once() -> Run:
-        budget: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
-        return simulate(given.scene, given.params, given.times, accuracy=given.accuracy, **budget)
-
-    return repeatedly(once, repeated)
+    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), repeated)
 
 
 def repeatedly(once: Callable[[], Run], repeated: bool = True) -> Trial:
@@ -82,11 +77,10 @@ class Slopes(NamedTuple):
 def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
     """Derivatives of a scene file's forces by the logarithms of parameters, by forward tangents."""
     try:
-        how = plan(given.scene, given.accuracy, given.max_steps, given.solver)
-        found = level(given.scene, given.params, given.times, names, how)
+        found = differentiated(given, names)
         compile_s = found.compile_s
         if compile_s > _LOOK_UP and found.wall_s < _ONCE:
-            found = level(given.scene, given.params, given.times, names, how)
+            found = differentiated(given, names)
     except InputError as error:
         return Slopes(None, float("nan"), float("nan"), str(error))
     compile_s = compile_s if compile_s > _LOOK_UP else 0.0
