@@ -145,13 +145,7 @@ def solved(
     """States at ``times``, the rates (T, n) of the polynomials that they are read from, the first contacts a channel.
 
     Pure; ``jvp`` and ``jacfwd`` go through ``params`` to the states alone. With derivatives their tangents count in the
-    steps; states and contacts are then those of these steps.
-
-    Args:
-        model: a stiff model.
-        params, how: as of ``integrate``; always by BDF.
-        times: (T,) not decreasing [s].
-        most: places for contacts.
+    steps; states and contacts are then those of these steps. Of a stiff model, always by BDF; times (T,) [s] do not decrease.
     """
     posed = integrate.problem(model, params, times[-1], how, True)
 

@@ -182,13 +182,8 @@ def integrate(
 def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
     """States at ``times`` of a run that lands on its contacts (``landing``), and the first ``most`` contacts of a channel.
 
-    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
-
-    Args:
-        model: one that is not stiff and has a history.
-        params, how: as of ``integrate``.
-        times: (T,) not decreasing [s].
-        most: places for contacts.
+    Pure; ``jvp`` and ``jacfwd`` go through. Of a model that is not stiff and has a history; times (T,) [s] do not decrease, and
+    the steps depend on their end alone.
     """
     return _landed(problem(model, params, times[-1], how, True), times, how, most, "forward")
 

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,6 +23,7 @@ from jax import Array
 from bcfj_jax.contact.normal import GAP
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.remembering import close
+from bcfj_jax.solve.wrapped import AbstractControl
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
 NEAR = 1e-3
@@ -89,15 +89,11 @@ class _Memory(NamedTuple):
     """What the controller knows; of C channels, and behind them of the surfaces at which approach speeds are set.
 
     Attributes:
-        inner: the inner control's state.
-        before: the step's start.
-        inside: (C,) which channels touch.
-        found: contacts so far.
-        tries: in a row to end on a surface.
-        free: length of the step that first crossed it [s].
-        since: (C,) when each channel began to touch or not to [s].
+        inner: the inner control's state; before: the step's start.
+        inside: (C,) which channels touch; since: (C,) from when on they do or do not [s].
+        found: contacts so far; tops: of the whole run, None where nobody asks.
+        tries: in a row to end on a surface; free: length of the step that first crossed it [s].
         high, top: (C,) when the force was greatest in this contact [s], and its size [N].
-        tops: of the whole run; None where nobody asks.
     """
 
     inner: Any
@@ -166,7 +162,7 @@ def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
     return Look(*(jnp.concatenate(part) for part in zip(*found, strict=True)))
 
 
-class Landing(dfx.AbstractStepSizeController):
+class Landing(AbstractControl):
     """A step control that also ends steps on surfaces, and notes when contacts begin and end.
 
     The arguments of the field are (model, what it has prepared). ``near``: a step ends on a surface within it, [m] or [m/s].
@@ -174,18 +170,12 @@ class Landing(dfx.AbstractStepSizeController):
     forces are sought, which carry derivatives; None for none.
     """
 
-    inner: dfx.AbstractStepSizeController
     near: Array
     most: int = eqx.field(static=True)
     size: int = eqx.field(static=True)
     since: Array | None = None
 
-    def wrap(self, direction):
-        """Forwards only."""
-        return Landing(self.inner.wrap(direction), self.near, self.most, self.size, self.since)
-
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The inner control's first step; what touches at the start."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         model, prepared = args
         start = y0[: self.size]

@@ -130,11 +130,8 @@ def parted(times: np.ndarray, ours: Mapping[str, np.ndarray], truth: Mapping[str
     """When and at which contact the bodies of two runs part in one event; NaN and "" where they do not.
 
     Errors grow from event to event, in a chaotic motion by some ten times each. An event that one run has alone is told from
-    that: bodies that moved alike, to ``ALIKE`` of the greatest rate, move otherwise by ``APART`` of it from there on.
-
-    Args:
-        times: (T,) [s].
-        ours, truth: by contact rates (T,) or (T, k) of the penetration [m/s].
+    that: bodies that moved alike, to ``ALIKE`` of the greatest rate, move otherwise by ``APART`` of it from there on. By contact
+    rates (T,) or (T, k) of the penetration [m/s].
     """
     first, contact = float("nan"), ""
     for name in ours.keys() & truth.keys():

@@ -49,11 +49,9 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
     )
 
     def order(self, terms):
-        """2."""
         return 2
 
     def error_order(self, terms):
-        """The estimate is of the third derivative's term."""
         return 3
 
     def init(self, terms, t0, t1, y0, args):
@@ -61,7 +59,6 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
         return self.structure.field(t0, y0, args)
 
     def func(self, terms, t0, y0, args):
-        """The field."""
         return self.structure.field(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):

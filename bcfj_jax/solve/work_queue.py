@@ -231,15 +231,7 @@ def shifted(params: Params, names: Sequence[str], shares: Array) -> dict[str, Ar
 
 
 def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
-    """N runs of a model without a history, each searched for from the one before it. Pure.
-
-    Args:
-        model: one whose instants are each solved for themselves.
-        params, ends, grid: as ``integrate_queue``.
-
-    Returns:
-        As ``integrate`` gives it, with a leading axis (N,).
-    """
+    """N runs of a model without a history, each searched for from the one before it, as ``integrate_queue`` gives them. Pure."""
 
     def one(near: Any, run: tuple) -> tuple:
         values, end = run

@@ -27,11 +27,7 @@ FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "
 
 
 def vary(text: str) -> tuple[str, dict[str, Any]]:
-    """A free parameter as it is typed: "clearance_seat_cage=10um:200um", or with a tolerance "...=10um:200um:5um".
-
-    Raises:
-        InputError: for a text of another form.
-    """
+    """A free parameter as it is typed: "clearance_seat_cage=10um:200um", or with a tolerance "...=10um:200um:5um"."""
     name, equals, given = (part.strip() for part in text.partition("="))
     ends = [part.strip() for part in given.split(":")]
     if not (name and equals and len(ends) in (2, 3) and all(ends)):
@@ -49,19 +45,7 @@ def _number(text: str) -> float | str:
 
 
 def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]) -> tuple[str, bool]:
-    """Find the design that a file, or a command line, asks for; write and describe it.
-
-    Args:
-        what, more: as ``designfile.load``.
-        out: folder for the results, None for one made up.
-        say: receives the progress.
-
-    Returns:
-        The results in words, and whether any start had a value.
-
-    Raises:
-        InputError: for bad input, and where something would be overwritten.
-    """
+    """Find the design that ``designfile.load`` reads, write and describe it; in words, and whether any start had a value."""
     asked = load(what, more)
     check(asked)
     stem = Path(what).stem
@@ -105,11 +89,7 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
 
 
 def check(asked: Question) -> None:
-    """Refuse what ``design`` would refuse, before anything is written or compiled.
-
-    Raises:
-        InputError: for names, bounds and features that are not right.
-    """
+    """Refuse what ``design`` would refuse, before anything is written or compiled."""
     given, names = asked.given, asked.objective
     scene = observing(asked.scene, [names] if isinstance(names, str) else names)
     objective(names, (), scene.members)

@@ -70,11 +70,7 @@ def independent(scene: AbstractModel, model: AbstractModel | str, accuracy: str 
 def confirm(
     scene: AbstractModel, by: By, designs: Sequence[tuple[Params, np.ndarray]], objective: Objective, gain: float
 ) -> Confirmation:
-    """Run the designs before and after again, each with its times; ``scene`` was optimised, by so much ``gain``.
-
-    Raises:
-        InputError: as ``simulate``.
-    """
+    """Run the designs before and after again, each with its times; ``scene`` was optimised, by so much ``gain``."""
     found = []
     for params, times in designs:
         # Another model may not have every parameter.

@@ -123,14 +123,9 @@ def is_design(table: Mapping[str, Any]) -> bool:
 
 
 def load(what: str, more: Mapping[str, Any]) -> Question:
-    """A design file, or a scene whose question ``more`` asks.
+    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own.
 
-    Args:
-        what: a design file, a scene file, or a built-in scene's name.
-        more: tables of a design file that stand in place of the file's own: ``objective``, ``vary``, ``search``.
-
-    Raises:
-        InputError: for anything that is not right, naming the key and what would be.
+    ``InputError`` for anything that is not right names the key and what would be.
     """
     path = Path(what)
     table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
@@ -170,14 +165,9 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
 
 
 def searched(given: SceneFile, ends: bool) -> tuple[AbstractModel, np.ndarray, str]:
-    """The model that is searched and its times: of a scene with levels, which the file left open, equilibria.
+    """The model that is searched, its times (T,) [s], and a sentence about both; "" for the scene as it is.
 
-    Args:
-        given: the scene file.
-        ends: whether it says when the run ends.
-
-    Returns:
-        The model, times (T,) [s], and a sentence about both; "" for the scene as it is.
+    Of a scene with levels, which the file left open, equilibria. ``ends``: whether the file says when the run ends.
     """
     scene, levels = given.scene, given.scene.coarser()
     if not (given.open and levels):

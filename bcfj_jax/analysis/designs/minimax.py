@@ -32,8 +32,7 @@ class Kink(NamedTuple):
     """Where several samples are equally high.
 
     Attributes:
-        point: unit coordinates (P,); value: the highest sample.
-        equal: how many samples are as high.
+        point: unit coordinates (P,); value: the highest sample; equal: how many samples are as high.
         residual: of the weighted slopes, over the largest one.
         step: how far a second descent from near by ended, the longest coordinate.
         arrived: whether residual and step are small.

@@ -121,11 +121,7 @@ class Design(NamedTuple):
         return table
 
     def save(self, folder: Path | str) -> Path:
-        """Write ``design.json``, ``starts.png`` and ``slices.png``; the folder.
-
-        Raises:
-            InputError: if the folder holds one of them already.
-        """
+        """Write ``design.json``, ``starts.png`` and ``slices.png``, of which the folder may hold none yet; the folder."""
         names = ("design.json", "starts.png", "slices.png")
         with outputs.session():
             where = outputs.open_folder(Path(folder), "design", "", names)

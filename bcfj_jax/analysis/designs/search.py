@@ -66,11 +66,7 @@ class Search:
         return SENSES[self.sense]
 
     def checked(self) -> Search:
-        """The same with plain numbers.
-
-        Raises:
-            InputError: for options that are not right.
-        """
+        """The same with plain numbers; ``InputError`` for options that are not right."""
         for name, value, known in (("sense", self.sense, SENSES), ("distribution", self.distribution, SIGMAS)):
             if not isinstance(value, str) or value not in known:
                 raise InputError(name, f"no {name} {quoted(value)}", nearest(value, known))

@@ -74,15 +74,10 @@ class Space(NamedTuple):
 
 
 def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequence[Any]]) -> Space:
-    """The free parameters, checked.
+    """The free parameters, checked, each a ``Free`` or its fields in order: (lower, upper), (lower, upper, tolerance), ...
 
-    Args:
-        scene: whose parameters they are.
-        params: the others' values: a stiffness' unit depends on the exponent.
-        free: by name a ``Free``, or its fields in order: (lower, upper), (lower, upper, tolerance), ...
-
-    Raises:
-        InputError: for no parameter, an unknown one (with the nearest), a negative tolerance, and as ``axes.bounded``.
+    ``params``: the others' values, as a stiffness' unit depends on the exponent. ``InputError`` for no parameter, an unknown
+    one (with the nearest), a negative tolerance, and as ``axes.bounded``.
     """
     known, some = scene.quantities, f"name one or more of {', '.join(scene.quantities)}"
     if not isinstance(free, Mapping):

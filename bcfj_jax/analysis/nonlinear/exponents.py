@@ -66,11 +66,7 @@ def from_growth(growth: np.ndarray, interval: float, batches: int, reason: str =
 
 
 def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[int, int, int, int]:
-    """The numbers that make a mean, as ``int``.
-
-    Raises:
-        InputError: for no iterations, negative transients or seeds, or more batches than iterations.
-    """
+    """The numbers that make a mean, as ``int``; ``InputError`` for no iterations, or more batches than iterations."""
     iterations = whole("iterations", iterations, most=limits.SAMPLES)
     transients = whole("transients", transients, least=0, most=limits.SAMPLES)
     if whole("batches", batches, least=0) > iterations:

@@ -29,13 +29,9 @@ def _legend(axis: Any) -> None:
 
 
 def draw_bifurcation(values: ArrayLike, points: ArrayLike, path: Path, *, parameter: str, reading: str) -> Path:
-    """Section points against the parameter; where all points of a value are NaN its run failed, and a mark says so.
+    """Section points (P, N), or (P, N, m) of m members, each in a colour, against values (P,) in the unit of their label.
 
-    Args:
-        values: (P,) of the parameter, in the unit of its label.
-        points: (P, N), or (P, N, m) for m members, each in a colour.
-        path: of the PNG.
-        parameter, reading: labels.
+    Where all points of a value are NaN its run failed, and a mark says so.
     """
     x, y = np.asarray(values, dtype=float), np.asarray(points, dtype=float)
     y = y.reshape(*y.shape[:2], -1)

@@ -69,12 +69,9 @@ def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = Non
 
 
 def state_portrait(run: Run, scene: AbstractModel, coordinate: str, path: Path, *, window: Window = None) -> Path:
-    """Phase portrait of a coordinate of the state: x' against x.
+    """Phase portrait of a coordinate of the state: x' against x. The run is one of the scene, made by ``simulate``.
 
-    Args:
-        run: a finished one of the scene, made by ``simulate``.
-        coordinate: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
-        scene, path, window: see the top of the file.
+    ``coordinate``: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
     """
     places = scene.coordinates()
     _known(coordinate, places, "coordinate")

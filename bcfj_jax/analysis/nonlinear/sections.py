@@ -154,15 +154,10 @@ def impacts(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> Impact
 
 
 def period_number(values: ArrayLike, tolerance: float, most: int = 16) -> int:
-    """Of how many points a settled section consists: the least p with |x_(k+p) - x_k| <= tolerance for all k.
+    """Of how many points a settled section (N,) or (N, m) consists: the least p with |x_(k+p) - x_k| <= tolerance for all k.
 
-    Args:
-        values: (N,) or (N, m) section values, transients left out.
-        tolerance: in units of the values.
-        most: the largest p tried; p needs N >= 2 p.
-
-    Returns:
-        p, or 0 where there is none: a longer period, quasi-periodic, chaotic, or a section that failed.
+    ``most``: the largest p tried; p needs N >= 2 p. 0 where there is none: a longer period, quasi-periodic, chaotic, or a
+    section that failed.
     """
     x, most = np.asarray(values, dtype=float), whole("most", most)
     for p in range(1, min(most, len(x) // 2) + 1):

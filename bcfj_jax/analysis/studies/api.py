@@ -58,11 +58,7 @@ class Result(NamedTuple):
         return self.state["failed"]
 
     def forces(self, point: int) -> tuple[np.ndarray, np.ndarray]:
-        """Times (T,) [s] and forces (T, C, 3) [N] of a point, where the study keeps histories.
-
-        Raises:
-            InputError: for a point the study does not have, or a study without histories.
-        """
+        """Times (T,) [s] and forces (T, C, 3) [N] of a point; ``InputError`` where the study keeps none of it."""
         for path in sorted((self.folder / "blocks").glob("*.zarr")):
             group = needs("zarr").open_group(path, mode="r")
             at = np.flatnonzero(group["point"][:] == point)
@@ -108,15 +104,7 @@ def study(
 
 
 def needed(histories: bool, scheduler: bool = False) -> None:
-    """Ask for every library that a run of a study imports sooner or later.
-
-    Args:
-        histories: whether the study keeps them.
-        scheduler: whether a Dask scheduler does the work.
-
-    Raises:
-        InputError: if one is not installed.
-    """
+    """Ask for every library that a run imports sooner or later; ``InputError`` if one is not installed."""
     for name in ("pyarrow", "filelock", *(["zarr"] if histories else [])):
         needs(name)
     if scheduler:
@@ -124,11 +112,7 @@ def needed(histories: bool, scheduler: bool = False) -> None:
 
 
 def prepare(found: Study, folder: Path) -> Store:
-    """The folder of a study, made if it is not there.
-
-    Raises:
-        InputError: if it holds another study, or is no folder.
-    """
+    """The folder of a study, made if it is not there; ``InputError`` if it holds another one, or is no folder."""
     needed(found.histories)
     said = folder / RUN
     # Several runs may share the folder; only one begins it.

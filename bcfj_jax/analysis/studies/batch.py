@@ -77,12 +77,9 @@ class Batch(NamedTuple):
 
 
 def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safety: float) -> Batch:
-    """Run points of a study, its scene's tolerance times ``safety``.
+    """Run points of a study with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's size.
 
-    Args:
-        study: whose.
-        values: (n, D) of the varied parameters; ends: (n,) of the runs [s].
-        size: of the program, n at most.
+    The scene's tolerance is taken ``safety`` times.
     """
     given, scene, how = study.given, study.given.scene, planned(study.given, safety)
     points = Points(study.params(values), ends, given.times / given.times[-1])
@@ -118,15 +115,9 @@ class _Static(NamedTuple):
 def run(
     scene: AbstractModel, points: Points, wanted: Sequence[Feature], how: Plan, size: int, forces: bool = False
 ) -> Batch:
-    """Features of N points, N at most ``size``, without derivatives.
+    """Features of N points of a scene whose level is chosen, without derivatives, and their forces where these are wanted.
 
-    Args:
-        scene: one whose level is chosen.
-        points: where.
-        wanted: the features.
-        how: tolerance and budget of steps.
-        size: of the program; fewer points need no other one.
-        forces: whether forces are given back.
+    ``size`` is the program's: fewer points need no other one.
     """
     ends, grid, count = points.ends, points.grid, len(points.ends)
     fill, mesh = derivatives.filled(count, size)

@@ -122,13 +122,7 @@ def _steps(scene: AbstractModel, params: dict, ends: Array, how: Plan) -> Array:
 
 
 def compute(study: Study, at: np.ndarray, size: int) -> Table:
-    """Run some points; those that fail once more, with safer settings.
-
-    Args:
-        study: whose.
-        at: their numbers, at most ``size``.
-        size: of the program.
-    """
+    """Run points by their numbers, up to the program's size; those that fail once more, with safer settings."""
     values, last, scene = study.points[at], study.ends[at], study.given.scene
     reasons, rounds = _refusals(study, values, size), 0
     status, results, steps = (

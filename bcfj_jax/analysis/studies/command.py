@@ -32,11 +32,7 @@ def _built_in() -> dict[str, Path]:
 
 
 def find(what: str) -> tuple[Study, str]:
-    """A study file, or a built-in study's name; the study, and what to call it.
-
-    Raises:
-        InputError: for neither, and for anything in the file that is not right.
-    """
+    """A study file, or a built-in study's name; the study, and what to call it. ``InputError`` for neither."""
     known = _built_in()
     if what not in known and not what.endswith(".toml"):
         raise InputError(what, "no study file and no built-in study", nearest(what, list(known)))
@@ -46,21 +42,13 @@ def find(what: str) -> tuple[Study, str]:
 
 @contextlib.contextmanager
 def changing(what: str, wanted: Sequence[Change]) -> Iterator[None]:
-    """Within, a study reads as changed: its own tables, and those of the scene that it varies.
-
-    Raises:
-        InputError: as ``changes.changing``, and for what is no study file.
-    """
+    """Within, a study reads as changed: its own tables, and those of the scene that it varies."""
     with tables.changing_both(_built_in().get(what, Path(what)), wanted, changes.STUDY):
         yield
 
 
 def _begun(what: str, out: Path | None, missing: tuple[str, str] | None) -> tuple[Study, Path, str]:
-    """A study, its folder, by default ``results/study-NAME``, and what to call it.
-
-    Raises:
-        InputError: where there is no such study, or none in the folder, for which ``missing`` has words.
-    """
+    """A study, its folder, by default ``results/study-NAME``, and its name; ``missing``: what to say where none was begun."""
     study, stem = find(what)
     folder = out or Path("results") / f"study-{stem}"
     if missing and not (folder / "run.toml").exists():
@@ -72,13 +60,7 @@ def run(
     what: str, out: Path | None, team: tuple[int | None, str | None], dry: bool, say: Callable[[str], None],
     resuming: bool = False,
 ) -> tuple[str, int]:  # fmt: skip
-    """Run a study, or go on with it; the results in words, and the exit code.
-
-    ``team``: workers and scheduler, as ``api.study``.
-
-    Raises:
-        InputError: for bad input, a folder that holds another study, and nothing there to resume.
-    """
+    """Run a study, or go on with it, by ``team``: workers and scheduler, as ``api.study``; in words, and the exit code."""
     missing = ("there is no study to resume", "say run, or name its folder") if resuming else None
     study, folder, stem = _begun(what, out, missing)
     workers, scheduler = team
@@ -126,11 +108,7 @@ def estimate(study: Study, workers: int | None) -> str:
 
 
 def status(what: str, out: Path | None) -> tuple[str, int]:
-    """What is finished and what is left; the exit code is 5 while something is.
-
-    Raises:
-        InputError: where there is no such study.
-    """
+    """What is finished and what is left; the exit code is 5 while something is."""
     store = existing(what, out)
     found = api.state(store)
     rows = [[key.replace("_", " "), str(found[key])] for key in ("status", "points", "finished", "left", "failed")]
@@ -139,11 +117,7 @@ def status(what: str, out: Path | None) -> tuple[str, int]:
 
 
 def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:
-    """Take in other folders' blocks and write the table if none is missing.
-
-    Raises:
-        InputError: where there is no such study.
-    """
+    """Take in other folders' blocks and write the table if none is missing."""
     store = existing(what, out)
     taken = sum(store.take(other) for other in others)
     found = api.state(store)
@@ -153,21 +127,13 @@ def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:
 
 
 def existing(what: str, out: Path | None) -> Store:
-    """The store of a study that was begun.
-
-    Raises:
-        InputError: where there is none, or another.
-    """
+    """The store of a study that was begun; ``InputError`` where there is none, or another."""
     study, folder, _ = _begun(what, out, ("there is no study", "say bcfj study run first, or name its folder"))
     return api.prepare(study, folder)
 
 
 def finished(what: str, out: Path | None) -> tuple[Finished | None, Path, str]:
-    """A study that is finished, or None where something is left; its folder, and what to say and do first.
-
-    Raises:
-        InputError: as ``existing``.
-    """
+    """A study, or None where something of it is left; its folder, and what to say and do first."""
     folder = existing(what, out).folder
     found = read(folder) if (folder / api.RESULTS).exists() else None
     return found, folder, f"the study is not finished; first say\nbcfj study resume {what} --out {folder}"

@@ -22,10 +22,8 @@ class Finished(NamedTuple):
     """A study and its table, in the order of the points.
 
     Attributes:
-        study: what was asked.
         values: (N, D) of the varied parameters, as they were run [SI].
-        columns: (N,) of each of ``study.columns``, NaN where a run failed.
-        ok: (N,) whether each run did not fail.
+        columns: (N,) of each of ``study.columns``, NaN where a run failed; ok: (N,) whether it did not.
     """
 
     study: Study
@@ -39,11 +37,7 @@ class Finished(NamedTuple):
         return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.design.axes)], axis=1)
 
     def feature(self, name: str) -> np.ndarray:
-        """A feature (N,), NaN where the run failed.
-
-        Raises:
-            InputError: for a feature that the study did not keep, with the nearest it did.
-        """
+        """A feature (N,), NaN where the run failed; ``InputError`` for one that the study did not keep."""
         known = [f.name for f in self.study.features]
         if name not in known:
             raise InputError(f"feature '{name}'", "the study did not keep it", nearest(name, known))
@@ -52,8 +46,7 @@ class Finished(NamedTuple):
     def each(self, ask: Callable[[str], T], features: Sequence[str] = ()) -> tuple[list[T], dict[str, str]]:
         """What ``ask`` gives of the features named, or of all that have it, and why the others have none.
 
-        Raises:
-            InputError: of the first that has none, where they were named, or where no feature has any.
+        An error is raised where one that is named has none, or where no feature has any.
         """
         good, errors = [], {}
         for name in features or [f.name for f in self.study.features]:

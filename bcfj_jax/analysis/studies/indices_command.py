@@ -31,11 +31,7 @@ _MEANINGS = {
 
 
 def run(what: str, out: Path | None, features: Sequence[str], seed: int) -> tuple[str, int]:
-    """Indices of some features, or of all; in words, and the exit code: 5 while the study is not finished.
-
-    Raises:
-        InputError: where there is no such study, and for features that have no indices.
-    """
+    """Indices of some features, or of all; in words, and the exit code: 5 while the study is not finished."""
     found, folder, first = finished(what, out)
     if found is None:
         return first, INTERRUPTED

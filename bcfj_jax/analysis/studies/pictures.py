@@ -27,12 +27,9 @@ def label(study: Study, name: str) -> str:
 
 
 def overview(study: Study, result: Result, folder: Path) -> list[Picture]:
-    """``study.png``: one parameter: curves, a panel a feature; a grid of two: maps; else clouds.
+    """``study.png``, if there is anything to draw: of one parameter curves, of a grid of two maps, else clouds.
 
     Parameters that were varied together, each rising or falling with the first, are one parameter.
-
-    Returns:
-        The picture drawn, if any.
     """
     good = result.column("status") == "ok"
     if not good.any() or not study.features:

@@ -98,11 +98,7 @@ def indices(source: Source, feature: str, seed: int = 0) -> Indices:
 
 
 def every(source: Source, seed: int = 0, features: Sequence[str] = ()) -> tuple[list[Indices], dict[str, str]]:
-    """Indices of the features named, or of every feature that has any; and why the others have none.
-
-    Raises:
-        InputError: if no feature has any, or one that is named.
-    """
+    """Indices of the features named, or of every feature that has any; and why the others have none."""
     found = read(source)
     return found.each(lambda name: indices(found, name, seed), features)
 

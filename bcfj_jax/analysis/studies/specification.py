@@ -166,13 +166,8 @@ def load(path: Path) -> Study:
 def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Path(".")) -> Study:
     """The study that a file's content describes.
 
-    Args:
-        table: the content.
-        where: the file, for messages.
-        beside: folder in which a scene file is sought.
-
-    Raises:
-        InputError: for anything that is not right, naming the key and what would be.
+    ``where``: the file, for messages; ``beside``: the folder in which a scene file is sought. ``InputError`` for anything that
+    is not right names the key and what would be.
     """
     table = dict(table)
     if isinstance(table.get("vary"), Mapping):
@@ -292,11 +287,7 @@ def _scene(scene: Any, where: str, beside: Path) -> tuple[SceneFile, bool]:
 
 
 def _spread(given: SceneFile, vary: Mapping[str, _Axis], where: str) -> dict[str, _Axis]:
-    """The varied parameters, in which a pattern (``ball_*.oversize``) stands for every one that has a value here.
-
-    Raises:
-        InputError: for a pattern that stands for nothing, or for a parameter that is named besides.
-    """
+    """The varied parameters, in which a pattern (``ball_*.oversize``) stands for every one that has a value here."""
     found: dict[str, _Axis] = {}
     for name, one in vary.items():
         place = f"{where}: [vary.{name}]"

@@ -57,12 +57,7 @@ def _remove(path: Path) -> None:
 
 
 class Store:
-    """The folder of a study.
-
-    Args:
-        folder: where.
-        blocks: the study, cut.
-    """
+    """The folder of a study that is cut into blocks."""
 
     def __init__(self, folder: Path, blocks: Blocks) -> None:
         self.folder, self.blocks, self.study = folder, blocks, blocks.study
@@ -125,11 +120,7 @@ class Store:
         self._finished.add(block)
 
     def keep(self, block: int, files: Mapping[str, bytes]) -> None:
-        """Keep a block whose files were written elsewhere; on disk when this returns.
-
-        Raises:
-            InputError: for a file that is not this block's.
-        """
+        """Keep a block whose files were written elsewhere; on disk when this returns. ``InputError`` for another's file."""
         self.place.mkdir(parents=True, exist_ok=True)
         path = self.path(block)
         forces = path.with_suffix(".zarr")

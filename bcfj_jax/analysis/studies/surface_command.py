@@ -26,11 +26,7 @@ _MEANING = (
 
 
 def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool) -> tuple[str, int]:
-    """Surfaces of some features, or of all; in words, and the exit code: 5 while the study is not finished.
-
-    Raises:
-        InputError: where there is no such study, and where no feature asked for has a surface.
-    """
+    """Surfaces of some features, or of all; in words, and the exit code: 5 while the study is not finished."""
     found, folder, first = finished(what, out)
     if found is None:
         return first, INTERRUPTED

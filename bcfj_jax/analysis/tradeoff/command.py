@@ -24,13 +24,9 @@ _REPORT_S = 4.0
 def run(
     what: str, only: Sequence[str], derivatives: bool, budget: float, out: Path | None, say: Callable[[str], None]
 ) -> tuple[str, int]:
-    """Study a scene file, or go on with a study that its folder holds the journal of.
+    """Study a scene file, or go on with a study that its folder holds the journal of; in words, and the exit code.
 
-    ``only``, ``derivatives``: as ``settings.settings``; ``budget``: seconds for this call. The results in words, and the exit
-    code of the contract.
-
-    Raises:
-        InputError: for bad input, and where something would be overwritten.
+    ``only``, ``derivatives``: as ``settings.settings``; ``budget``: seconds for this call.
     """
     begin_s = time.monotonic()
     given = shown(load(what))

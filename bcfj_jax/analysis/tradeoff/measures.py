@@ -52,12 +52,9 @@ class Measured(NamedTuple):
 
 
 def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
-    """A good run's forces at the times, straight lines between its own where these differ; the rest on its own.
+    """A good run's forces at times (T,) [s], straight lines between its own where these differ; the rest on its own.
 
-    Args:
-        run: what was simulated.
-        times: (T,) [s].
-        turning: whether the period is that of the forces' history (``ModelTraits``).
+    ``turning``: whether the period is that of the forces' history (``ModelTraits``).
     """
     force, depth, rate = channels(run.force, 1), channels(run.penetration), channels(run.rate)
     slip = channels(run.slip)

@@ -108,14 +108,7 @@ class _Attempts:
 def reference(
     given: SceneFile, left: Callable[[], float], say: Callable[[str], None], derivatives: bool = True
 ) -> Reference:
-    """Certify a scene's truth.
-
-    Args:
-        given: the user's scene file.
-        left: seconds left for the whole study, now.
-        say: receives the progress.
-        derivatives: whether to certify derivatives, too.
-    """
+    """Certify a scene's truth, and its derivatives where they are wanted; ``left``: seconds for the whole study, now."""
     names, begin, tried = parameters(given), left(), _Attempts(left)
     without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
     truth, certificate = _values(given, tried, say)
@@ -257,12 +250,7 @@ def save(found: Reference, folder: Path) -> str:
 
 
 def restore(certificate: Any, folder: Path, digest: Any) -> Reference | None:
-    """A kept reference; None where its file is not the one that ``save`` wrote, or not as it was.
-
-    Args:
-        certificate, digest: as the journal has them.
-        folder: where the file is.
-    """
+    """A kept reference, of which the journal has certificate and digest; None where its file is not as ``save`` wrote it."""
     try:
         content = (folder / NAME).read_bytes()
         if hashlib.sha256(content).hexdigest() != digest:

@@ -121,10 +121,7 @@ def distinct(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[f
 def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = True) -> list[Setting]:
     """Every setting worth trying on a scene, the user's own first, then cheap ones before dear ones.
 
-    Args:
-        given: the user's scene file.
-        only: groups and solvers to try; by default all.
-        derivatives: whether derivatives are measured where they can be.
+    ``only``: groups and solvers to try; by default all. ``derivatives``: whether they are measured where they can be.
 
     Raises:
         InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a model whose

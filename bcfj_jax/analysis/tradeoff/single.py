@@ -32,11 +32,7 @@ _READ = ("force", "penetration", "rate", "slip")
 
 
 def single(table: Mapping[str, Any], seconds: float) -> Trial:
-    """Run a scene file in 32-bit numbers, in another process.
-
-    Args:
-        table: the scene file, as ``trial.loaded`` takes it.
-        seconds: after which it is stopped.
+    """Run a scene file in 32-bit numbers, in another process, for so many seconds at most.
 
     Raises:
         RuntimeError: where the other process failed, with its last line, or did not end in time.
