@@ -17,10 +17,9 @@ from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
 from bcfj_jax.analysis.designs.confirm import confirm, independent
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
 from bcfj_jax.analysis.designs.evaluate import Evaluator
-from bcfj_jax.analysis.designs.minimax import Kink, minimax
-from bcfj_jax.analysis.designs.newton import ARRIVED, Refined, refine
 from bcfj_jax.analysis.designs.objective import Combine
 from bcfj_jax.analysis.designs.objective import objective as objective_of
+from bcfj_jax.analysis.designs.refine import ARRIVED, Kink, Refined, minimax, refine
 from bcfj_jax.analysis.designs.result import (
     ALONE,
     FAILED,

@@ -46,7 +46,7 @@ class Design(NamedTuple):
         at_bound: by name "lower" or "upper" for what lies at a bound and is pushed against it.
         before, after: the true objective by the optimiser's own solver; gain, positive where it became better.
         gradient: by name, of the crest (with the robust part, if any), per SI unit.
-        step, curvature: as ``newton.Refined``: how far the optimum may still be, a share of a range.
+        step, curvature: as ``refine.Refined``: how far the optimum may still be, a share of a range.
         starts: of every start its way, first that of the given design; agree: how many ended within 1e-4 of the best
             descent's value, near: how many of these within 1e-2 of every range of its place.
         confirmation: the independent run beside; None where it was not asked for.

@@ -35,11 +35,12 @@ _WAIT_S = 30.0
 
 
 class Result(NamedTuple):
-    """A finished study: its folder, its table as the contract has it, and what ``study.json`` says."""
+    """A finished study: its folder, its table as the contract has it, what ``study.json`` says, and what was asked."""
 
     folder: Path
     table: pa.Table
     state: dict[str, Any]
+    study: Study
 
     _view = "bcfj_jax.analysis.studies.view"
     __repr__ = presented.text
@@ -175,7 +176,7 @@ def finish(store: Store) -> Result:
     with local.written():
         write_parquet(store.folder / RESULTS, table)
         outputs.write_json(store.folder / STATE, found)
-    return Result(store.folder, table, found)
+    return Result(store.folder, table, found, store.study)
 
 
 def state(store: Store) -> dict[str, Any]:

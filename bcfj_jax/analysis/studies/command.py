@@ -77,7 +77,7 @@ def run(
                 api.compute(store, workers, scheduler, lambda n, _: done(min(n * size, study.count)))
             result = api.finish(store)
             with local.written():
-                text = write(result, study, stem)
+                text = write(result, stem)
         except (local.Stopped, KeyboardInterrupt) as stopped:
             finished = f"interrupted: {store.there()} of {len(blocks)} blocks are finished"
             say(f"stopped: {stopped}" if isinstance(stopped, local.Stopped) else finished)
@@ -123,7 +123,7 @@ def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:
     found = api.state(store)
     if found["left"]:
         return f"{taken} blocks taken in; {found['left']} of {found['points']} points are missing", INTERRUPTED
-    return f"{taken} blocks taken in\n{write(api.finish(store), store.study, Path(what).stem)}", DONE
+    return f"{taken} blocks taken in\n{write(api.finish(store), Path(what).stem)}", DONE
 
 
 def existing(what: str, out: Path | None) -> Store:

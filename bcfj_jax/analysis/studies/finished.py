@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from bcfj_jax.analysis.studies import specification
-from bcfj_jax.analysis.studies.api import RESULTS, Result, finish
+from bcfj_jax.analysis.studies.api import RESULTS, RUN, Result, finish
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, print_fault, read_whole
@@ -86,11 +86,14 @@ def read(source: Source) -> Finished:
     """
     if isinstance(source, Finished):
         return source
-    folder = source.folder if isinstance(source, Result) else Path(source)
-    if not (folder / "run.toml").exists():
-        raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
-    study = specification.load(folder / "run.toml")
-    table = source.table if isinstance(source, Result) else _table(folder, study)
+    if isinstance(source, Result):
+        folder, study, table = source.folder, source.study, source.table
+    else:
+        folder = Path(source)
+        if not (folder / RUN).exists():
+            raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
+        study = specification.load(folder / RUN)
+        table = _table(folder, study)
     if table.num_rows != study.count:
         found = f"{table.num_rows} rows for {study.count} points"
         raise InputError(str(folder / RESULTS), found, "say bcfj study resume")

@@ -8,32 +8,31 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.plausibility import Finding, at, headline, judged
-from bcfj_jax.analysis.studies import pictures
+from bcfj_jax.analysis.studies import view
 from bcfj_jax.analysis.studies.api import Result
-from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, span
 
 
-def write(result: Result, study: Study, stem: str) -> str:
+def write(result: Result, stem: str) -> str:
     """Pictures and report; the results in words."""
-    found = result.state
-    absurd = _absurd(result, study)
+    found, study = result.state, result.study
+    absurd = _absurd(result)
     with stage("drawing"):
-        drawn = pictures.overview(study, result, result.folder)
-    report.write(result.folder, page(f"Study {stem}", result, study, drawn, absurd), study.given.scene.model_form)
+        drawn = view.overview(result, result.folder)
+    report.write(result.folder, page(f"Study {stem}", result, drawn, absurd), study.given.scene.model_form)
     first = [f"At its {place} {headline(findings)}" for place, findings in absurd.items()]
     said = f"{found['finished']} points, {found['failed']} of them failed."
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
-    rows = [["", "least", "median", "largest"], *ranges(result, study, study.columns)]
+    rows = [["", "least", "median", "largest"], *ranges(result, study.columns)]
     return "\n".join([*first, said, *more, "", report.text(rows)])
 
 
-def ranges(result: Result, study: Study, names: Sequence[str]) -> list[list[str]]:
+def ranges(result: Result, names: Sequence[str]) -> list[list[str]]:
     """Least, median and largest value of columns over the points that did not fail."""
     good = result.column("status") == "ok"
-    units = {feature.name: feature_unit(feature.name) for feature in study.features}
+    units = {feature.name: feature_unit(feature.name) for feature in result.study.features}
     rows = []
     for name in names:
         values = result.column(name)[good]
@@ -43,9 +42,9 @@ def ranges(result: Result, study: Study, names: Sequence[str]) -> list[list[str]
     return rows
 
 
-def _absurd(result: Result, study: Study) -> dict[str, list[Finding]]:
+def _absurd(result: Result) -> dict[str, list[Finding]]:
     """What is not plausible at the points of the least and of the largest value of the first feature, run again alone."""
-    name = study.features[0].name
+    study, name = result.study, result.study.features[0].name
     values = np.where(result.column("status") == "ok", result.column(name), np.nan)
     if not np.isfinite(values).any():
         return {}
@@ -57,11 +56,10 @@ def _absurd(result: Result, study: Study) -> dict[str, list[Finding]]:
     return {place: findings for place, findings in found.items() if findings}
 
 
-def page(
-    title: str, result: Result, study: Study, drawn: Sequence[Picture], absurd: Mapping[str, list[Finding]]
-) -> Page:
+def page(title: str, result: Result, drawn: Sequence[Picture], absurd: Mapping[str, list[Finding]]) -> Page:
     """The report: which parameter moves which feature most, the range of every feature, and points that failed."""
-    rows = [["feature", "least", "median", "largest"], *ranges(result, study, [f.name for f in study.features])]
+    study = result.study
+    rows = [["feature", "least", "median", "largest"], *ranges(result, [f.name for f in study.features])]
     varied = [["parameter", "from", "to"]]
     for name in study.names:
         unit, values = study.given.scene.quantities[name].unit, result.column(name)
@@ -72,16 +70,17 @@ def page(
         warnings = (f"{found} of {study.count} points failed; the features do not include them.",)
         reasons = [[text, str(count)] for text, count in result.state["reasons"].items()]
         tables.append(Table("Failures", [["reason", "points"], *reasons]))
-    verdict = judged([one for findings in absurd.values() for one in findings], _answer(result, study))
+    verdict = judged([one for findings in absurd.values() for one in findings], _answer(result))
     return Page(title, verdict, tuple(drawn), warnings, tuple(tables))
 
 
-def _answer(result: Result, study: Study) -> Verdict:
+def _answer(result: Result) -> Verdict:
     """Which parameter moves which feature most, by the range of the feature over its median.
 
     With several parameters the one whose ranks correlate most with the feature's (Spearman).
     """
-    good, count = result.column("status") == "ok", f"{study.count} points"
+    study, good = result.study, result.column("status") == "ok"
+    count = f"{study.count} points"
     if not good.any():
         return Verdict(BAD, "Failed", f"None of {count} has a result.")
     best, feature = -1.0, None
@@ -96,7 +95,7 @@ def _answer(result: Result, study: Study) -> Verdict:
         return Verdict(kind, word, f"{count}; no feature has a value.")
     values = result.column(feature)[good]
     extent = span(values, feature_unit(feature))
-    if pictures.together(study, result):
+    if view.together(result):
         name = " and ".join(study.names)
     else:
         name = max(study.names, key=lambda n: _rank_correlation(result.column(n)[good], values))

@@ -10,7 +10,7 @@ import numpy as np
 
 from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.derivatives.names import feature_unit
-from bcfj_jax.analysis.studies import pictures, surface
+from bcfj_jax.analysis.studies import surface, view
 from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
 from bcfj_jax.analysis.studies.finished import Finished
 from bcfj_jax.analysis.studies.surface import Surface
@@ -113,7 +113,7 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
             # One scale for all, so that what matters shows.
             if len(lines) > 1:
                 panel.set_ylim(np.min(ends) - margin, np.max(ends) + margin)
-            panel.set(xlabel=pictures.label(found.study, one.axes[k].name), ylabel=plots.label(kind, unit, prefix))
+            panel.set(xlabel=view.label(found.study, one.axes[k].name), ylabel=plots.label(kind, unit, prefix))
             rest = "" if len(lines) == 1 else ", the others in the middle"
             panel.set_title(f"{one.feature}{rest if k == 0 else ''}")
             if k == 0:
@@ -135,8 +135,8 @@ def _maps(one: Surface, found: Finished, path: Path) -> None:
             panel.plot(*found.values[good].T, "o", ms=3.5, mfc="none", mec="white", mew=0.9)
             _scale(panel, "x", one.axes[0])
             _scale(panel, "y", one.axes[1])
-            panel.set(xlabel=pictures.label(found.study, one.axes[0].name))
-            panel.set(ylabel=pictures.label(found.study, one.axes[1].name))
+            panel.set(xlabel=view.label(found.study, one.axes[0].name))
+            panel.set(ylabel=view.label(found.study, one.axes[1].name))
         axes[0].contour(*mesh, mean, levels=8, colors="white", linewidths=0.6)
         axes[0].set_title(f"{one.feature}; circles: the study's points")
         axes[1].set_title(f"{one.feature}: predicted deviation")

@@ -95,7 +95,7 @@ class _Attempts:
             return within(self.left(), run)
         except OutOfTime:
             self.late = True
-            self.failed(name, _LATE)
+            self.failures.append(f"{name} {_LATE}")
         except RuntimeError as error:  # Of JAX: no memory for it, say.
             self.failed(name, str(error))
         return None
