@@ -80,7 +80,7 @@ def design(
     """
     search = Search(**options).checked()
     t, params = increasing(times, 2), inputs.parameters(of_numbers(scene), params, traced=False)
-    plain, search = _posed((scene, params, t), objective, free, search)
+    plain, search = posed((scene, params, t), objective, free, search)
     box, goal = plain.space, robust(plain, search.kappa)
     given = np.array([float(plain.params[name]) for name in box.names])
     before = plain.at(given[None])
@@ -113,11 +113,11 @@ def design(
     return found._replace(failures=dict(spent.failures), stats=stats | {"lanes": plain.batch})
 
 
-def _posed(
+def posed(
     given: tuple[AbstractModel, Params, np.ndarray], asked: str | Mapping[str, float] | Combine, free: Mapping[str, Any],
     search: Search,
 ) -> tuple[Evaluator, Search]:  # fmt: skip
-    """The objective over the unit box, and the options that it leaves."""
+    """The objective of a model, its parameters and times over the unit box, and the options that it leaves; checked."""
     scene, params, t = given
     if scene.traits.open:
         found = f"'{scene.title}' leaves the choice of the model open"

@@ -97,6 +97,12 @@ class Question:
     steady: bool = False
 
     @property
+    def options(self) -> dict[str, Any]:
+        """Those of ``design``."""
+        own = {"confirm": "auto" if self.search.confirm else None, "max_steps": self.given.max_steps}
+        return {**self.search.model_dump(), **own, "sense": self.sense, "steady": self.steady}
+
+    @property
     def resolved(self) -> dict[str, Any]:
         """The question with every default, as ``run.toml`` has it."""
         return {
@@ -129,17 +135,11 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
     """
     path = Path(what)
     table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
-    if not is_design(table):
-        table = {"scene": what}
-        beside = Path(".")
-    else:
-        beside = path.parent
+    table, beside = (table, path.parent) if is_design(table) else ({"scene": what}, Path("."))
     # What is no table is left as it is, and refused below.
-    vary: Any = table.get("vary", {})
-    search: Any = table.get("search", {})
+    vary, search, wanted = (table.get(name, {}) for name in ("vary", "search", "objective"))
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
     search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
-    wanted = table.get("objective", {})
     if isinstance(wanted, Mapping) and more.get("objective"):
         wanted = {key: wanted[key] for key in ("steady",) if key in wanted} | dict(more["objective"])
     table = {**table, "vary": vary, "search": search, "objective": wanted}

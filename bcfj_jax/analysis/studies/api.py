@@ -13,6 +13,7 @@ import numpy as np
 
 from bcfj_jax.analysis.studies import local, specification
 from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.block import compute as run_points
 from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
@@ -21,8 +22,9 @@ from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import cores
-from bcfj_jax.io import outputs, usercode
+from bcfj_jax.io import outputs, report, usercode
 from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.units import format_si
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -196,3 +198,25 @@ def state(store: Store) -> dict[str, Any]:
         "rounds": rounds, "code": usercode.record(), "status": "finished" if points == count else "unfinished",
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }  # fmt: skip
+
+
+def estimate(study: Study, workers: int | None) -> str:
+    """How many points, and about how long and how large, from a few that are run here and thrown away."""
+    blocks = Blocks(study)
+    at = blocks.order[np.unique(np.linspace(0, study.count - 1, min(blocks.size, 8)).astype(int))]
+    begin = time.perf_counter()
+    run_points(study, at, blocks.size)
+    middle = time.perf_counter()
+    table = run_points(study, at, blocks.size)
+    each = (time.perf_counter() - middle) / len(at)
+    team = workers or default_workers()
+    histories = table.force.nbytes / len(at) if study.histories else 0.0
+    disk = study.count * (8.0 * (len(study.names) + len(study.columns) + 1) + histories)
+    rows = [
+        ["points", str(study.count)],
+        ["blocks", f"{len(blocks)} of {blocks.size}"],
+        ["compiling", f"{middle - begin - each * len(at):.1f} s"],
+        ["computing", f"about {format_si(study.count * each / min(team, len(blocks)), 's', 2)} with {team} workers"],
+        ["disk", f"about {disk / 1e6:.3g} MB" if disk >= 1e6 else f"about {disk / 1e3:.3g} kB"],
+    ]
+    return report.text(rows)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from bcfj_jax.analysis.studies import api, local, specification
-from bcfj_jax.analysis.studies.block import Blocks, compute
 from bcfj_jax.analysis.studies.finished import Finished, read
 from bcfj_jax.analysis.studies.pages import write
 from bcfj_jax.analysis.studies.specification import Study
@@ -21,7 +17,6 @@ from bcfj_jax.io import changes, report, tables
 from bcfj_jax.io.changes import Change
 from bcfj_jax.io.page import counted
 from bcfj_jax.io.stop import heeded
-from bcfj_jax.io.units import format_si
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
 BUILT_IN = Path(__file__).with_name("built_in")
@@ -67,7 +62,7 @@ def run(
     # A dry run refuses what the run would refuse.
     api.needed(study.histories, scheduler is not None)
     if dry:
-        return estimate(study, workers), DONE
+        return api.estimate(study, workers), DONE
     store = api.prepare(study, folder)
     blocks, size = store.blocks, store.blocks.size
     say(f"{counted(study.count, 'point')} in {counted(len(blocks), 'block')} of {size}, in {folder}")
@@ -83,28 +78,6 @@ def run(
             say(f"stopped: {stopped}" if isinstance(stopped, local.Stopped) else finished)
             return f"bcfj study resume {what} --out {folder}{changes.as_options()}", INTERRUPTED
     return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
-
-
-def estimate(study: Study, workers: int | None) -> str:
-    """How many points, and about how long and how large, from a few that are run here and thrown away."""
-    blocks = Blocks(study)
-    at = blocks.order[np.unique(np.linspace(0, study.count - 1, min(blocks.size, 8)).astype(int))]
-    begin = time.perf_counter()
-    compute(study, at, blocks.size)
-    middle = time.perf_counter()
-    table = compute(study, at, blocks.size)
-    each = (time.perf_counter() - middle) / len(at)
-    team = workers or api.default_workers()
-    histories = table.force.nbytes / len(at) if study.histories else 0.0
-    disk = study.count * (8.0 * (len(study.names) + len(study.columns) + 1) + histories)
-    rows = [
-        ["points", str(study.count)],
-        ["blocks", f"{len(blocks)} of {blocks.size}"],
-        ["compiling", f"{middle - begin - each * len(at):.1f} s"],
-        ["computing", f"about {format_si(study.count * each / min(team, len(blocks)), 's', 2)} with {team} workers"],
-        ["disk", f"about {disk / 1e6:.3g} MB" if disk >= 1e6 else f"about {disk / 1e3:.3g} kB"],
-    ]
-    return report.text(rows)
 
 
 def status(what: str, out: Path | None) -> tuple[str, int]:
