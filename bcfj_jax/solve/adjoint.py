@@ -27,7 +27,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.solve.bdf import ALPHA, GAMMA, ORDERS, ROWS, Record, between, predicted, rescaled, rescaling, updated
-from bcfj_jax.solve.sdirk import Sdirk, newton
+from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 
 # States kept of runs whose tangents are not in the step control, and of those where they are, which take ten times the steps.
 SEGMENT = {False: 8192, True: 65536}
@@ -75,7 +75,8 @@ class _Back(NamedTuple):
             factors = self.solver.structure.factor(before, d[0], args, length / alpha[record.orders[k]])
             d = rescaled(d, order, h / length)
             ahead, base = predicted(d, order)
-            y, good, _ = newton(self.solver, t, base, ahead, h / alpha[order], args, factors, k == 0)
+            stage = Stage(t, base, h / alpha[order], args)
+            y, good, _ = newton(self.solver, stage, ahead, factors, k == 0)
             y = jnp.where(good, y, jnp.nan)
             return updated(d, order, y - ahead), states.at[i].set(y)
 

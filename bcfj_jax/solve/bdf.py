@@ -28,7 +28,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.kept import once
-from bcfj_jax.solve.sdirk import Sdirk, newton
+from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 from bcfj_jax.solve.tangents import along
 
 ORDERS = 5
@@ -271,7 +271,8 @@ class _Run(NamedTuple):
         constant = jnp.asarray(_ERROR)
         t, c = s.t + s.h, s.h / jnp.asarray(ALPHA)[s.order]
         ahead, base = predicted(s.differences, s.order)
-        y, good, matrix = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0, exact=True)
+        stage = Stage(t, base[0], c, args)
+        y, good, matrix = newton(solver, stage, ahead[0], s.factors, s.accepted == 0, exact=True)
         bend = y - ahead[0]
         good = good & (constant[s.order] * self.norm(bend[None], jnp.ones(1)) <= 1.0)
 

@@ -214,7 +214,7 @@ class Landing(AbstractControl):
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
         short = fixed(dt) <= _SHORT * jnp.max(jnp.where(crossing, fixed(t1) - memory.since, 0.0))
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0) & ~short
-        ending, early = self._ending(memory, now, t0, y0[: self.size], args, dt, keep & ~again)
+        ending, early = self._ending(memory, now, (t0, y0[: self.size]), args, dt, keep & ~again)
         again = again | early
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
@@ -252,7 +252,7 @@ class Landing(AbstractControl):
         return kept, start, end, jump, known, result
 
     def _ending(
-        self, memory: _Memory, now: Look, t0: Any, y0: Array, args: Any, dt: Any, kept: Array
+        self, memory: _Memory, now: Look, begin: tuple[Any, Array], args: Any, dt: Any, kept: Array
     ) -> tuple[Array, Array]:
         """How far from a step's start a force ends within its contact [s], and whether the step is to end there.
 
@@ -267,7 +267,7 @@ class Landing(AbstractControl):
         over = kept & (now.force == 0) & (now.depth > 0) & (size > _ENDED * memory.top) & (memory.tries < _TRIES)
 
         def root() -> Array:
-            t, y, given = fixed((jnp.asarray(t0), y0, prepared))
+            t, y, given = fixed((jnp.asarray(begin[0]), begin[1], prepared))
             force = lambda t, y: jnp.abs(look(model, t, y, given).force)  # noqa: E731
             slope = jax.jvp(force, (t, y), (jnp.ones_like(t), model.vector_field(t, y, given)))[1]
             slope = jnp.concatenate([slope, jnp.zeros(size.size - slope.size)])

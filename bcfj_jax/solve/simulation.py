@@ -82,12 +82,7 @@ class Run(NamedTuple):
 
 
 def outcome(
-    scene: AbstractModel,
-    params: Params,
-    times: Array,
-    how: Plan,
-    mode: Way,
-    differentiable: bool = False,
+    scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way, differentiable: bool = False
 ) -> tuple[Solution, dict[str, Reading]]:
     """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
     from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
