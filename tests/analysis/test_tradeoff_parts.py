@@ -22,8 +22,7 @@ from bcfj_jax.analysis.tradeoff.measures import (
     worst,
 )
 from bcfj_jax.analysis.tradeoff.settings import settings
-from bcfj_jax.analysis.tradeoff.single import single
-from bcfj_jax.analysis.tradeoff.trial import loaded, trial
+from bcfj_jax.analysis.tradeoff.trial import loaded, single, trial
 from bcfj_jax.io.scenefile import from_table, load
 from bcfj_jax.solve.plan import plan
 

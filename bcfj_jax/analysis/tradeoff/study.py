@@ -22,8 +22,7 @@ from bcfj_jax.analysis.tradeoff.measures import (
 )
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
-from bcfj_jax.analysis.tradeoff.single import single
-from bcfj_jax.analysis.tradeoff.trial import loaded, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import loaded, single, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
