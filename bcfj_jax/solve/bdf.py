@@ -331,13 +331,10 @@ class _Run(NamedTuple):
         factor = jnp.minimum(1.0, longest / s.h)
         return jax.lax.cond(factor < 1.0, lambda s: _stretched(s, factor), lambda s: s, s)
 
-    def shown(self, tried: _State, bends: Array) -> Array:
+    def shown(self, tried: _State, bends: Array, hidden: Callable[..., Array]) -> Array:
         """Share of a step at which it has to end so that it hides no contact."""
-        limits = self.how.limits
-        if limits is None or limits.hidden is None:
-            return jnp.ones(())
         after = _accepted(tried, bends)
-        return limits.hidden(tried.t, after.t, tried.differences[0, 0], _reading(after))
+        return hidden(tried.t, after.t, tried.differences[0, 0], _reading(after))
 
     def due(self, carry: tuple) -> Array:
         """Whether the last step has reached the next output."""
@@ -377,8 +374,10 @@ class _Run(NamedTuple):
         """One attempt, and what is noted of it."""
         tried, watch = self.shortened(carry.state), self.how.watch
         bends, share, sizes, factors = self.attempt(tried)
-        part = self.shown(tried, bends)
-        good = (share <= 1.0) & (part >= 1.0)
+        good, part = share <= 1.0, jnp.ones(())
+        if self.how.limits is not None and self.how.limits.hidden is not None:
+            part = self.shown(tried, bends, self.how.limits.hidden)
+            good = good & (part >= 1.0)
         s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
         s = jax.lax.cond(good, _accepted, lambda s, _: s, s, bends)
         carry = carry._replace(state=s, record=self.noted(carry.record, tried, s, bends))
