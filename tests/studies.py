@@ -6,7 +6,7 @@ import tomllib
 
 import numpy as np
 
-from bcfj_jax.analysis.studies.design import Axis
+from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.studies.finished import Finished
 from bcfj_jax.analysis.studies.specification import Study, from_table
 from benchmarks.robustness import running
@@ -48,7 +48,7 @@ def peak_variances(study: Study) -> np.ndarray:
     def mean(axis: Axis, p: float) -> float:
         return (axis.upper**p - axis.lower**p) / (p * np.log(axis.upper / axis.lower))
 
-    return np.array([mean(a, 2 * POWERS[a.name]) / mean(a, POWERS[a.name]) ** 2 - 1 for a in study.axes])
+    return np.array([mean(a, 2 * POWERS[a.name]) / mean(a, POWERS[a.name]) ** 2 - 1 for a in study.design.axes])
 
 
 def ishigami(design: str) -> Finished:

@@ -113,13 +113,7 @@ class Summed(NamedTuple):
 
 
 def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Balance:
-    """The balances of a run.
-
-    Args:
-        model, params: what was run.
-        run: with its trajectory.
-        asked: force error, a fraction of the peak.
-    """
+    """The balances of a run that has its trajectory; ``asked``: force error, a fraction of the peak."""
     if run.trajectory is None or not np.all(np.isfinite(run.trajectory)):
         return Balance(UNKNOWN, "The balance is not known: the run did not reach its end.")
     model = model.level(run.choice.fidelity) if run.choice else model

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from scipy.integrate import cumulative_simpson
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, increasing, scalar
@@ -72,14 +73,6 @@ def _instants(times: np.ndarray, step: float) -> tuple[np.ndarray, int]:
     return np.append(inner.ravel(), times[-1]), panels
 
 
-def _work(values: np.ndarray, times: np.ndarray, panels: int) -> np.ndarray:
-    """Integral from the first time to each, by Simpson's rule in every interval."""
-    parts = np.append(values[:-1].reshape(-1, panels), values[panels::panels, None], axis=1)
-    weights = np.tile([4.0, 2.0], panels // 2)[:-1] / (3.0 * panels)
-    ends = (parts[:, 0] + parts[:, -1]) / (3.0 * panels)
-    return np.append(0.0, np.cumsum(np.diff(times) * (parts[:, 1:-1] @ weights + ends)))
-
-
 def balance(
     model: AbstractModel,
     params: Params,
@@ -109,7 +102,11 @@ def balance(
     how = accuracy if isinstance(accuracy, Plan) else plan(model, accuracy)
     instants, panels = _instants(t, step)
     found = jax.device_get(_flows(model, dict(params), jnp.asarray(instants), how))
-    given, taken = ({name: _work(x, t, panels) for name, x in part.items()} for part in (found.given, found.taken))
+
+    def work(power: np.ndarray) -> np.ndarray:
+        return cumulative_simpson(power, x=instants, initial=0.0)[::panels]
+
+    given, taken = ({name: work(x) for name, x in part.items()} for part in (found.given, found.taken))
     stored = {name: np.asarray(x)[::panels] for name, x in found.stored.items()}
     total = sum(stored.values(), np.zeros(t.size))
     change = total - total[0]

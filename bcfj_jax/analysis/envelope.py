@@ -78,13 +78,7 @@ def warnings(scene: AbstractModel, params: Params, times: np.ndarray) -> list[st
 def of_the_start(
     scene: AbstractModel, params: Params, times: np.ndarray, forces: Mapping[str, np.ndarray]
 ) -> list[str]:
-    """Contacts whose peak is from before the promise begins, and higher than any later.
-
-    Args:
-        scene, params: as ``simulate`` takes them.
-        times: (T,) [s].
-        forces: per contact (T, 3) or (T, members, 3) [N].
-    """
+    """Contacts whose peak is from before the promise begins, and higher than any later; forces as of a ``Run``."""
     if not scene.traits.history:
         return []
     begin, found = scene.settled_from(params), []

@@ -65,9 +65,7 @@ class Finding(NamedTuple):
 def of_run(model: AbstractModel, params: Params, run: Run) -> list[Finding]:
     """What of a run is not plausible, a finding a contact at most; the times until a failure count.
 
-    Args:
-        model, params: what was run.
-        run: of it; peaks and penetrations are those of the solver's steps where they were looked at.
+    Peaks and penetrations are those of the solver's steps where they were looked at.
     """
     found = []
     for name, depth in run.penetration.items():

@@ -44,7 +44,7 @@ def study_run(
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    return _told(command.run(study, out, workers, scheduler, dry_run, say, False))
+    return _told(command.run(study, out, (workers, scheduler), dry_run, say, False))
 
 
 @_of_study("resume", example=f"{_RUN}\nbcfj study resume clearance --out study")
@@ -55,7 +55,7 @@ def study_resume(
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    return _told(command.run(study, out, workers, scheduler, False, say, True))
+    return _told(command.run(study, out, (workers, scheduler), False, say, True))
 
 
 @_of_study("status", example=f"{_RUN}\nbcfj study status clearance --out study")

@@ -93,13 +93,7 @@ def changes(function: Callable[[Array], Any], x: Array) -> Any:
 
 
 def along(function: Callable[[Any], Y], x: Any, changes: Any) -> tuple[Y, Y]:
-    """Value of ``function(x)`` and its changes in k directions, leaves (k, ...).
-
-    Args:
-        function: over a pytree.
-        x: where.
-        changes: of x in each direction, leaves (k, ...); None of what does not change, not of everything.
-    """
+    """Value of ``function(x)``, and its changes in k directions from those of x (k, ...), None of what does not change."""
     moving = jax.tree.map(lambda d, x: None if d is None else x, changes, x, is_leaf=lambda d: d is None)
 
     def push(change: Any) -> tuple:

@@ -28,7 +28,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.kept import once
-from bcfj_jax.solve.sdirk import Sdirk, newton
+from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 from bcfj_jax.solve.tangents import along
 
 ORDERS = 5
@@ -174,62 +174,112 @@ def between(time: Array, end: Array, length: Array, order: Array) -> Array:
     return jnp.where(order >= _EDGE, jnp.concatenate([jnp.ones(1), jnp.cumprod(x)]), 0.0)
 
 
-def solve(
-    solver: Sdirk,
-    args: Any,
-    changes: Any,
-    start: Array,
-    scales: Array,
-    times: Array,
-    first: Any,
-    shortest: Any,
-    max_steps: int,
-    orders: int = ORDERS,
-    share: float = 1.0,
-    segment: int = 0,
-    watch: AbstractWatch | None = None,
-    limits: Limits | None = None,
-    memory: AbstractMemory | None = None,
-) -> Found:
-    """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
+class Posed(NamedTuple):
+    """What is integrated.
 
-    Args:
-        solver: structure, tolerances and Newton's settings.
-        args: of the structure's field.
+    Attributes:
+        solver: structure, tolerances and Newton's settings; args: of the structure's field.
         changes: of ``args``, k of each; None where nothing changes.
-        start: (1 + k, n).
+        start: (1 + k, n) rows of the state and its tangents.
         scales: (n,) natural sizes of the states; tangents' errors are absolute up to these, relative beyond.
-        times: when to read; steps may pass the last one.
         first: length of the first step [s]; shortest: of any.
-        max_steps: budget of attempts.
-        orders: the highest order.
+    """
+
+    solver: Sdirk
+    args: Any
+    changes: Any
+    start: Array
+    scales: Array
+    first: Any
+    shortest: Any
+
+
+class Steps(NamedTuple):
+    """How steps are taken, and what is noted of them.
+
+    Attributes:
+        budget: of attempts; orders: the highest.
         share: of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
         segment: how many states a record keeps, which lengthens no run; 0: no record.
         watch: what looks at every accepted step, which changes none.
         limits: of steps, beside their errors.
         memory: states that events set; not where a record is kept.
     """
-    structure, tolerance = solver.structure, solver.tolerance
-    alpha, constant = jnp.asarray(ALPHA), jnp.asarray(_ERROR)
 
-    def norm(rows: Array, sizes: Array) -> Array:
+    budget: int
+    orders: int = ORDERS
+    share: float = 1.0
+    segment: int = 0
+    watch: AbstractWatch | None = None
+    limits: Limits | None = None
+    memory: AbstractMemory | None = None
+
+
+class _Carry(NamedTuple):
+    """Between steps: the state, the number of the next output, outputs so far, and what is noted."""
+
+    state: _State
+    out: Array
+    rows: Array
+    rates: Array | None
+    record: Record | None
+    seen: Any
+    before: Any
+
+
+def _tail(d: Array) -> Array:
+    """The differences that a state is made of."""
+    return d[: ORDERS + 1]
+
+
+def _weights(s: _State, time: Array) -> Array:
+    return between(time, s.t, s.h, s.order)
+
+
+def _reading(s: _State) -> Callable[[Array], Array]:
+    """The state (n,) at a time within the last step."""
+    return lambda time: _weights(s, time) @ _tail(s.differences)[:, 0]
+
+
+def _accepted(s: _State, bends: Array) -> _State:
+    d = updated(s.differences, s.order, bends)
+    return s._replace(t=s.t + s.h, differences=d, accepted=s.accepted + 1, equal=s.equal + 1)
+
+
+def _stretched(s: _State, factor: Array) -> _State:
+    """With steps ``factor`` times as long."""
+    d = rescaled(s.differences, s.order, factor)
+    return s._replace(h=s.h * factor, equal=jnp.asarray(0), differences=d)
+
+
+class _Run(NamedTuple):
+    """One run: what it does in a step."""
+
+    posed: Posed
+    times: Array
+    how: Steps
+
+    def norm(self, rows: Array, sizes: Array) -> Array:
         """Largest over rows of the root mean square in units of the tolerance; not finite counts as infinite."""
-        each = jnp.sqrt(jnp.mean(jnp.square(rows / tolerance), axis=1)) / sizes
+        each = jnp.sqrt(jnp.mean(jnp.square(rows / self.posed.solver.tolerance), axis=1)) / sizes
         worst = jnp.max(each)
         return jnp.where(jnp.isfinite(worst), worst, jnp.inf)
 
-    def attempt(s: _State) -> tuple[Array, Array, Array, Any]:
+    def attempt(self, s: _State) -> tuple[Array, Array, Array, Any]:
         """What the step adds to the prediction, its error (at most 1 is good), the rows' sizes, the last matrix."""
-        t, c = s.t + s.h, s.h / alpha[s.order]
+        solver, args, changes, _, scales, *_ = self.posed
+        constant = jnp.asarray(_ERROR)
+        t, c = s.t + s.h, s.h / jnp.asarray(ALPHA)[s.order]
         ahead, base = predicted(s.differences, s.order)
-        y, good, matrix = newton(solver, t, base[0], ahead[0], c, args, s.factors, s.accepted == 0, exact=True)
+        stage = Stage(t, base[0], c, args)
+        y, good, matrix = newton(solver, stage, ahead[0], s.factors, s.accepted == 0, exact=True)
         bend = y - ahead[0]
-        good = good & (constant[s.order] * norm(bend[None], jnp.ones(1)) <= 1.0)
+        good = good & (constant[s.order] * self.norm(bend[None], jnp.ones(1)) <= 1.0)
 
         def tangents(_):
             none = jnp.zeros_like(base[1:])
             push = once(good, lambda: along(solver, t, y, args, changes), none) if jax.tree.leaves(changes) else none
-            found = jax.vmap(structure.solve, (None, 0))(matrix, base[1:] / c + push)
+            found = jax.vmap(solver.structure.solve, (None, 0))(matrix, base[1:] / c + push)
             return found - ahead[1:], matrix
 
         # A step that will be rejected needs none. Nor is its matrix kept, which may be one of a state that is not finite.
@@ -237,143 +287,145 @@ def solve(
         bends = jnp.concatenate([bend[None], bends])
         # Absolute up to the states' own sizes, which move a force by its size; relative beyond.
         size = jnp.sqrt(jnp.mean(jnp.square((ahead + bends) / scales), axis=1))
-        sizes = jnp.maximum(1.0, share * size).at[0].set(1.0)
-        return bends, jnp.where(good, constant[s.order] * norm(bends, sizes), jnp.inf), sizes, factors
+        sizes = jnp.maximum(1.0, self.how.share * size).at[0].set(1.0)
+        return bends, jnp.where(good, constant[s.order] * self.norm(bends, sizes), jnp.inf), sizes, factors
 
-    def accepted(s: _State, bends: Array) -> _State:
-        d = updated(s.differences, s.order, bends)
-        return s._replace(t=s.t + s.h, differences=d, accepted=s.accepted + 1, equal=s.equal + 1)
-
-    def noted(record: Record | None, tried: _State, s: _State, bends: Array) -> Record | None:
+    def noted(self, record: Record | None, tried: _State, s: _State, bends: Array) -> Record | None:
         """With the step that was tried; the next one writes over it where it was rejected."""
         if record is None:
             return None
-        k, good = tried.accepted, s.accepted > tried.accepted
-        y, start, j = (
-            predicted(tried.differences, tried.order)[0][0] + bends[0],
-            s.differences[: ORDERS + 1, 0],
-            s.accepted // segment,
-        )
+        k, good, segment = tried.accepted, s.accepted > tried.accepted, self.how.segment
+        y, j = predicted(tried.differences, tried.order)[0][0] + bends[0], s.accepted // segment
         begins = good & (s.accepted % segment == 0)
         return Record(
-            record.ends.at[k + 1].set(tried.t + tried.h),
-            record.lengths.at[k + 1].set(tried.h),
-            record.orders.at[k + 1].set(tried.order),
-            record.states.at[k % segment].set(y),
-            record.starts.at[j].set(jnp.where(begins, start, record.starts[j])),
-        )
+            record.ends.at[k + 1].set(tried.t + tried.h), record.lengths.at[k + 1].set(tried.h),
+            record.orders.at[k + 1].set(tried.order), record.states.at[k % segment].set(y),
+            record.starts.at[j].set(jnp.where(begins, _tail(s.differences)[:, 0], record.starts[j])),
+        )  # fmt: skip
 
-    def adapted(s: _State, good: Array, share: Array, sizes: Array, part: Array) -> _State:
+    def adapted(self, s: _State, good: Array, share: Array, sizes: Array, part: Array) -> _State:
         """After a rejection a shorter step, or the ``part`` of one that hides a contact; after order + 1 equal steps the
         order that allows the longest.
         """
-        order, d = s.order, s.differences
-        lower = jnp.where(order > 1, constant[order - 1] * norm(d[order], sizes), jnp.inf)
-        higher = jnp.where(order < orders, constant[order + 1] * norm(d[order + 2], sizes), jnp.inf)
+        order, d, constant = s.order, s.differences, jnp.asarray(_ERROR)
+        lower = jnp.where(order > 1, constant[order - 1] * self.norm(d[order], sizes), jnp.inf)
+        higher = jnp.where(order < self.how.orders, constant[order + 1] * self.norm(d[order + 2], sizes), jnp.inf)
         shares = jnp.maximum(jnp.stack([lower, share, higher]), 1e-12)
         factors = shares ** (-1.0 / (order + jnp.arange(3)))
         best = jnp.where(good, jnp.argmax(factors), 1)
         factor = jnp.where(jnp.isfinite(share), jnp.clip(_SAFETY * factors[best], _SHRINK, _GROWTH), 0.5)
-        factor, order = jnp.where(part < 1.0, jnp.maximum(part, _SHRINK), factor), order + best - 1
-        return s._replace(h=s.h * factor, order=order, equal=jnp.asarray(0), differences=rescaled(d, order, factor))
+        factor = jnp.where(part < 1.0, jnp.maximum(part, _SHRINK), factor)
+        return _stretched(s._replace(order=order + best - 1), factor)
 
-    def shortened(s: _State) -> _State:
+    def shortened(self, s: _State) -> _State:
         """With a step that ends at the next break, and is not too long."""
-        assert limits is not None
+        limits = self.how.limits
+        if limits is None:
+            return s
         longest = limits.longest
         if limits.breaks is not None:
-            k = jnp.searchsorted(limits.breaks, s.t + 2.0 * shortest + 1e-14 * s.t, side="right")
+            k = jnp.searchsorted(limits.breaks, s.t + 2.0 * self.posed.shortest + 1e-14 * s.t, side="right")
             # The one that the last step has reached, to rounding, is behind.
             there = jnp.append(limits.breaks, jnp.inf)[k]
             longest = jnp.minimum(longest, there - s.t)
         factor = jnp.minimum(1.0, longest / s.h)
-        return jax.lax.cond(
-            factor < 1.0,
-            lambda s: s._replace(
-                h=s.h * factor, equal=jnp.asarray(0), differences=rescaled(s.differences, s.order, factor)
-            ),
-            lambda s: s,
-            s,
-        )
+        return jax.lax.cond(factor < 1.0, lambda s: _stretched(s, factor), lambda s: s, s)
 
-    def due(carry: tuple) -> Array:
+    def shown(self, tried: _State, bends: Array, hidden: Callable[..., Array]) -> Array:
+        """Share of a step at which it has to end so that it hides no contact."""
+        after = _accepted(tried, bends)
+        return hidden(tried.t, after.t, tried.differences[0, 0], _reading(after))
+
+    def due(self, carry: tuple) -> Array:
+        """Whether the last step has reached the next output."""
         s, out, *_ = carry
-        return (out < times.size) & (times[jnp.minimum(out, times.size - 1)] <= s.t)
+        return (out < self.times.size) & (self.times[jnp.minimum(out, self.times.size - 1)] <= s.t)
 
-    def weighted(s: _State, time: Array) -> Array:
-        return between(time, s.t, s.h, s.order)
-
-    def write(carry: tuple) -> tuple:
-        """Interpolate at the next output, which the last step has reached."""
+    def write(self, carry: tuple) -> tuple:
+        """Interpolate there."""
         s, out, found, rates = carry
-        kept = s.differences[: ORDERS + 1]
+        kept, time = _tail(s.differences), self.times[out]
         if rates is not None:
-            steep = jax.jvp(lambda time: weighted(s, time), (times[out],), (jnp.ones(()),))[1]
+            steep = jax.jvp(lambda time: _weights(s, time), (time,), (jnp.ones(()),))[1]
             rates = rates.at[out].set(steep @ kept[:, 0])
-        return s, out + 1, found.at[out].set(jnp.tensordot(weighted(s, times[out]), kept, axes=1)), rates
+        return s, out + 1, found.at[out].set(jnp.tensordot(_weights(s, time), kept, axes=1)), rates
 
-    def looked(seen: Any, s: _State) -> Any:
-        assert watch is not None
-        return watch.after(seen, s.t, s.h, lambda time: weighted(s, time) @ s.differences[: ORDERS + 1, 0])
+    def written(self, carry: _Carry) -> _Carry:
+        """With all outputs that the last step has reached."""
+        state, out, rows, rates = jax.lax.while_loop(self.due, self.write, tuple(carry[:4]))
+        return carry._replace(state=state, out=out, rows=rows, rates=rates)
 
-    def remembered(s: _State, before: Array) -> tuple[_State, Array]:
+    def remembered(self, s: _State, before: Array) -> tuple[_State, Array]:
         """After an accepted step: what its events set, and which are to come."""
+        memory, (_, args, changes, *_) = self.how.memory, self.posed
         assert memory is not None
-        kept = s.differences[: ORDERS + 1]
+        kept = _tail(s.differences)
         apart = memory.before(s.t, kept[0, 0], args)
-        there, at = before & ~apart, jnp.asarray(memory.places)
-
-        setting = memory.set
+        there, at, setting = before & ~apart, jnp.asarray(memory.places), memory.set
 
         def put(d: Array) -> Array:
-            rows = setting(s.t, s.h, lambda time: jnp.tensordot(weighted(s, time), kept, axes=1), args, changes)
+            rows = setting(s.t, s.h, lambda time: jnp.tensordot(_weights(s, time), kept, axes=1), args, changes)
             fresh = jnp.zeros((ROWS, *rows.shape)).at[0].set(rows)
             return d.at[:, :, at].set(jnp.where(there, fresh, d[:, :, at]))
 
         return s._replace(differences=jax.lax.cond(jnp.any(there), put, lambda d: d, s.differences)), apart
 
-    def step(carry: tuple) -> tuple:
-        tried, out, found, rates, record, seen, before = carry
-        tried = tried if limits is None else shortened(tried)
-        bends, share, sizes, factors = attempt(tried)
+    def step(self, carry: _Carry) -> _Carry:
+        """One attempt, and what is noted of it."""
+        tried, watch = self.shortened(carry.state), self.how.watch
+        bends, share, sizes, factors = self.attempt(tried)
         good, part = share <= 1.0, jnp.ones(())
-        if limits is not None and limits.hidden is not None:
-            after = accepted(tried, bends)
-            read = lambda time: weighted(after, time) @ after.differences[: ORDERS + 1, 0]  # noqa: E731
-            part = limits.hidden(tried.t, after.t, tried.differences[0, 0], read)
+        if self.how.limits is not None and self.how.limits.hidden is not None:
+            part = self.shown(tried, bends, self.how.limits.hidden)
             good = good & (part >= 1.0)
         s = tried._replace(factors=factors, rejected=tried.rejected + ~good)
-        s = jax.lax.cond(good, accepted, lambda s, _: s, s, bends)
-        record = noted(record, tried, s, bends)
+        s = jax.lax.cond(good, _accepted, lambda s, _: s, s, bends)
+        carry = carry._replace(state=s, record=self.noted(carry.record, tried, s, bends))
         if watch is not None:
-            seen = jax.lax.cond(good, looked, lambda seen, _: seen, seen, s)
-        s, out, found, rates = jax.lax.while_loop(due, write, (s, out, found, rates))
-        if memory is not None:
-            s, before = jax.lax.cond(good, remembered, lambda *x: x, s, before)
+            look = lambda seen, s: watch.after(seen, s.t, s.h, _reading(s))  # noqa: E731
+            carry = carry._replace(seen=jax.lax.cond(good, look, lambda seen, _: seen, carry.seen, s))
+        carry = self.written(carry)
+        s, before = carry.state, carry.before
+        if self.how.memory is not None:
+            s, before = jax.lax.cond(good, self.remembered, lambda *x: x, s, before)
         change = ~good | (s.equal > s.order)
-        s = jax.lax.cond(change, adapted, lambda s, *_: s, s, good, share, sizes, part)
-        return s, out, found, rates, record, seen, before
+        s = jax.lax.cond(change, self.adapted, lambda s, *_: s, s, good, share, sizes, part)
+        return carry._replace(state=s, before=before)
 
-    def going(carry: tuple) -> Array:
-        s, out, *_ = carry
-        return (out < times.size) & (s.accepted + s.rejected < max_steps) & (s.h > shortest)
+    def going(self, carry: _Carry) -> Array:
+        """Whether another step is to be tried."""
+        s, budget = carry.state, self.how.budget
+        return (carry.out < self.times.size) & (s.accepted + s.rejected < budget) & (s.h > self.posed.shortest)
 
-    h, zero = jnp.asarray(first, dtype=jnp.float64), jnp.asarray(0)
-    slope = structure.field(jnp.zeros(()), start[0], args)
-    differences = jnp.zeros((ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
-    # Newton takes a matrix of its own in the first step.
-    none = jax.tree.map(jnp.zeros_like, jax.eval_shape(structure.factor, h, start[0], args, h))
-    begin = _State(jnp.zeros(()), h, jnp.asarray(1), zero, differences, none, zero, zero)
-    found = jnp.full((times.size, *start.shape), jnp.nan)
-    record = None
-    if segment:
-        room, n = jnp.zeros(max_steps + 1), start.shape[1]
-        starts = jnp.zeros((1 + max_steps // segment, ORDERS + 1, n)).at[0].set(differences[: ORDERS + 1, 0])
-        record = Record(room, room.at[0].set(h), jnp.ones(room.size, jnp.int8), jnp.zeros((segment, n)), starts)
-    # A time before 0 or at it reads the start.
-    rates = None if watch is None else jnp.full((times.size, start.shape[1]), jnp.nan)
-    seen = None if watch is None else watch.begin(start[0])
-    ready = jax.lax.while_loop(due, write, (begin, zero, found, rates))
-    before = None if memory is None else memory.before(jnp.zeros(()), start[0], args)
-    s, _, found, rates, record, seen, _ = jax.lax.while_loop(going, step, (*ready, record, seen, before))
-    return Found(found, s.t, s.accepted, s.rejected, record, rates, seen)
+    def begin(self) -> _Carry:
+        """Before the first step."""
+        (solver, args, _, start, _, first, _), how = self.posed, self.how
+        h, zero, n = jnp.asarray(first, dtype=jnp.float64), jnp.asarray(0), start.shape[1]
+        slope = solver.structure.field(jnp.zeros(()), start[0], args)
+        differences = jnp.zeros((ROWS, *start.shape)).at[0].set(start).at[1, 0].set(h * slope)
+        # Newton takes a matrix of its own in the first step.
+        none = jax.tree.map(jnp.zeros_like, jax.eval_shape(solver.structure.factor, h, start[0], args, h))
+        state = _State(jnp.zeros(()), h, jnp.asarray(1), zero, differences, none, zero, zero)
+        record = rates = seen = before = None
+        if how.segment:
+            room = jnp.zeros(how.budget + 1)
+            starts = jnp.zeros((1 + how.budget // how.segment, ORDERS + 1, n)).at[0].set(_tail(differences)[:, 0])
+            orders, states = jnp.ones(room.size, jnp.int8), jnp.zeros((how.segment, n))
+            record = Record(room, room.at[0].set(h), orders, states, starts)
+        if how.watch is not None:
+            rates, seen = jnp.full((self.times.size, n), jnp.nan), how.watch.begin(start[0])
+        if how.memory is not None:
+            before = how.memory.before(jnp.zeros(()), start[0], args)
+        # A time before 0 or at it reads the start.
+        rows = jnp.full((self.times.size, *start.shape), jnp.nan)
+        return self.written(_Carry(state, zero, rows, rates, record, seen, before))
+
+
+def solve(posed: Posed, times: Array, how: Steps) -> Found:
+    """Integrate rows (1 + k, n), the state and its tangents, from time 0; interpolate at ``times`` (T,), increasing.
+
+    Steps may pass the last of the times.
+    """
+    run = _Run(posed, times, how)
+    s, _, rows, rates, record, seen, _ = jax.lax.while_loop(run.going, run.step, run.begin())
+    return Found(rows, s.t, s.accepted, s.rejected, record, rates, seen)

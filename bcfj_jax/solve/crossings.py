@@ -145,13 +145,7 @@ def solved(
     """States at ``times``, the rates (T, n) of the polynomials that they are read from, the first contacts a channel.
 
     Pure; ``jvp`` and ``jacfwd`` go through ``params`` to the states alone. With derivatives their tangents count in the
-    steps; states and contacts are then those of these steps.
-
-    Args:
-        model: a stiff model.
-        params, how: as of ``integrate``; always by BDF.
-        times: (T,) not decreasing [s].
-        most: places for contacts.
+    steps; states and contacts are then those of these steps. Of a stiff model, always by BDF; times (T,) [s] do not decrease.
     """
     posed = integrate.problem(model, params, times[-1], how, True)
 
@@ -160,10 +154,9 @@ def solved(
         made, solver = integrate.posed_at(posed, (prepared, start, *fixed))
         changes = None if by_args is None else (model, by_args)
         watch = Watch(model, prepared, times[-1], solver.tolerance[0], most)
-        found = bdf.solve(
-            solver, made.args, changes, jnp.concatenate([start[None], by_start]), made.scales, times, made.first_step,
-            made.shortest_step, how.max_steps, watch=watch, limits=integrate.limits(made, solver), memory=at_touch(model),
-        )  # fmt: skip
+        steps = bdf.Steps(how.max_steps, watch=watch, limits=integrate.limits(made, solver), memory=at_touch(model))
+        rows = jnp.concatenate([start[None], by_start])
+        found = bdf.solve(integrate.of_rows(made, solver, changes, rows), times, steps)
         m, (rows, *rest) = found.seen, integrate.ended(found, times, how)
         instants = m.found._replace(
             high=put(m.found.high, m.inside, m.found.count, m.high),

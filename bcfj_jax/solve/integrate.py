@@ -182,13 +182,8 @@ def integrate(
 def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
     """States at ``times`` of a run that lands on its contacts (``landing``), and the first ``most`` contacts of a channel.
 
-    Pure; ``jvp`` and ``jacfwd`` go through. The steps do not depend on ``times`` but for their end.
-
-    Args:
-        model: one that is not stiff and has a history.
-        params, how: as of ``integrate``.
-        times: (T,) not decreasing [s].
-        most: places for contacts.
+    Pure; ``jvp`` and ``jacfwd`` go through. Of a model that is not stiff and has a history; times (T,) [s] do not decrease, and
+    the steps depend on their end alone.
     """
     return _landed(problem(model, params, times[-1], how, True), times, how, most, "forward")
 
@@ -359,13 +354,16 @@ def _by_bdf(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array
 
     def run(arrays: Any, _: tuple) -> Solution:
         problem, solver, changes, start, times, how = eqx.combine(arrays, static)
-        found = bdf.solve(
-            solver, problem.args, changes, start, problem.scales, times, problem.first_step, problem.shortest_step,
-            how.max_steps, limits=limits(problem, solver), memory=at_touch(problem.args[0]),
-        )  # fmt: skip
+        steps = bdf.Steps(how.max_steps, limits=limits(problem, solver), memory=at_touch(problem.args[0]))
+        found = bdf.solve(of_rows(problem, solver, changes, start), times, steps)
         return ended(found, times, how)
 
     return lane_by_lane(run)(arrays, ())
+
+
+def of_rows(problem: Problem, solver: Sdirk, changes: tuple | None, start: Array) -> bdf.Posed:
+    """The problem of a stiff model, with k changes of its arguments, as BDF takes it from rows (1 + k, n)."""
+    return bdf.Posed(solver, problem.args, changes, start, problem.scales, problem.first_step, problem.shortest_step)
 
 
 def ended(found: bdf.Found, times: Array, how: Plan) -> Solution:
@@ -419,11 +417,12 @@ def _with_adjoint(problem: Problem, ahead: tuple[Any, Array] | None, times: Arra
         made, solver = posed_at(problem, (c, start, *fixed))
         by_args, by_start = (None, jnp.zeros((0, start.size))) if ahead is None else ahead
         rows = jnp.concatenate([start[None], by_start])
-        found = bdf.solve(
-            solver, made.args, None if ahead is None else (model, by_args), rows, made.scales, times, made.first_step,
-            made.shortest_step, how.max_steps, 2 if ahead is None else bdf.ORDERS, _LEAST,
-            min(adjoint.SEGMENT[ahead is not None], how.max_steps), limits=limits(made, solver),
+        plain = ahead is None
+        steps = bdf.Steps(
+            how.max_steps, 2 if plain else bdf.ORDERS, _LEAST, min(adjoint.SEGMENT[not plain], how.max_steps),
+            limits=limits(made, solver),
         )  # fmt: skip
+        found = bdf.solve(of_rows(made, solver, None if plain else (model, by_args), rows), times, steps)
         solution = ended(found, times, how)
         return solution._replace(states=solution.states[:, 0]), found.record
 

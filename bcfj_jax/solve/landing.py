@@ -14,7 +14,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,6 +23,7 @@ from jax import Array
 from bcfj_jax.contact.normal import GAP
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.remembering import close
+from bcfj_jax.solve.wrapped import AbstractControl
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
 NEAR = 1e-3
@@ -89,15 +89,11 @@ class _Memory(NamedTuple):
     """What the controller knows; of C channels, and behind them of the surfaces at which approach speeds are set.
 
     Attributes:
-        inner: the inner control's state.
-        before: the step's start.
-        inside: (C,) which channels touch.
-        found: contacts so far.
-        tries: in a row to end on a surface.
-        free: length of the step that first crossed it [s].
-        since: (C,) when each channel began to touch or not to [s].
+        inner: the inner control's state; before: the step's start.
+        inside: (C,) which channels touch; since: (C,) from when on they do or do not [s].
+        found: contacts so far; tops: of the whole run, None where nobody asks.
+        tries: in a row to end on a surface; free: length of the step that first crossed it [s].
         high, top: (C,) when the force was greatest in this contact [s], and its size [N].
-        tops: of the whole run; None where nobody asks.
     """
 
     inner: Any
@@ -166,7 +162,7 @@ def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
     return Look(*(jnp.concatenate(part) for part in zip(*found, strict=True)))
 
 
-class Landing(dfx.AbstractStepSizeController):
+class Landing(AbstractControl):
     """A step control that also ends steps on surfaces, and notes when contacts begin and end.
 
     The arguments of the field are (model, what it has prepared). ``near``: a step ends on a surface within it, [m] or [m/s].
@@ -174,18 +170,12 @@ class Landing(dfx.AbstractStepSizeController):
     forces are sought, which carry derivatives; None for none.
     """
 
-    inner: dfx.AbstractStepSizeController
     near: Array
     most: int = eqx.field(static=True)
     size: int = eqx.field(static=True)
     since: Array | None = None
 
-    def wrap(self, direction):
-        """Forwards only."""
-        return Landing(self.inner.wrap(direction), self.near, self.most, self.size, self.since)
-
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The inner control's first step; what touches at the start."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         model, prepared = args
         start = y0[: self.size]
@@ -224,7 +214,7 @@ class Landing(dfx.AbstractStepSizeController):
         # A step so short is on the surface, whatever the rounding of the penetration lets it show.
         short = fixed(dt) <= _SHORT * jnp.max(jnp.where(crossing, fixed(t1) - memory.since, 0.0))
         again = jnp.any(crossing) & (memory.tries < _TRIES) & (share < 1.0) & ~short
-        ending, early = self._ending(memory, now, t0, y0[: self.size], args, dt, keep & ~again)
+        ending, early = self._ending(memory, now, (t0, y0[: self.size]), args, dt, keep & ~again)
         again = again | early
         turned, kept = keep & ~again & (beyond | (near & heading)), keep & ~again
         landed = jnp.any(turned)
@@ -262,7 +252,7 @@ class Landing(dfx.AbstractStepSizeController):
         return kept, start, end, jump, known, result
 
     def _ending(
-        self, memory: _Memory, now: Look, t0: Any, y0: Array, args: Any, dt: Any, kept: Array
+        self, memory: _Memory, now: Look, begin: tuple[Any, Array], args: Any, dt: Any, kept: Array
     ) -> tuple[Array, Array]:
         """How far from a step's start a force ends within its contact [s], and whether the step is to end there.
 
@@ -277,7 +267,7 @@ class Landing(dfx.AbstractStepSizeController):
         over = kept & (now.force == 0) & (now.depth > 0) & (size > _ENDED * memory.top) & (memory.tries < _TRIES)
 
         def root() -> Array:
-            t, y, given = fixed((jnp.asarray(t0), y0, prepared))
+            t, y, given = fixed((jnp.asarray(begin[0]), begin[1], prepared))
             force = lambda t, y: jnp.abs(look(model, t, y, given).force)  # noqa: E731
             slope = jax.jvp(force, (t, y), (jnp.ones_like(t), model.vector_field(t, y, given)))[1]
             slope = jnp.concatenate([slope, jnp.zeros(size.size - slope.size)])

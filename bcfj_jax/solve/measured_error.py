@@ -98,41 +98,40 @@ def measured(
     first, differs = float("nan"), ""
     for name in force:
         ours, truth = (side[name][late].reshape(times.size, -1, 3) for side in (force, finer))
-        off = ours - truth
-        # The forces before a failure still say until when the two agree.
-        peak = float(np.nanmax(np.abs(truth[..., 0]), initial=0.0))
-        tops = [np.abs(side[..., 0]).max(axis=0) for side in (ours, truth)]
-        pushed = np.trapezoid(np.abs(truth[..., 0]), times, axis=0).max()
-        rms[name] = _share(np.sqrt(np.mean(np.square(off), axis=0)).max(), peak)
-        peaks[name] = _share(np.abs(tops[0] - tops[1]).max(), peak)
-        impulse[name] = _share(np.abs(np.trapezoid(off[..., 0], times, axis=0)).max(), pushed)
+        rms[name], peaks[name], impulse[name] = shares(ours, truth, times)
+        off, peak = ours - truth, _peak(truth)
         # Not ``>``: NaN is no agreement.
         apart = times[~(np.abs(off).max(axis=(1, 2)) <= FACTOR * asked * peak)]
         if apart.size and not apart[0] >= first:
             first, differs = float(apart[0]), name
     return Accuracy(
-        asked=asked,
-        begin=float(begin),
-        rms=rms,
-        peak=peaks,
-        impulse=impulse,
-        agree_until=first,
-        differs=differs,
-        parts=parts,
-        parts_at=parts_at,
-        **more,
+        asked=asked, begin=float(begin), rms=rms, peak=peaks, impulse=impulse, agree_until=first, differs=differs,
+        parts=parts, parts_at=parts_at, **more,
+    )  # fmt: skip
+
+
+def shares(ours: np.ndarray, truth: np.ndarray, times: np.ndarray) -> tuple[float, float, float]:
+    """Errors of a contact's forces (T, k, 3), see ``Accuracy``: rms, of the peak, of the impulse."""
+    off, tops = ours - truth, [np.abs(side[..., 0]).max(axis=0) for side in (ours, truth)]
+    pushed = np.trapezoid(np.abs(truth[..., 0]), times, axis=0).max()
+    return (
+        _share(np.sqrt(np.mean(np.square(off), axis=0)).max(), _peak(truth)),
+        _share(np.abs(tops[0] - tops[1]).max(), _peak(truth)),
+        _share(np.abs(np.trapezoid(off[..., 0], times, axis=0)).max(), pushed),
     )
+
+
+def _peak(truth: np.ndarray) -> float:
+    # The forces before a failure still say until when the two agree.
+    return float(np.nanmax(np.abs(truth[..., 0]), initial=0.0))
 
 
 def parted(times: np.ndarray, ours: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> tuple[float, str]:
     """When and at which contact the bodies of two runs part in one event; NaN and "" where they do not.
 
     Errors grow from event to event, in a chaotic motion by some ten times each. An event that one run has alone is told from
-    that: bodies that moved alike, to ``ALIKE`` of the greatest rate, move otherwise by ``APART`` of it from there on.
-
-    Args:
-        times: (T,) [s].
-        ours, truth: by contact rates (T,) or (T, k) of the penetration [m/s].
+    that: bodies that moved alike, to ``ALIKE`` of the greatest rate, move otherwise by ``APART`` of it from there on. By contact
+    rates (T,) or (T, k) of the penetration [m/s].
     """
     first, contact = float("nan"), ""
     for name in ours.keys() & truth.keys():

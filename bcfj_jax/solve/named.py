@@ -19,11 +19,7 @@ def known(stiff: bool) -> tuple[str, ...]:
 
 
 def check(solver: str | None, stiff: bool, where: str = "") -> None:
-    """Whether a stiff model, or one that is not, can be solved by it; None is always right.
-
-    Raises:
-        InputError: for one that is not known, or cannot, with the nearest that can.
-    """
+    """Refuse a solver that cannot solve a stiff model, or one that is not, with the nearest that can; None is always right."""
     names = known(stiff)
     if solver is not None and solver not in names:
         raise InputError(f"{where}solver", f"no solver '{solver}' for this kind of scene", nearest(solver, names))

@@ -89,11 +89,7 @@ def plan(
 
 
 def check_bits() -> None:
-    """Refuse 32-bit numbers, to which the host may have switched JAX back.
-
-    Raises:
-        InputError: where it has.
-    """
+    """Refuse 32-bit numbers, to which the host may have switched JAX back."""
     if jnp.result_type(float) != jnp.float64:
         raise InputError(
             "jax_enable_x64", "is off, so numbers would have 32 bits", "do not change it after importing bcfj_jax"
@@ -103,8 +99,7 @@ def check_bits() -> None:
 def force_error(accuracy: str | ArrayLike) -> float:
     """Force error that a level, a number or a text such as "1 %" asks for, as a fraction of the peak.
 
-    Raises:
-        InputError: for an unknown level and for an error outside 1e-9 to 0.5.
+    ``InputError`` for an unknown level, and for an error outside 1e-9 to 0.5.
     """
     if isinstance(accuracy, str) and not accuracy.strip()[:1].isdigit():
         if accuracy not in LEVELS:

@@ -58,7 +58,6 @@ class Remembering(AbstractWrapped):
         return seen.depth < -close(self.near, t, seen.rate), seen.speed
 
     def init(self, terms, t0, t1, y0, args):
-        """The solver's memory, and what is apart at the start."""
         return self.solver.init(terms, t0, t1, y0, args), self._apart(t0, y0, args)[0]
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):

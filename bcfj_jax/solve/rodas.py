@@ -63,19 +63,15 @@ class Rodas(dfx.AbstractAdaptiveSolver):
     interpolation_cls: ClassVar[Callable[..., RodasInterpolation]] = RodasInterpolation
 
     def order(self, terms):
-        """3."""
         return 3
 
     def error_order(self, terms):
-        """The embedded method's error is of order 2 + 1."""
         return 3
 
     def init(self, terms, t0, t1, y0, args):
-        """No memory between steps."""
         return None
 
     def func(self, terms, t0, y0, args):
-        """The field."""
         return self.structure.field(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):

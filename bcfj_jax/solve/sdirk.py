@@ -8,7 +8,7 @@ methods with an explicit stage multiply by h J.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -49,11 +49,9 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
     )
 
     def order(self, terms):
-        """2."""
         return 2
 
     def error_order(self, terms):
-        """The estimate is of the third derivative's term."""
         return 3
 
     def init(self, terms, t0, t1, y0, args):
@@ -61,7 +59,6 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
         return self.structure.field(t0, y0, args)
 
     def func(self, terms, t0, y0, args):
-        """The field."""
         return self.structure.field(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
@@ -87,7 +84,7 @@ def stages(solver: Sdirk, t0: Any, h: Any, y0: Array, args: Any, first: Array) -
     def stage(carry, when):
         """One stage, from its base, Newton's guess, the slope before it and the last matrix."""
         base, guess, before, factors, good = carry
-        y, also, factors = newton(solver, t0 + when * h, base, guess, s, args, factors)
+        y, also, factors = newton(solver, Stage(t0 + when * h, base, s, args), guess, factors)
         slope = (y - base) / s
         ahead = following(h, base, slope)
         # A stiff slope at the start may be far off, so Newton's next guess turns by a damped and limited amount.
@@ -112,42 +109,42 @@ def bend(first: Array, second: Array, last: Array) -> Array:
     return ((last - second) / (1.0 - GAMMA) - (second - first) / GAMMA) * 2.0
 
 
+class Stage(NamedTuple):
+    """The equation  y = base + s f(t, y), args."""
+
+    t: Any
+    base: Array
+    s: Any
+    args: Any
+
+
 def newton(
-    solver: Sdirk,
-    t: Any,
-    base: Array,
-    guess: Array,
-    s: Any,
-    args: Any,
-    factors: Any,
-    renew: Any = False,
-    exact: bool = False,
+    solver: Sdirk, stage: Stage, guess: Array, factors: Any, renew: Any = False, exact: bool = False
 ) -> tuple[Array, Array, Any]:
-    """The y of  y = base + s f(t, y)  or else the base, whether Newton got there, and the last matrix it used.
+    """The y of a stage, or else its base, whether Newton got there, and the last matrix it used.
 
     Newton keeps its matrix while it converges quickly: contact springs appear within a step, and then it must not.
     ``renew``: the matrix given is none. ``exact``: the matrix is that of the y found, where Newton got there. Under
     ``vmap`` all runs iterate until the last one has converged, and new matrices are made of those alone that ask.
     """
-    arrays, static = eqx.partition((solver, args), eqx.is_array)
+    arrays, static = eqx.partition((solver, stage.args), eqx.is_array)
 
     @custom_vmap
     def alone(where: tuple, *start: Any) -> tuple[Array, Array, Any]:
-        return _newton(static, exact, where, *start)
+        return _newton(static, exact, where, start)
 
     @alone.def_vmap
     def _(size: int, batched: list, where: tuple, *start: Any) -> tuple:
-        found = _newtons(static, exact, size, batched[0], where, *_whole(size, batched[1:], start))
+        found = _newtons(static, exact, size, batched[0], where, _whole(size, batched[1:], start))
         return found, jax.tree.map(lambda _: True, found)
 
-    return alone((jnp.asarray(t), base, jnp.asarray(s), arrays), guess, factors, jnp.asarray(renew))
+    return alone((jnp.asarray(stage.t), stage.base, jnp.asarray(stage.s), arrays), guess, factors, jnp.asarray(renew))
 
 
-def _newton(
-    static: Any, exact: bool, where: tuple, guess: Array, factors: Any, renew: Array
-) -> tuple[Array, Array, Any]:
+def _newton(static: Any, exact: bool, where: tuple, start: tuple) -> tuple[Array, Array, Any]:
     """``newton`` of one run; ``where``: time, base, scale, and the arrays of solver and arguments."""
     t, base, s, arrays = where
+    guess, factors, renew = start
     solver, args = eqx.combine(arrays, static)
 
     def step(carry):
@@ -184,14 +181,14 @@ def _closer(static: Any, where: tuple, y: Array, factors: Any) -> tuple[Array, A
 
 
 def _newtons(
-    static: Any, exact: bool, count: int, batched: Any, where: tuple, guess: Array, factors: Any, renew: Array
+    static: Any, exact: bool, count: int, batched: Any, where: tuple, start: tuple
 ) -> tuple[Array, Array, Any]:
     """``_newton`` of many runs: each iterates as it would alone, and gets a new matrix when it would alone.
 
     A matrix costs as much as ten iterations, and few runs need one at a time; a plain ``vmap`` makes one for every
     run in every iteration.
     """
-    solver = eqx.combine(where[-1], static)[0]
+    (guess, factors, renew), solver = start, eqx.combine(where[-1], static)[0]
     axes = jax.tree.map(lambda b: 0 if b else None, batched)
     few = min(count, _MATRICES) if jax.default_backend() == "cpu" else count
 

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Proximity
-from bcfj_jax.solve.wrapped import AbstractWrapped
+from bcfj_jax.solve.wrapped import AbstractControl, AbstractWrapped
 
 # Speeds within a step are taken to be up to this multiple of the greater one at its ends.
 _FASTER = 1.25
@@ -206,7 +206,6 @@ class Seeker(AbstractWrapped):
     blind: bool = eqx.field(static=True)
 
     def init(self, terms, t0, t1, y0, args):
-        """The solver's memory, and what is seen at the start."""
         # One array, which costs less to carry than five.
         return self.solver.init(terms, t0, t1, y0, args), jnp.stack(_seen(t0, y0, args))
 
@@ -253,19 +252,13 @@ def seen(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Proximity:
     return model.proximity(t, y, prepared)
 
 
-class Limited(dfx.AbstractStepSizeController):
+class Limited(AbstractControl):
     """A step control whose steps are no longer than ``longest`` [s], and which fails where they would be below ``shortest``."""
 
-    inner: dfx.AbstractStepSizeController
     longest: Array
     shortest: Array
 
-    def wrap(self, direction):
-        """Forwards only."""
-        return Limited(self.inner.wrap(direction), self.longest, self.shortest)
-
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The inner control's, if it is not too long."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         return jnp.minimum(first, t0 + self.longest), inner
 
@@ -279,19 +272,14 @@ class Limited(dfx.AbstractStepSizeController):
         return keep, start, jnp.minimum(end, start + self.longest), jump, inner, result
 
 
-class Breaking(dfx.AbstractStepSizeController):
+class Breaking(AbstractControl):
     """A step control whose steps end just before breaks and begin just behind them, so that no stage is on either side.
 
     A step that a break cut short says nothing of the length of the next: that is at least the length before the cut.
     ``breaks``: (B,) sorted times [s]; infinite for none.
     """
 
-    inner: dfx.AbstractStepSizeController
     breaks: Array
-
-    def wrap(self, direction):
-        """Forwards only."""
-        return Breaking(self.inner.wrap(direction), self.breaks)
 
     def _before(self, t: Array, end: Any) -> Array:
         """The end of a step from t, at the next break if that is nearer."""
@@ -301,7 +289,6 @@ class Breaking(dfx.AbstractStepSizeController):
         return jnp.minimum(end, jnp.maximum(jnp.nextafter(there, -jnp.inf), jnp.nextafter(t, jnp.inf)))
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The inner control's first step, up to a break."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         start = jnp.asarray(t0, dtype=jnp.float64)
         return self._before(start, first), (inner, first - start)
@@ -324,17 +311,10 @@ class Breaking(dfx.AbstractStepSizeController):
         return keep, start, self._before(start, start + length), jump | reached, (inner, length), result
 
 
-class Seeking(dfx.AbstractStepSizeController):
+class Seeking(AbstractControl):
     """The step control of a ``Seeker``: the inner one's decision, and a step that hides a contact is taken again."""
 
-    inner: dfx.AbstractStepSizeController
-
-    def wrap(self, direction):
-        """Forwards only."""
-        return Seeking(self.inner.wrap(direction))
-
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """The inner control's."""
         first, inner = self.inner.init(terms, t0, t1, y0, dt0, args, func, error_order)
         return first, (inner, jnp.asarray(0))
 

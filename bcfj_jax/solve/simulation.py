@@ -82,12 +82,7 @@ class Run(NamedTuple):
 
 
 def outcome(
-    scene: AbstractModel,
-    params: Params,
-    times: Array,
-    how: Plan,
-    mode: Way,
-    differentiable: bool = False,
+    scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way, differentiable: bool = False
 ) -> tuple[Solution, dict[str, Reading]]:
     """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
     from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
@@ -218,18 +213,10 @@ def _run(
 
 
 def simulate(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    *,
-    accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS,
-    solver: str | None = None,
-    measure_error: bool = False,
-    read: Sequence[str] = (),
-    resolved_peaks: bool = False,
-    longest_step: float | str | None = None,
-) -> Run:
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], *, accuracy: str | float = "balanced",
+    max_steps: int = MAX_STEPS, solver: str | None = None, measure_error: bool = False, read: Sequence[str] = (),
+    resolved_peaks: bool = False, longest_step: float | str | None = None,
+) -> Run:  # fmt: skip
     """Simulate a model and say how it went.
 
     Compiles once per model and number of times; new parameter values, times and accuracies reuse it.
@@ -259,14 +246,9 @@ def simulate(
     tolerance = plan(scene, accuracy, max_steps, solver).tolerance
     if scene.traits.open:
         same: dict[str, Any] = dict(
-            accuracy=accuracy,
-            max_steps=max_steps,
-            solver=solver,
-            measure_error=measure_error,
-            read=read,
-            resolved_peaks=resolved_peaks,
-            longest_step=longest_step,
-        )
+            accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error, read=read,
+            resolved_peaks=resolved_peaks, longest_step=longest_step,
+        )  # fmt: skip
         run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
         return scene.choose(params, values, force_error(accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.

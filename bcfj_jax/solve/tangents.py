@@ -12,7 +12,7 @@ program: JAX differentiates no loop. Tangents have no say in the steps; in ``bdf
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -22,36 +22,23 @@ from jax import Array
 
 from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, stages
+from bcfj_jax.solve.wrapped import AbstractWrapped
 
 
-class SdirkTangents(dfx.AbstractAdaptiveSolver):
-    """``Sdirk``, here ``state``, over rows (1 + k, n): the state, then its tangents.
+class SdirkTangents(AbstractWrapped):
+    """``Sdirk`` over rows (1 + k, n): the state, then its tangents.
 
-    ``args`` is (args, their k changes); a change is None where nothing changes.
+    ``args`` is (args, their k changes); a change is None where nothing changes. Slopes are those at a step's start, later the
+    last stage's; 0 for tangents, which do not read theirs.
     """
 
-    state: Sdirk
-
-    term_structure: ClassVar = dfx.ODETerm
-    interpolation_cls: ClassVar[Callable[..., dfx.AbstractLocalInterpolation]] = (
-        dfx.ThirdOrderHermitePolynomialInterpolation
-    )
-
-    def order(self, terms):
-        """2."""
-        return 2
-
-    def error_order(self, terms):
-        """As ``Sdirk``'s."""
-        return 3
+    solver: Sdirk
 
     def init(self, terms, t0, t1, y0, args):
-        """Slopes at the start, later the last stage's; 0 for tangents, which do not read theirs."""
         return self.func(terms, t0, y0, args)
 
     def func(self, terms, t0, y0, args):
-        """The field; 0 for tangents."""
-        return jnp.zeros_like(y0).at[0].set(self.state.structure.field(t0, y0[0], args[0]))
+        return jnp.zeros_like(y0).at[0].set(self.solver.structure.field(t0, y0[0], args[0]))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """One step; the error of tangents is 0."""
@@ -64,12 +51,7 @@ def beside(posed: Any, changes: Any, start: Array) -> Any:
     """A problem (``integrate.Problem``) over rows (1 + k, n), the state and its k tangents, whose steps are the state's.
 
     An explicit method of the variational equation, dy' = (df/dy) dy + (df/dp) dp, gives the tangents of its own discrete
-    solution (Hairer, Norsett, Wanner, Solving ODEs I, section I.14).
-
-    Args:
-        posed: of the state.
-        changes: of its ``args``, k of each; None where nothing changes.
-        start: (1 + k, n).
+    solution (Hairer, Norsett, Wanner, Solving ODEs I, section I.14). ``changes``: of ``args``, None where nothing changes.
     """
     field = posed.field
     if isinstance(posed.solver, Sdirk):
@@ -101,7 +83,7 @@ def _step(
 ) -> tuple[Array, Array, Array, Any]:
     """New rows, their errors, last slopes, and the slopes at both ends times the step."""
     args, changes = both
-    solver = whole.state
+    solver = whole.solver
     structure, h = solver.structure, t1 - t0
     s = h * GAMMA
     states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0])

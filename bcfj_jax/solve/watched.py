@@ -19,7 +19,6 @@ class Watched(AbstractWrapped):
     """
 
     def init(self, terms, t0, t1, y0, args):
-        """The solver's memory, what is seen at the start, and what is known so far."""
         seen = look(t0, y0, args)
         return self.solver.init(terms, t0, t1, y0, args), seen, (begun(t0, seen[0]), opened(t0, seen[1]))
 

@@ -59,6 +59,134 @@ class _Outcome(NamedTuple):
     rejected: Array
 
 
+class _Queue(NamedTuple):
+    """N runs and how they are solved: what ``integrate_queue`` takes, and what of the runs' problems is no array."""
+
+    model: AbstractModel
+    params: Params
+    ends: Array
+    grid: Array
+    how: Plan
+    count: Array
+    places: int
+    wrt: Sequence[str]
+    static: Any = None
+    shape: tuple[int, ...] = ()
+
+    @property
+    def read(self) -> int:
+        """Samples that a place reads from a step in one round."""
+        return max(_FEWEST, _READ // math.prod(self.shape))
+
+    def known(self) -> _Queue:
+        """With what of the first run's problem is no array, which is all runs' alike, and the shape of its state."""
+        one = {name: leaf[0] for name, leaf in self.params.items()}
+        shapes = eqx.filter_eval_shape(self.pose, one, self.ends[0])
+        static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))[1]
+        return self._replace(static=static, shape=shapes.start.shape)
+
+    def pose(self, params: Params, end: Array) -> Problem:
+        """A run's problem."""
+        model, wrt = self.model, self.wrt
+        posed = problem(model, params, end, self.how, bool(wrt))
+        if not wrt:
+            return posed
+
+        def at(shares: Array) -> tuple:
+            moved = {**params, **shifted(params, wrt, shares)}
+            return model.prepare(moved), model.initial_state(moved)
+
+        by_args, by_start = changes(at, jnp.zeros(len(wrt)))
+        by_start = jnp.zeros((len(wrt), posed.start.size)) if by_start is None else by_start
+        return beside(posed, (model, by_args), jnp.concatenate([posed.start[None], by_start]))
+
+    def due(self, end: Array, sample: Array) -> Array:
+        """Time of a sample [s]; infinity for those that are no more."""
+        rows = self.grid.size
+        return jnp.where(sample < rows, end * self.grid[jnp.minimum(sample, rows - 1)], jnp.inf)
+
+    def load(self, run: Array) -> _Place:
+        """A place at the beginning of a run."""
+        at = jnp.minimum(run, self.ends.size - 1)
+        posed = self.pose({name: leaf[at] for name, leaf in self.params.items()}, self.ends[at])
+        terms, solver, zero, none = dfx.ODETerm(posed.field), seeker(posed, self.how), jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
+        goal, control = controller(posed, self.how).init(
+            terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
+            solver.error_order(terms),
+        )  # fmt: skip
+        memory = solver.init(terms, zero, goal, posed.start, posed.args)
+        arrays, broken = eqx.filter(posed, eqx.is_array), jnp.zeros((), bool)
+        return _Place(run, arrays, self.ends[at], zero, goal, broken, posed.start, memory, control, none, none, none)
+
+    def advance(self, place: _Place) -> tuple[_Place, Array, Array]:
+        """A place after one step, the states of the samples in it, and how its run ended."""
+        posed, how, read = eqx.combine(place.arrays, self.static), self.how, self.read
+        terms, solver = dfx.ODETerm(posed.field), seeker(posed, how)
+        goal = jnp.where(place.goal > place.end * (1.0 - 1e-14), place.end, place.goal)
+        found, error, dense, memory, _ = solver.step(
+            terms, place.time, goal, place.state, posed.args, place.memory, place.broken
+        )
+        keep, start, after, broken, control, fine = controller(posed, how).adapt_step_size(
+            place.time, goal, place.state, found, posed.args, error, solver.error_order(terms), place.control
+        )
+        times = self.due(place.end, place.sample + jnp.arange(read))
+        here = keep & (times <= goal)
+        between = solver.interpolation_cls(t0=place.time, t1=goal, **dense)
+        values = jax.vmap(between.evaluate)(jnp.where(here, times, goal))
+        again = keep & (self.due(place.end, place.sample + read) <= goal)
+        done = keep & ~again
+        attempts = place.accepted + place.rejected + ~again
+        spent = jnp.where(attempts >= how.max_steps, STEPS, _GOING_ON)
+        code = jnp.where(fine == dfx.RESULTS.successful, spent, SOLVER)
+        code = jnp.where(done & (goal >= place.end), OK, code)
+
+        def chosen(which: Any, new: Any, old: Any) -> Any:
+            return jax.tree.map(lambda x, y: jnp.where(which, x, y), new, old)
+
+        moved = place._replace(
+            time=jnp.where(done, start, place.time), goal=jnp.where(again, place.goal, after),
+            broken=jnp.where(again, place.broken, broken), state=chosen(done, found, place.state),
+            memory=chosen(done, memory, place.memory), control=chosen(again, place.control, control),
+            sample=place.sample + jnp.sum(here), accepted=place.accepted + done, rejected=place.rejected + ~keep,
+        )  # fmt: skip
+        return moved, values, code
+
+    def filled(self, runs: Array) -> _Place:
+        """Places at the beginning of runs; of none beyond the count."""
+        return jax.vmap(self.load)(jnp.where(runs < self.count, runs, self.ends.size))
+
+    def round(self, carry: tuple) -> tuple:
+        """A step of every place; those whose runs have ended take the next ones."""
+        waiting, before, outcome, states, rounds = carry
+        after, values, code = jax.vmap(self.advance)(before)
+        # One by one, in place: a scatter would copy all states in every round. Rows written too far are written again.
+        for i in range(self.places):
+            at = (before.run[i], before.sample[i], *[0] * len(self.shape))
+            states = jax.lax.dynamic_update_slice(states, values[i][None], at)
+        ended = code != _GOING_ON
+
+        def hand_over(now: tuple) -> tuple:
+            waiting, place, outcome = now
+            at = jnp.where(ended, place.run, self.ends.size)
+            news = _Outcome(code, place.time, place.accepted, place.rejected)
+            outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
+            fresh = self.filled(waiting + jnp.cumsum(ended) - 1)
+            place = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, place)
+            return waiting + jnp.sum(ended), place, outcome
+
+        now = jax.lax.cond(jnp.any(ended), hand_over, lambda now: now, (waiting, after, outcome))
+        return *now, states, rounds + 1
+
+    def solved(self) -> tuple[_Outcome, Array, Array]:
+        """How the runs ended, their states (N + 1, T + ``read``, ...), and the number of rounds."""
+        total, none = self.ends.size, jnp.zeros(self.ends.size + 1, int)
+        outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
+        # ``read`` rows beyond the last sample, which the last step's writing may reach.
+        states = jnp.full((total + 1, self.grid.size + self.read, *self.shape), jnp.nan)
+        carry = (jnp.asarray(self.places), self.filled(jnp.arange(self.places)), outcome, states, jnp.asarray(0))
+        return jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), self.round, carry)[2:]
+
+
 def integrate_queue(
     model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, places: int,
     wrt: Sequence[str] = (),
@@ -80,116 +208,11 @@ def integrate_queue(
         As ``integrate``, with a leading axis (N,), and how many rounds all places went through. Runs beyond ``count``
         are NaN. With ``wrt`` of k names the states are rows (N, T, 1 + k, n), the state and its tangents.
     """
-    total, rows = ends.size, grid.size
-    one = {name: leaf[0] for name, leaf in params.items()}
-
-    def pose(params: Params, end: Array) -> Problem:
-        posed = problem(model, params, end, how, bool(wrt))
-        if not wrt:
-            return posed
-
-        def at(shares: Array) -> tuple:
-            moved = {**params, **shifted(params, wrt, shares)}
-            return model.prepare(moved), model.initial_state(moved)
-
-        by_args, by_start = changes(at, jnp.zeros(len(wrt)))
-        by_start = jnp.zeros((len(wrt), posed.start.size)) if by_start is None else by_start
-        return beside(posed, (model, by_args), jnp.concatenate([posed.start[None], by_start]))
-
-    shapes = eqx.filter_eval_shape(pose, one, ends[0])
-    static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))[1]
-    shape = shapes.start.shape
-    read = max(_FEWEST, _READ // math.prod(shape))
-
-    def due(end: Array, sample: Array) -> Array:
-        """Time of a sample [s]; infinity for those that are no more."""
-        return jnp.where(sample < rows, end * grid[jnp.minimum(sample, rows - 1)], jnp.inf)
-
-    def load(run: Array) -> _Place:
-        at = jnp.minimum(run, total - 1)
-        posed = pose({name: leaf[at] for name, leaf in params.items()}, ends[at])
-        terms, solver, zero, none = dfx.ODETerm(posed.field), seeker(posed, how), jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
-        goal, control = controller(posed, how).init(
-            terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
-            solver.error_order(terms),
-        )  # fmt: skip
-        memory = solver.init(terms, zero, goal, posed.start, posed.args)
-        arrays = eqx.filter(posed, eqx.is_array)
-        broken = jnp.zeros((), bool)
-        return _Place(run, arrays, ends[at], zero, goal, broken, posed.start, memory, control, none, none, none)
-
-    def advance(place: _Place) -> tuple[_Place, Array, Array]:
-        """A place after one step, the states of the samples in it, and how its run ended."""
-        posed = eqx.combine(place.arrays, static)
-        terms, solver = dfx.ODETerm(posed.field), seeker(posed, how)
-        goal = jnp.where(place.goal > place.end * (1.0 - 1e-14), place.end, place.goal)
-        found, error, dense, memory, _ = solver.step(
-            terms, place.time, goal, place.state, posed.args, place.memory, place.broken
-        )
-        keep, start, after, broken, control, fine = controller(posed, how).adapt_step_size(
-            place.time, goal, place.state, found, posed.args, error, solver.error_order(terms), place.control
-        )
-        times = due(place.end, place.sample + jnp.arange(read))
-        here = keep & (times <= goal)
-        between = solver.interpolation_cls(t0=place.time, t1=goal, **dense)
-        values = jax.vmap(between.evaluate)(jnp.where(here, times, goal))
-        again = keep & (due(place.end, place.sample + read) <= goal)
-        done = keep & ~again
-        attempts = place.accepted + place.rejected + ~again
-        spent = jnp.where(attempts >= how.max_steps, STEPS, _GOING_ON)
-        code = jnp.where(fine == dfx.RESULTS.successful, spent, SOLVER)
-        code = jnp.where(done & (goal >= place.end), OK, code)
-
-        def chosen(which: Any, new: Any, old: Any) -> Any:
-            return jax.tree.map(lambda x, y: jnp.where(which, x, y), new, old)
-
-        moved = place._replace(
-            time=jnp.where(done, start, place.time),
-            goal=jnp.where(again, place.goal, after),
-            broken=jnp.where(again, place.broken, broken),
-            state=chosen(done, found, place.state),
-            memory=chosen(done, memory, place.memory),
-            control=chosen(again, place.control, control),
-            sample=place.sample + jnp.sum(here),
-            accepted=place.accepted + done,
-            rejected=place.rejected + ~keep,
-        )
-        return moved, values, code
-
-    def body(carry: tuple) -> tuple:
-        waiting, before, outcome, states, rounds = carry
-        after, values, code = jax.vmap(advance)(before)
-        # One by one, in place: a scatter would copy all states in every round. Rows written too far are written again.
-        for i in range(places):
-            states = jax.lax.dynamic_update_slice(
-                states, values[i][None], (before.run[i], before.sample[i], *[0] * len(shape))
-            )
-        ended = code != _GOING_ON
-
-        def hand_over(now: tuple) -> tuple:
-            waiting, place, outcome = now
-            at = jnp.where(ended, place.run, total)
-            news = _Outcome(code, place.time, place.accepted, place.rejected)
-            outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
-            run = waiting + jnp.cumsum(ended) - 1
-            fresh = jax.vmap(load)(jnp.where(run < count, run, total))
-            place = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, place)
-            return waiting + jnp.sum(ended), place, outcome
-
-        now = jax.lax.cond(jnp.any(ended), hand_over, lambda now: now, (waiting, after, outcome))
-        return *now, states, rounds + 1
-
-    first = jnp.arange(places)
-    start = jax.vmap(load)(jnp.where(first < count, first, total))
-    none = jnp.zeros(total + 1, int)
-    outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
-    # ``read`` rows beyond the last sample, which the last step's writing may reach.
-    states = jnp.full((total + 1, rows + read, *shape), jnp.nan)
-    carry = (jnp.asarray(places), start, outcome, states, jnp.asarray(0))
-    *_, outcome, states, rounds = jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), body, carry)
+    queue, total, rows = _Queue(model, params, ends, grid, how, count, places, wrt).known(), ends.size, grid.size
+    outcome, states, rounds = queue.solved()
     # Beyond the last sample that was reached stands what was written too far.
     reached = ends[:, None] * grid <= jnp.where(outcome.code[:-1] == OK, jnp.inf, outcome.end[:-1])[:, None]
-    states = jnp.where(reached.reshape(total, rows, *[1] * len(shape)), states[:-1, :rows], jnp.nan)
+    states = jnp.where(reached.reshape(total, rows, *[1] * len(queue.shape)), states[:-1, :rows], jnp.nan)
     finite = jnp.all(jnp.isfinite(states[:, :, 0] if wrt else states), axis=(1, 2))
     code = jnp.where((outcome.code[:-1] == OK) & ~finite, NOT_FINITE, outcome.code[:-1])
     return Solution(states, code, outcome.end[:-1], outcome.accepted[:-1], outcome.rejected[:-1]), rounds
@@ -208,15 +231,7 @@ def shifted(params: Params, names: Sequence[str], shares: Array) -> dict[str, Ar
 
 
 def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
-    """N runs of a model without a history, each searched for from the one before it. Pure.
-
-    Args:
-        model: one whose instants are each solved for themselves.
-        params, ends, grid: as ``integrate_queue``.
-
-    Returns:
-        As ``integrate`` gives it, with a leading axis (N,).
-    """
+    """N runs of a model without a history, each searched for from the one before it, as ``integrate_queue`` gives them. Pure."""
 
     def one(near: Any, run: tuple) -> tuple:
         values, end = run

@@ -1,8 +1,9 @@
-"""A solver around another one."""
+"""A solver around another one, and a step control around another one."""
 
 from __future__ import annotations
 
 import diffrax as dfx
+import equinox as eqx
 
 
 class AbstractWrapped(dfx.AbstractAdaptiveSolver):
@@ -21,13 +22,20 @@ class AbstractWrapped(dfx.AbstractAdaptiveSolver):
         return self.solver.interpolation_cls
 
     def order(self, terms):
-        """The solver's."""
         return self.solver.order(terms)
 
     def error_order(self, terms):
-        """The solver's."""
         return self.solver.error_order(terms)
 
     def func(self, terms, t0, y0, args):
-        """The solver's."""
         return self.solver.func(terms, t0, y0, args)
+
+
+class AbstractControl(dfx.AbstractStepSizeController):
+    """What a step control that has another one inside takes over from it."""
+
+    inner: dfx.AbstractStepSizeController
+
+    def wrap(self, direction):
+        """Forwards only."""
+        return eqx.tree_at(lambda control: control.inner, self, self.inner.wrap(direction))

@@ -18,7 +18,7 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.designs import result
-from bcfj_jax.analysis.designs.confirm import confirm
+from bcfj_jax.analysis.designs.confirm import By, confirm
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
@@ -55,8 +55,8 @@ def main(names: list[str]) -> None:
         wall = time.process_time() - begin
         print(f"{name}: {found.status}, {wall:.0f} s of one core\n  {found.reason}", flush=True)
         wanted = objective(name, (), motion.members)
-        designs = params, {**params, **found.values}
-        other = confirm(scene, motion, "sdirk2", designs, (t, t), wanted, 1.0, found.gain, 1e-4)
+        designs = (params, t), ({**params, **found.values}, t)
+        other = confirm(scene, By(motion, "sdirk2", 1e-4), designs, wanted, found.gain)
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
         images = ROOT / "docs" / "images"
         if name == OBJECTIVES[0]:

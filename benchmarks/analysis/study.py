@@ -120,7 +120,7 @@ def by_places(count: int) -> list[dict[str, float]]:
     for places in (1, 2, 4, 8, 16, 32, 64, 128):
         batch.places = lambda places=places: places
         # Another size for each: the program's key does not know the slots.
-        args = (scene, params, np.full(count, 0.6), TIMES / 0.6, wanted, plan(scene), count + places)
+        args = (scene, batch.Points(params, np.full(count, 0.6), TIMES / 0.6), wanted, plan(scene), count + places)
         batch.run(*args)
         begin = time.perf_counter()
         batch.run(*args)
@@ -148,9 +148,8 @@ def spread() -> dict[str, Any]:
     scene, count = scenes.bounce(), 256
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     last = np.geomspace(3.0, 0.3, count)
-    found = batch.run(
-        scene, params, last, np.linspace(0, 1, 101), [feature("contact.peak", {"contact": 0})], plan(scene), count
-    )
+    points = batch.Points(params, last, np.linspace(0, 1, 101))
+    found = batch.run(scene, points, [feature("contact.peak", {"contact": 0})], plan(scene), count)
     share = float(found.steps.sum() / (found.rounds * batch.places()))
     return {"largest_over_least": float(found.steps.max() / found.steps.min()), "efficiency": share}
 

@@ -29,6 +29,7 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 import jax
 import numpy as np
 
+from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.studies import api, block
 from bcfj_jax.analysis.studies.specification import Study, from_table
 from bcfj_jax.models.joint.scene import PLAIN
@@ -89,12 +90,12 @@ def clocked(task: Callable[[], Any]) -> tuple[float, float, Any]:
 
 def one_by_one(study: Study, at: np.ndarray) -> np.ndarray:
     """Columns of some points, each by itself: the study as it is where no batch is possible."""
-    possible = block.derivatives.possible
-    block.derivatives.possible = lambda *_: False
+    possible = derivatives.possible
+    derivatives.possible = lambda *_: False
     try:
         return block.compute(study, at, len(at)).results
     finally:
-        block.derivatives.possible = possible
+        derivatives.possible = possible
 
 
 def compared(study: Study, singles: int) -> dict[str, Any]:
@@ -118,7 +119,7 @@ def compared(study: Study, singles: int) -> dict[str, Any]:
     loop_cpu, loop_wall = np.median(loop, axis=0)
     batch_cpu, batch_wall = np.median(batch, axis=0)
     steps = np.concatenate([table.steps for table in tables])
-    slots = sum(table.rounds for table in tables) * min(blocks.size, block.derivatives.places())
+    slots = sum(table.rounds for table in tables) * min(blocks.size, derivatives.places())
     return {
         "points": study.count, "block": blocks.size, "failed": sum(s != "ok" for t in tables for s in t.status),
         "loop_cpu_s": loop_cpu, "loop_wall_s": loop_wall, "batch_cpu_s": batch_cpu, "batch_wall_s": batch_wall,

@@ -457,7 +457,7 @@ def batched(name: str) -> dict[str, Any]:
         rows[f"{OWN}, {way}"] = {"compile_s": time.process_time() - begin, **kept}
         calls[f"{OWN}, {way}"] = lambda program=program: np.asarray(program(given))
     study, wanted = f"{OWN}, a study's batch", [Feature("journal.peak", "peak", ("journal",))]
-    calls[study] = lambda: batch.run(own.scene, params, ends, grid, wanted, how, ends.size, forces=True)
+    calls[study] = lambda: batch.run(own.scene, batch.Points(params, ends, grid), wanted, how, ends.size, True)
     begin = time.process_time()
     calls[study]()
     rows[study] = {"first_run_s": time.process_time() - begin, **kept}

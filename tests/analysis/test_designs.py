@@ -16,7 +16,7 @@ from shown import brief, drawn
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.designs import api
-from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
+from bcfj_jax.analysis.designs.evaluate import Evaluator
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.analysis.designs.space import space
 from bcfj_jax.analysis.designs.tolerance import robust
@@ -154,7 +154,7 @@ def evaluator(dashpot, free, **how):
     scene, params = dashpot
     wanted = objective("contact.peak", (), scene.members)
     box = space(scene, params, free)
-    return Evaluator(scene, params, TIMES, plan(scene, 1e-8, **how), box, wanted, 1.0, 4, Spent())
+    return Evaluator(scene, params, TIMES, plan(scene, 1e-8, **how), box, wanted, 4)
 
 
 @pytest.mark.parametrize(("scale", "relative"), [("linear", False), ("linear", True), ("log", False), ("log", True)])

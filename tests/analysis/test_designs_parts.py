@@ -12,9 +12,8 @@ import pytest
 from bcfj_jax.analysis.derivatives.curves import quartic
 from bcfj_jax.analysis.designs.descent import descend, starts
 from bcfj_jax.analysis.designs.evaluate import Values
-from bcfj_jax.analysis.designs.minimax import minimax, stationarity
-from bcfj_jax.analysis.designs.newton import refine
 from bcfj_jax.analysis.designs.objective import _norm
+from bcfj_jax.analysis.designs.refine import minimax, refine, stationarity
 from bcfj_jax.analysis.designs.result import Design
 
 

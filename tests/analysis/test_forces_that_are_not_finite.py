@@ -33,7 +33,7 @@ def test_a_feature_of_a_force_that_is_not_finite_fails_its_run_alone(kind, bad, 
     answers(monkeypatch, batch, (values, codes, np.ones(5), np.full(5, 9), np.asarray(2)))
     wanted = (Feature(f"contact.{kind}", kind, ("contact",)), SHARE)
     params = {name: np.full(5, float(value)) for name, value in IMPACT.params.items()}
-    found = batch.run(IMPACT.scene, params, np.ones(5), np.linspace(0.0, 1.0, 3), wanted, HOW, 5)
+    found = batch.run(IMPACT.scene, batch.Points(params, np.ones(5), np.linspace(0.0, 1.0, 3)), wanted, HOW, 5)
     # A share of time that is not known is no force: its run stays good.
     assert found.reason == ["", reason(NO_FORCE, 777), "", reason(STEPS, 777), ""]
     np.testing.assert_array_equal(found.features, [[1.0, 0.1], [np.nan] * 2, [3.0, np.nan], [np.nan] * 2, [5.0, 0.5]])

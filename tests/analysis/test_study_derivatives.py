@@ -43,7 +43,7 @@ def one_by_one(monkeypatch, table: dict) -> block.Table:
     """The first block of a study without a batch."""
     study = from_table(table)
     with monkeypatch.context() as patch:
-        patch.setattr(block.derivatives, "possible", lambda *_: False)
+        patch.setattr(batch, "possible", lambda *_: False)
         return block.compute(study, block.Blocks(study).points(0), block.Blocks(study).size)
 
 
@@ -201,7 +201,7 @@ def test_steady_derivatives_of_a_study_are_differences_of_steady_motion(here):
 @pytest.mark.slow
 def test_an_objective_of_steady_motion_is_that_of_a_turn_and_has_its_derivative():
     from bcfj_jax.analysis.derivatives.steady import shares
-    from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
+    from bcfj_jax.analysis.designs.evaluate import Evaluator
     from bcfj_jax.analysis.designs.objective import objective
     from bcfj_jax.analysis.designs.space import space
 
@@ -209,13 +209,13 @@ def test_an_objective_of_steady_motion_is_that_of_a_turn_and_has_its_derivative(
     params = scene.parameters()
     box = space(scene, params, {"friction_static": (0.05, 0.2)})
     wanted = objective("seat_cage.mean", (), scene.members)
-    evaluate = Evaluator(scene, params, shares(scene, params), plan(scene), box, wanted, 1.0, 3, Spent(), 0.5)
+    evaluate = Evaluator(scene, params, shares(scene, params), plan(scene), box, wanted, 3, steady=0.5)
     found = evaluate.at(np.array([[0.0998], [0.1], [0.1002]]))
     assert found.reasons == [""] * 3
     slope = found.slope[1, 0] / box.slope(np.array([[0.1]]))[0, 0]
     assert slope == pytest.approx((found.true[2] - found.true[0]) / 4e-4, rel=0.02)
     # A run that has not forgotten its start has no value.
-    early = Evaluator(scene, params, shares(scene, params), plan(scene), box, wanted, 1.0, 3, Spent(), 0.1)
+    early = Evaluator(scene, params, shares(scene, params), plan(scene), box, wanted, 3, steady=0.1)
     assert "the run ends before" in early.at(np.array([[0.1]])).reasons[0]
 
 

@@ -53,7 +53,7 @@ def test_drawn_designs_fill_every_stratum_and_are_the_same_for_the_same_seed(kin
 def test_a_normal_scale_is_a_normal_distribution_cut_off_at_its_bounds():
     text = 'scene = "impact"\n[design]\nkind = "sobol"\npoints = 4096\n[vary.mass]\nlower = 0.4\nupper = 1.0\nscale = "normal"'
     found = given(text)
-    values, (axis,) = found.points[:, 0], found.axes
+    values, (axis,) = found.points[:, 0], found.design.axes
     assert values.min() >= 0.4 and values.max() <= 1.0
     # Of a normal distribution cut off at 3 deviations, 1 - 6 phi(3)/(1 - 2 Phi(-3)) of the variance is left.
     assert abs(values.mean() - 0.7) < 1e-4 and abs(values.std() / 0.1 - 0.9866) < 1e-3
@@ -97,7 +97,7 @@ def test_a_trajectory_of_morris_moves_each_parameter_once_and_evenly_on_a_log_ax
     pytest.importorskip("SALib", reason="the extra study is not installed")
     found = given(DRAWN.replace("KIND", 'kind = "morris"\ntrajectories = 8\nlevels = 4'))
     assert found.count == 8 * 3
-    shares = np.stack([axis.share(found.points[:, k]) for k, axis in enumerate(found.axes)], axis=1)
+    shares = np.stack([axis.share(found.points[:, k]) for k, axis in enumerate(found.design.axes)], axis=1)
     steps = np.abs(np.diff(shares.reshape(8, 3, 2), axis=1))
     np.testing.assert_allclose(steps.sum(axis=1), 2 / 3, atol=1e-12)
     assert np.all(np.count_nonzero(steps, axis=2) == 1)

@@ -125,7 +125,7 @@ def test_deviations_cover_draws_of_the_process_as_often_as_they_say(derivatives)
         draw = np.linalg.cholesky(matrix + 1e-9 * np.eye(len(matrix))) @ rng.standard_normal(len(matrix))
         draw = 7.0 + 3.0 * draw.reshape(-1, 4)
         columns = {PEAK: draw[:32, 0]}
-        for k, axis in enumerate(train.study.axes):
+        for k, axis in enumerate(train.study.design.axes):
             by_share = (draw[:32, 1 + k] - 7.0) / train.values[:, k] / np.log(axis.upper / axis.lower)
             columns[f"d({PEAK})/d({axis.name})"] = by_share
         mean, deviation = surface.fit(train._replace(columns=columns), PEAK, derivatives).predict(test.values)

@@ -41,10 +41,9 @@ def run(segment, controlled, tolerance, max_steps, cotangents):
         # Those that are in the step control come first, one for each of the first parameters.
         changes = tuple(d if d is None else jnp.concatenate([(d * counted)[:controlled], SMALL * d]) for d in by_args)
         rows = jnp.concatenate([start[None], by_start[:controlled], SMALL * by_start])
-        found = bdf.solve(
-            solver, args, changes, rows, jnp.ones(2), jnp.asarray(TIMES), 1e-6, 1e-15, max_steps,
-            bdf.ORDERS if controlled else 2, 0.01, segment,
-        )  # fmt: skip
+        posed = bdf.Posed(solver, args, changes, rows, jnp.ones(2), 1e-6, 1e-15)
+        steps = bdf.Steps(max_steps, bdf.ORDERS if controlled else 2, 0.01, segment)
+        found = bdf.solve(posed, jnp.asarray(TIMES), steps)
         slopes = found.rows[:, 1 + controlled :] / SMALL
         forward = jnp.einsum("tkn,tn->k", jnp.where(jnp.isfinite(slopes), slopes, 0.0), cotangents)
         assert found.record is not None

@@ -28,7 +28,8 @@ def solved(function, start, value, tolerance, times, max_steps=100_000):
         solver = Sdirk(Dense(function), jnp.full(n, tolerance))
         rows = jnp.concatenate([start[None], jnp.zeros((1, n)), jnp.eye(n)])
         change = jnp.zeros(1 + n).at[0].set(1.0)
-        return bdf.solve(solver, value, change, rows, jnp.ones(n), jnp.asarray(times), 1e-6, 1e-15, max_steps)
+        posed = bdf.Posed(solver, value, change, rows, jnp.ones(n), 1e-6, 1e-15)
+        return bdf.solve(posed, jnp.asarray(times), bdf.Steps(max_steps))
 
     return jax.jit(run)(jnp.asarray(tolerance), jnp.asarray(value))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -13,12 +14,12 @@ from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
 from bcfj_jax.analysis.derivatives.names import FEATURES, complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
-from bcfj_jax.analysis.designs.confirm import Confirmation, confirm, independent, tighter
+from bcfj_jax.analysis.designs.confirm import confirm, independent
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
-from bcfj_jax.analysis.designs.evaluate import Evaluator, Spent
-from bcfj_jax.analysis.designs.minimax import Kink, minimax
-from bcfj_jax.analysis.designs.newton import ARRIVED, Refined, refine
-from bcfj_jax.analysis.designs.objective import Combine, Objective, objective
+from bcfj_jax.analysis.designs.evaluate import Evaluator
+from bcfj_jax.analysis.designs.objective import Combine
+from bcfj_jax.analysis.designs.objective import objective as objective_of
+from bcfj_jax.analysis.designs.refine import ARRIVED, Kink, Refined, minimax, refine
 from bcfj_jax.analysis.designs.result import (
     ALONE,
     FAILED,
@@ -30,22 +31,23 @@ from bcfj_jax.analysis.designs.result import (
     Design,
     Slice,
 )
-from bcfj_jax.analysis.designs.space import Free, Space, space
-from bcfj_jax.analysis.designs.tolerance import DISTRIBUTIONS, robust, robustness
-from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest, quoted, texts
+from bcfj_jax.analysis.designs.search import Search
+from bcfj_jax.analysis.designs.space import Free, space
+from bcfj_jax.analysis.designs.tolerance import robust, robustness
+from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import Quantity, increasing, number, real, scalar, whole
+from bcfj_jax.core.quantities import increasing
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, of_numbers
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.plan import MAX_STEPS, plan
+from bcfj_jax.solve.plan import plan
 
-SENSES = {"minimise": 1.0, "maximise": -1.0}
 # Values this near, over the best one, agree; and places, over the ranges.
 _AGREE, _NEAR = 1e-4, 1e-2
 # Points of a slice, on either side of the optimum together.
 _SLICE = 25
+# What does not ask how long a turn lasts.
+_OF_A_TURN = ("peak", "largest", "mean", "contact_fraction", "peak_penetration")
 
 
 def design(
@@ -54,22 +56,7 @@ def design(
     times: Float[ArrayLike, " T"],
     objective: str | Mapping[str, float] | Combine,
     free: Mapping[str, Free | Sequence[Any]],
-    *,
-    features: Sequence[str] = (),
-    sense: Literal["minimise", "maximise"] = "minimise",
-    kappa: float = 0.0,
-    distribution: Literal["normal", "uniform"] = "normal",
-    samples: int = 64,
-    starts: int = 8,
-    norms: Sequence[float] | None = None,
-    iterations: int = 60,
-    accuracy: str | float = "reference",
-    max_steps: int = MAX_STEPS,
-    confirm: AbstractModel | Literal["auto"] | None = "auto",
-    certify: bool = True,
-    slices: bool = True,
-    seed: int = 0,
-    steady: bool = False,
+    **options: Any,
 ) -> Design:
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
 
@@ -85,180 +72,133 @@ def design(
         objective: a feature ("seat_cage.peak", "contact.peak_penetration", "cage_ball.largest" for the greatest
             |F|), weights by feature for their sum, or a function of a dict of ``features``.
         free: by name ``Free`` or (lower, upper, tolerance, relative, scale); texts such as "20 um" are converted.
-        features: names that a function reads.
-        sense: "minimise" or "maximise".
-        kappa: weight of the linear worst change over the tolerances in what is made least.
-        distribution: of deviations, for the scatter: "normal" (three standard deviations to a half width) or "uniform".
-        samples: runs for the tolerances' effect, of each kind.
-        starts: how many, and how many batch the batch has.
-        norms: increasing q > 1 of the norms that stand for peaks first; by default (40,) where contacts have members, none else.
-        iterations: limit of L-BFGS-B, for each norm and start.
-        accuracy, max_steps: as ``simulate``, of the optimiser's runs.
-        confirm: the model that checks; by default the one that leaves nothing out; None for no check.
-        certify: whether the gradient at the optimum gets its certificate; equilibria have none.
-        slices: whether the objective along each parameter is taken, for the pictures.
-        seed: of all Sobol designs.
-        steady: whether the objective is of one turn of the steady motion to which a run until the last of ``times`` comes
-            (``derivatives.steady``), of a model that knows a pitch. Where the motion does not repeat itself, a design has no
-            value. Its derivatives hold to two tolerances, or there is no value; no certificate is made.
+        options: by name, those of ``search.Search``: features, sense, kappa, distribution, samples, starts, norms,
+            iterations, accuracy, max_steps, confirm, certify, slices, seed, steady.
 
     Raises:
         InputError: for names, bounds, tolerances and options that are not right.
     """
-    t = increasing(times, 2)
-    params = inputs.parameters(of_numbers(scene), params, traced=False)
-    kappa = scalar("kappa", _KAPPA, kappa)
-    sign = _sign(sense, distribution, norms)
-    samples, iterations = whole("samples", samples, most=limits.RUNS), whole("iterations", iterations, most=limits.RUNS)
-    starts, seed = whole("starts", starts, most=limits.STARTS), whole("seed", seed, least=0)
+    search = Search(**options).checked()
+    t, params = increasing(times, 2), inputs.parameters(of_numbers(scene), params, traced=False)
+    plain, search = posed((scene, params, t), objective, free, search)
+    box, goal = plain.space, robust(plain, search.kappa)
+    given = np.array([float(plain.params[name]) for name in box.names])
+    before = plain.at(given[None])
+    with stage(f"searching from {search.starts} starts"):
+        begin = starts(goal, box.unit(given), search.starts, search.seed)
+        ways = descend(goal, begin, search.norms or (), search.iterations)
+    best = min(ways, key=lambda way: way.goal if np.isfinite(way.goal) else np.inf)
+    nothing, unknown = dict.fromkeys(box.names, float("nan")), float("nan")
+    found = Design(
+        FAILED, f"no start has a value: {plain.spent.why()}", plain.objective.name, search.sense, plain.objective.unit,
+        nothing, box.named(given), {}, float(before.true[0]), unknown, unknown, nothing, unknown, unknown, tuple(ways),
+        0, 0, None, None, None, None, {}, {}, {}, box,
+    )  # fmt: skip
+    if np.isfinite(best.goal):
+        with stage("refining the best"):
+            refined, kink = _optimum(plain, goal, best, search)
+        found = _assessed(found, plain, search, refined, kink is not None)
+        same = [way for way in ways if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
+        near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
+        found = found._replace(agree=len(same), near=near)
+        unborn = before.reasons[0]
+        if found.robustness is not None and not unborn:
+            found = found._replace(robustness_before=robustness(plain, box.unit(given), before, search, False))
+        if search.slices:
+            found = found._replace(slices=_slices(plain, refined.point))
+        status, reason = _verdict(found, plain, refined.arrived, kink, (unborn, search.kappa))
+        found = found._replace(status=status, reason=reason)
+    spent = plain.spent
+    stats = {name: getattr(spent, name) for name in ("batches", "points", "wall_s", "compile_s")}
+    return found._replace(failures=dict(spent.failures), stats=stats | {"lanes": plain.batch})
+
+
+def posed(
+    given: tuple[AbstractModel, Params, np.ndarray], asked: str | Mapping[str, float] | Combine, free: Mapping[str, Any],
+    search: Search,
+) -> tuple[Evaluator, Search]:  # fmt: skip
+    """The objective of a model, its parameters and times over the unit box, and the options that it leaves; checked."""
+    scene, params, t = given
     if scene.traits.open:
-        raise InputError(
-            f"scene '{scene.kind}' fidelity", f"'{scene.title}' leaves the choice of the model open", "give one by name"
-        )
-    asked = features if callable(objective) else [objective] if isinstance(objective, str) else objective
-    asked = texts(
-        "objective", list(asked) if isinstance(asked, Mapping) else asked, 'name features, such as "contact.peak"'
-    )
-    scene = observing(scene, asked)
-    wanted, box = _objective(objective, features, scene.members), space(scene, params, free)
+        found = f"'{scene.title}' leaves the choice of the model open"
+        raise InputError(f"scene '{scene.kind}' fidelity", found, "give one by name")
+    names: Any = search.features if callable(asked) else [asked] if isinstance(asked, str) else asked
+    names = list(names) if isinstance(names, Mapping) else names
+    scene = observing(scene, texts("objective", names, 'name features, such as "contact.peak"'))
+    wanted = objective_of(asked, search.features, scene.members)._replace(sign=search.sign)
+    box = space(scene, params, free)
     full = complete(scene, params, box.names)[0]
     scene.check(full)
-    if norms is None:
+    if search.norms is None:
         # The largest of several members is another's from place to place.
-        norms = (40.0,) if any(scene.members.values()) and wanted.peaked else ()
-    how = plan(scene, accuracy, max_steps)
-    end = float(t[-1]) if steady else None
-    if steady:
-        _steady(scene, full, wanted)
-        t, certify = shares(scene, full), False
-    plain = Evaluator(scene, full, t, how, box, wanted, sign, starts, Spent(), end)
-    goal = robust(plain, kappa)
-    given = np.array([float(full[name]) for name in box.names])
-    before = plain.at(given[None])
-    with stage(f"searching from {starts} starts"):
-        ways = descend(goal, _starts(goal, box.unit(given), starts, seed), norms, iterations)
-    order = np.argsort([way.goal for way in ways], kind="stable")
-    best = ways[int(order[0])]
-    if not np.isfinite(best.goal):
-        return _failed(plain, wanted, sense, box, given, before.true[0], ways)
-    with stage("refining the best"):
-        refined = refine(goal, best.end)
+        search = replace(search, norms=(40.0,) if any(scene.members.values()) and wanted.peaked else ())
+    end = None
+    if search.steady:
+        check_recurs(scene, full)
+        for feature in wanted.features:
+            if feature.kind not in _OF_A_TURN:
+                remedy = f"take {', '.join(_OF_A_TURN)}"
+                raise InputError(f"feature '{feature.name}'", "is no objective of steady motion", remedy)
+        end, t, search = float(t[-1]), shares(scene, full), replace(search, certify=False)
+    how = plan(scene, search.accuracy, search.max_steps)
+    return Evaluator(scene, full, t, how, box, wanted, search.starts, steady=end), search
+
+
+def _optimum(plain: Evaluator, goal: Any, best: Path, search: Search) -> tuple[Refined, Kink | None]:
+    """The last digits of the best descent's end, and the kink that it lies in, if it lies in one."""
+    refined = refine(goal, best.end)
     if refined.values.reasons[0] or refined.values.goal[0] > best.goal + 1e-9 * abs(best.goal):
         refined = refined._replace(point=best.end, values=goal(best.end[None], np.inf), arrived=False)
-    kink = None
-    if not refined.arrived and not kappa and sense == "minimise":
-        kink = minimax(plain, refined.point, seed)
-        if kink is not None and kink.value <= plain(refined.point[None]).true[0]:
-            values = goal(kink.point[None], np.inf)
-            active = np.where(kink.point <= ARRIVED, -1, np.where(kink.point >= 1.0 - ARRIVED, 1, 0))
-            refined = Refined(kink.point, values, active, kink.step, np.nan, kink.arrived)
-        else:
-            kink = None
-    here = plain(refined.point[None])
-    at = box.values(refined.point)
-    after, first = float(here.true[0]), float(before.true[0])
-    gain = sign * (first - after)
-    agree, near = _agreement(ways, best)
-    designs = full, {**full, **dict(zip(box.names, at, strict=True))}
-    with stage("checking by independent runs"):
-        spans = tuple(t if end is None else end - scene.period(one)[0] * (1.0 - t) for one in designs)
-        checked = _confirmed(scene, confirm, designs, spans, wanted, sign, gain, accuracy)
-    certificate = _certified(scene, designs[1], t, box, wanted, accuracy, max_steps) if certify else None
-    wide = robustness(plain, refined.point, here, distribution, samples, seed, kink is not None)
-    wide_before = None
-    if wide is not None and not before.reasons[0]:
-        wide_before = robustness(plain, box.unit(given), before, distribution, samples, seed, False)
-    cuts = _slices(plain, refined.point) if slices else {}
-    status, reason = _verdict(
-        refined, kink, checked, certificate, agree, near, ways, gain, kappa, plain, before.reasons[0]
-    )
+    if refined.arrived or search.kappa or search.sign < 0.0:
+        return refined, None
+    kink = minimax(plain, refined.point, search.seed)
+    if kink is None or not kink.value <= plain(refined.point[None]).true[0]:
+        return refined, None
+    active = np.where(kink.point <= ARRIVED, -1, np.where(kink.point >= 1.0 - ARRIVED, 1, 0))
+    values = goal(kink.point[None], np.inf)
+    return Refined(kink.point, values, active, kink.step, np.nan, kink.arrived), kink
+
+
+def _assessed(found: Design, plain: Evaluator, search: Search, refined: Refined, kinked: bool) -> Design:
+    """With what the optimum is worth, by an independent run, by its certificate and over its tolerances."""
+    box, sign, scene = plain.space, plain.objective.sign, plain.scene
+    here, at = plain(refined.point[None]), box.values(refined.point)
+    after = float(here.true[0])
+    gain = sign * (found.before - after)
+    better = {**plain.params, **dict(zip(box.names, at, strict=True))}
+    checked = None
+    if search.confirm is not None:
+        end = plain.steady
+        designs = [
+            (one, plain.times if end is None else end - scene.period(one)[0] * (1.0 - plain.times))
+            for one in (plain.params, better)
+        ]
+        with stage("checking by independent runs"):
+            by = independent(scene, search.confirm, search.accuracy)
+            checked = confirm(scene, by, designs, plain.objective, gain)
     sides = {-1: "lower", 1: "upper"}
-    return Design(
-        status, reason, wanted.name, sense, wanted.unit, _named(box, at), _named(box, given),
-        {n: sides[int(a)] for n, a in zip(box.names, refined.active, strict=True) if a},
-        first, after, gain, _named(box, sign * refined.values.slope[0] / box.slope(at)), refined.step,
-        refined.curvature, tuple(ways), agree, near, checked, certificate, wide, wide_before, cuts,
-        dict(plain.spent.failures), _stats(plain), box,
+    return found._replace(
+        values=box.named(at), at_bound={n: sides[int(a)] for n, a in zip(box.names, refined.active, strict=True) if a},
+        after=after, gain=gain, gradient=box.named(sign * refined.values.slope[0] / box.slope(at)), step=refined.step,
+        curvature=refined.curvature, confirmation=checked, certificate=_certified(plain, better, search),
+        robustness=robustness(plain, refined.point, here, search, kinked),
     )  # fmt: skip
 
 
-_objective, _starts, _confirm = objective, starts, confirm
-
-# What does not ask how long a turn lasts.
-_OF_A_TURN = ("peak", "largest", "mean", "contact_fraction", "peak_penetration")
-_KAPPA = Quantity("kappa", "1", "weight of the linear worst change", 0.0)
-_NORM = Quantity("norms", "1", "exponent of a norm", 1.0, open_low=True)
-
-
-def _sign(sense: str, distribution: str, norms: Any) -> float:
-    """1 for least, -1 for most; options that are not right raise ``InputError``."""
-    if not isinstance(sense, str) or sense not in SENSES:
-        raise InputError("sense", f"no sense {quoted(sense)}", nearest(sense, SENSES))
-    if distribution not in DISTRIBUTIONS:
-        raise InputError(
-            "distribution", f"no distribution {quoted(distribution)}", nearest(distribution, DISTRIBUTIONS)
-        )
-    for q in np.ravel(real("norms", "norms", [] if norms is None else norms)):
-        number("norms", _NORM, q)
-    return SENSES[sense]
-
-
-def _named(box: Space, values: np.ndarray) -> dict[str, float]:
-    return dict(zip(box.names, map(float, values), strict=True))
-
-
-def _stats(plain: Evaluator) -> dict[str, float]:
-    spent = plain.spent
-    return {
-        "batches": spent.batches, "points": spent.points, "wall_s": spent.wall_s, "compile_s": spent.compile_s,
-        "lanes": plain.batch,
-    }  # fmt: skip
-
-
-def _agreement(ways: Sequence[Path], best: Path) -> tuple[int, int]:
-    """Ends of descents beside the best one's, which the last digits may still better."""
-    same = [way for way in ways if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
-    return len(same), sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
-
-
-def _steady(scene: AbstractModel, params: Params, wanted: Objective) -> None:
-    """Refuse what has no steady motion."""
-    check_recurs(scene, params)
-    for feature in wanted.features:
-        if feature.kind not in _OF_A_TURN:
-            remedy = f"take {', '.join(_OF_A_TURN)}"
-            raise InputError(f"feature '{feature.name}'", "is no objective of steady motion", remedy)
-
-
-def _confirmed(
-    scene: AbstractModel, checker: Any, designs: tuple, times: tuple, wanted: Objective, sign: float, gain: float,
-    accuracy: str | float,
-) -> Confirmation | None:  # fmt: skip
-    if checker is None:
-        return None
-    checker = independent(scene)[0] if isinstance(checker, str) else checker
-    solver = independent(checker)[1]
-    return _confirm(scene, checker, solver, designs, times, wanted, sign, gain, tighter(accuracy))
-
-
-def _certified(
-    scene: AbstractModel, params: Params, times: np.ndarray, box: Space, wanted: Objective, accuracy: str | float,
-    max_steps: int,
-) -> Certificate | None:  # fmt: skip
+def _certified(plain: Evaluator, params: Params, search: Search) -> Certificate | None:
     """Equilibria have no tolerance to hold against another, and no chaos."""
-    if not scene.traits.history:
+    if not (search.certify and plain.scene.traits.history):
         return None
-    names = [f.name for f in wanted.features if f.kind in FEATURES]
-    found = sensitivity(scene, params, times, box.names, features=names, accuracy=accuracy, max_steps=max_steps)
-    return found.certificate
+    names = [f.name for f in plain.objective.features if f.kind in FEATURES]
+    how: dict[str, Any] = {"accuracy": search.accuracy, "max_steps": search.max_steps}
+    return sensitivity(plain.scene, params, plain.times, plain.space.names, features=names, **how).certificate
 
 
 def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
-    shares = np.linspace(0.0, 1.0, _SLICE)
     rows = []
     for k, x in enumerate(point):
         line = np.tile(point, (_SLICE + 1, 1))
-        line[:, k] = np.sort(np.append(shares, x))
+        line[:, k] = np.sort(np.append(np.linspace(0.0, 1.0, _SLICE), x))
         rows.append(line)
     points = np.concatenate(rows)
     true = plain(points).true.reshape(len(point), -1)
@@ -267,17 +207,17 @@ def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
 
 
 def _verdict(
-    refined: Refined, kink: Kink | None, checked: Confirmation | None, certificate: Certificate | None, agree: int,
-    near: int, ways: Sequence[Path], gain: float, kappa: float, plain: Evaluator, unborn: str,
-) -> tuple[str, str]:  # fmt: skip
-    """The worst of what is wrong, and everything in words."""
-    words, wrong = [], []
+    found: Design, plain: Evaluator, arrived: bool, kink: Kink | None, before: tuple[str, float]
+) -> tuple[str, str]:
+    """The worst of what is wrong, and everything in words; ``before``: why the given design has no value, and kappa."""
+    words, wrong, (unborn, kappa) = [], [], before
+    checked, certificate, ways = found.confirmation, found.certificate, found.starts
     if unborn:
         words.append(f"the given design has no value ({unborn}): the gain is unknown")
-    elif not gain > 0.0 and not kappa:
+    elif not found.gain > 0.0 and not kappa:
         wrong.append(NO_GAIN)
         words.append("no design within the bounds is better than the given one")
-    if checked is not None and not checked.confirmed and not unborn and gain > 0.0:
+    if checked is not None and not checked.confirmed and not unborn and found.gain > 0.0:
         wrong.append(NOT_CONFIRMED)
         seen = checked.reason or f"it sees {100.0 * checked.share:.3g} % of the gain"
         words.append(f"not confirmed by the {checked.how}: {seen}")
@@ -287,33 +227,19 @@ def _verdict(
         bad = [f"{name} ({one.remark})" for name, one in certificate.parameters.items() if one.verdict == NOT]
         wrong.append(NOT_TRUSTED)
         words.append(f"the gradient is not to be trusted by {', '.join(bad)}")
-    if not refined.arrived:
+    if not arrived:
         wrong.append(ROUGH)
         words.append("no optimum in the sense of derivatives: a kink, a flat place, or too few iterations")
     if kink is not None:
         words.append(f"samples equally high there: {kink.equal}; residual of Clarke's condition {kink.residual:.1e}")
-    held = [(n, a) for n, a in zip(plain.space.names, refined.active, strict=True) if a]
-    bounds = [f"{name} at its {'upper' if side > 0 else 'lower'} bound" for name, side in held]
-    words += [", ".join(bounds)] if bounds else []
-    if agree < 2 and len(ways) > 1:
+    if found.at_bound:
+        words.append(", ".join(f"{name} at its {side} bound" for name, side in found.at_bound.items()))
+    if found.agree < 2 and len(ways) > 1:
         wrong.append(ALONE)
-    words.append(f"{agree} of {len(ways)} descents end at the best one's value, {near} of them at its place")
-    failed = sum(plain.spent.failures.values())
-    if failed:
-        most = ", ".join(f"{text} ({n})" for text, n in plain.spent.failures.most_common(3))
-        words.append(f"{failed} of {plain.spent.points} points have no value: {most}")
+    words.append(
+        f"{found.agree} of {len(ways)} descents end at the best one's value, {found.near} of them at its place"
+    )
+    if failed := sum(plain.spent.failures.values()):
+        words.append(f"{failed} of {plain.spent.points} points have no value: {plain.spent.why()}")
     order = [NOT_CONFIRMED, NOT_TRUSTED, ROUGH, ALONE, NO_GAIN]
     return min(wrong, key=order.index) if wrong else OK, "; ".join(words)
-
-
-def _failed(
-    plain: Evaluator, wanted: Objective, sense: str, box: Space, given: np.ndarray, first: float, ways: list[Path]
-) -> Design:
-    """No start has a value."""
-    nothing, most = dict.fromkeys(box.names, float("nan")), plain.spent.failures.most_common(3)
-    why = ", ".join(f"{text} ({n})" for text, n in most)
-    return Design(
-        FAILED, f"no start has a value: {why}", wanted.name, sense, wanted.unit, nothing, _named(box, given), {},
-        float(first), np.nan, np.nan, nothing, np.nan, np.nan, tuple(ways), 0, 0, None, None, None, None, {},
-        dict(plain.spent.failures), _stats(plain), box,
-    )  # fmt: skip

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from bcfj_jax.analysis import plausibility
-from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.designs import result
-from bcfj_jax.analysis.designs.api import design
+from bcfj_jax.analysis.designs.api import design, posed
 from bcfj_jax.analysis.designs.designfile import Question, load
-from bcfj_jax.analysis.designs.objective import objective
-from bcfj_jax.analysis.designs.result import FAILED, Design
-from bcfj_jax.analysis.designs.space import space
-from bcfj_jax.analysis.designs.view import shown, value_rows
+from bcfj_jax.analysis.designs.result import FAILED
+from bcfj_jax.analysis.designs.search import Search
+from bcfj_jax.analysis.designs.view import fact_rows, page, reason, value_rows, verdict
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief
-from bcfj_jax.mechanism.observed import observing
+from bcfj_jax.io.page import Picture
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
 
 
 def vary(text: str) -> tuple[str, dict[str, Any]]:
-    """A free parameter as it is typed: "clearance_seat_cage=10um:200um", or with a tolerance "...=10um:200um:5um".
-
-    Raises:
-        InputError: for a text of another form.
-    """
+    """A free parameter as it is typed: "clearance_seat_cage=10um:200um", or with a tolerance "...=10um:200um:5um"."""
     name, equals, given = (part.strip() for part in text.partition("="))
     ends = [part.strip() for part in given.split(":")]
     if not (name and equals and len(ends) in (2, 3) and all(ends)):
@@ -49,19 +41,7 @@ def _number(text: str) -> float | str:
 
 
 def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]) -> tuple[str, bool]:
-    """Find the design that a file, or a command line, asks for; write and describe it.
-
-    Args:
-        what, more: as ``designfile.load``.
-        out: folder for the results, None for one made up.
-        say: receives the progress.
-
-    Returns:
-        The results in words, and whether any start had a value.
-
-    Raises:
-        InputError: for bad input, and where something would be overwritten.
-    """
+    """Find the design that ``designfile.load`` reads, write and describe it; in words, and whether any start had a value."""
     asked = load(what, more)
     check(asked)
     stem = Path(what).stem
@@ -74,11 +54,10 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
     plots.get_ready()
-    found = found_of(asked)
+    found = design(asked.scene, asked.given.params, asked.times, asked.objective, asked.free, **asked.options)
     best = {**asked.given.params, **found.values} if found.status != FAILED else asked.given.params
     absurd = plausibility.at(asked.scene, best, asked.times)
     outputs.write_json(folder / "design.json", found.content() | {"plausibility": plausibility.content(absurd)})
-    values, facts = value_rows(found), fact_rows(found)
     drawn: list[Picture] = []
     with stage("drawing"):
         if found.status != FAILED:
@@ -89,102 +68,22 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
             result.draw_slices(found, folder / "slices.png")
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
-    report.write(
-        folder, page(f"Design of {stem}", found, asked.note, values, facts, drawn, absurd), asked.given.scene.model_form
-    )
+    shown = page(f"Design of {stem}", found, asked.note, drawn, absurd)
+    report.write(folder, shown, asked.given.scene.model_form)
     keep_asked()
     first = [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
-    parts = [
-        *first,
-        f"{verdict(found)} {reason(found)}",
-        report.text(values),
-        report.text(facts),
-        f"results in {folder}",
-    ]
+    tables = (report.text(rows) for rows in (value_rows(found), fact_rows(found)))
+    parts = [*first, f"{verdict(found)} {reason(found)}", *tables, f"results in {folder}"]
     return "\n\n".join(parts), found.status != FAILED
 
 
 def check(asked: Question) -> None:
-    """Refuse what ``design`` would refuse, before anything is written or compiled.
-
-    Raises:
-        InputError: for names, bounds and features that are not right.
-    """
-    given, names = asked.given, asked.objective
-    scene = observing(asked.scene, [names] if isinstance(names, str) else names)
-    objective(names, (), scene.members)
-    box = space(scene, given.params, asked.free)
-    scene.check(complete(scene, given.params, box.names)[0])
-
-
-def found_of(asked: Question) -> Design:
-    """The design that a question asks for."""
-    search = asked.search
-    return design(
-        asked.scene, asked.given.params, asked.times, asked.objective, asked.free, sense=asked.sense,
-        kappa=search.kappa, distribution=search.distribution, samples=search.samples, starts=search.starts,
-        iterations=search.iterations, max_steps=asked.given.max_steps, confirm="auto" if search.confirm else None,
-        certify=search.certify, seed=search.seed, steady=asked.steady,
-    )  # fmt: skip
+    """Refuse what ``design`` would refuse, before anything is written or compiled."""
+    given = asked.scene, asked.given.params, asked.times
+    posed(given, asked.objective, asked.free, Search(**asked.options).checked())
 
 
 def sentence(asked: Question) -> str:
     """The question in a sentence."""
     name = asked.objective if isinstance(asked.objective, str) else " + ".join(asked.objective)
     return f"{'minimizing' if asked.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
-
-
-def verdict(found: Design) -> str:
-    """The outcome in a sentence."""
-    if found.status == FAILED:
-        return "No design was found."
-    before, after = (brief(x, found.unit) for x in (found.before, found.after))
-    state = "" if found.status == "ok" else f" Status: {found.status}."
-    return f"{found.objective}: {before} before, {after} after{found.change}.{state}"
-
-
-def reason(found: Design) -> str:
-    """All that is to be said of the outcome, as a sentence."""
-    return f"{found.reason[:1].upper()}{found.reason[1:]}."
-
-
-def page(
-    title: str,
-    found: Design,
-    note: str,
-    values: report.Rows,
-    facts: report.Rows,
-    drawn: list[Picture],
-    absurd: Sequence[plausibility.Finding] = (),
-) -> Page:
-    """The report: what the objective became, by which values, and how far that is to be trusted."""
-    kind = GOOD if found.status == "ok" else BAD if found.status == FAILED else FAIR
-    word = "Improved" if found.status == "ok" else found.status[:1].upper() + found.status[1:]
-    sentence = verdict(found)
-    if found.status != FAILED:
-        ends = f"{brief(found.before, found.unit)} to {brief(found.after, found.unit)}"
-        quantities = dict(zip(found.space.names, found.space.quantities, strict=True))
-        place = ", ".join(
-            f"{name} {shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
-        )
-        sentence = f"{found.objective} goes from {ends}{found.change}, at {place}."
-    answer = plausibility.judged(absurd, Verdict(kind, word, sentence))
-    tables = (Table("Design", values, reason(found)), Table("Objective", facts))
-    rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
-    folded = (Table("Search", rows),)
-    return Page(title, answer, tuple(drawn), (note,) if note else (), tables, folded=folded)
-
-
-def fact_rows(found: Design) -> list[list[str]]:
-    """Table of the objective: before, after, the independent check, tolerances."""
-    rows = [["objective", "before", "after"], [found.objective, *_pair(found.before, found.after, found.unit)]]
-    if (check := found.confirmation) is not None:
-        rows.append([f"checked by the {check.how}", *_pair(check.before, check.after, found.unit)])
-    if (wide := found.robustness) is not None:
-        first = found.robustness_before.sampled_worst if found.robustness_before else math.nan
-        rows.append(["worst over the tolerances, by runs", *_pair(first, wide.sampled_worst, found.unit)])
-    return rows
-
-
-def _pair(first: float, second: float, unit: str) -> list[str]:
-    return [brief(x, unit) if math.isfinite(x) else "-" for x in (first, second)]

@@ -6,7 +6,7 @@ the equations of motion, which have what equilibrium leaves out: inertia, fricti
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
 from bcfj_jax.core.programs import program
+from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import LEVELS, force_error
 from bcfj_jax.solve.simulation import Run, simulate
@@ -23,6 +24,14 @@ from bcfj_jax.solve.simulation import Run, simulate
 # Share of the gain that must be seen again: with the same model, and with one that has more in it.
 SAME, OTHER = 0.9, 0.5
 _TIGHTEST = 1e-9
+
+
+class By(NamedTuple):
+    """What checks: a model, a solver, None for the model's own, and the force error."""
+
+    model: AbstractModel
+    solver: str | None
+    accuracy: float
 
 
 class Confirmation(NamedTuple):
@@ -49,74 +58,44 @@ class Confirmation(NamedTuple):
     reason: str
 
 
-def independent(scene: AbstractModel) -> tuple[AbstractModel, str | None]:
-    """A model and a solver to check a design of this model with: what leaves nothing out, by another method."""
-    return scene.full(), "rodas3" if scene.traits.stiff else "dopri5"
-
-
-def tighter(accuracy: str | float) -> float:
-    """Force error of the check: a tenth of the optimiser's, and no more than ``reference``."""
-    asked = force_error(accuracy)
-    return max(min(0.1 * asked, LEVELS["reference"]), _TIGHTEST)
+def independent(scene: AbstractModel, model: AbstractModel | str, accuracy: str | float) -> By:
+    """What a design of a scene is checked by: what leaves nothing out, or the model that is named, by another method, at a
+    tenth of the optimiser's force error, and no more than ``reference``.
+    """
+    checker = scene.full() if isinstance(model, str) else model
+    asked = max(min(0.1 * force_error(accuracy), LEVELS["reference"]), _TIGHTEST)
+    return By(checker, "rodas3" if checker.traits.stiff else "dopri5", asked)
 
 
 def confirm(
-    scene: AbstractModel,
-    checker: AbstractModel,
-    solver: str | None,
-    designs: tuple[Params, Params],
-    times: tuple[np.ndarray, np.ndarray],
-    objective: Objective,
-    sign: float,
-    gain: float,
-    accuracy: float,
+    scene: AbstractModel, by: By, designs: Sequence[tuple[Params, np.ndarray]], objective: Objective, gain: float
 ) -> Confirmation:
-    """Run both designs again.
-
-    Args:
-        scene: the one that was optimised; checker: the one that checks.
-        solver: of the check.
-        designs: parameters before and after; times: of either.
-        objective, sign: as the optimiser had them.
-        gain: that the optimiser saw.
-        accuracy: force error of the check.
-
-    Raises:
-        InputError: as ``simulate``.
-    """
-    # Another model may not have every parameter.
-    known = checker.quantities
-    both: list[Any] = [
-        {name: np.asarray(x, dtype=float) for name, x in one.items() if name in known} for one in designs
-    ]
-    runs = [simulate(checker, p, t, accuracy=accuracy, solver=solver) for p, t in zip(both, times, strict=True)]
-    (before, first), (after, second) = (
-        features(run, checker, t, objective) for run, t in zip(runs, times, strict=True)
-    )
-    found = sign * (before - after)
-    share = found / gain if gain else np.nan
-    same = checker == scene
-    least = SAME if same else OTHER
-    return Confirmation(
-        before, after, first, second, found, share, bool(gain > 0 and share >= least),
-        f"{checker.title} by {solver or 'its own solver'} at a force error of {accuracy:.0e}",
-        "; ".join(run.reason for run in runs if run.status != "ok"),
-    )  # fmt: skip
+    """Run the designs before and after again, each with its times; ``scene`` was optimised, by so much ``gain``."""
+    found = []
+    for params, times in designs:
+        # Another model may not have every parameter.
+        known: Any = {name: np.asarray(x, dtype=float) for name, x in params.items() if name in by.model.quantities}
+        run = simulate(by.model, known, times, accuracy=by.accuracy, solver=by.solver)
+        found.append((*features(run, by.model, times, objective), run.reason if run.status != "ok" else ""))
+    (before, first, why), (after, second, also) = found
+    seen = objective.sign * (before - after)
+    share = seen / gain if gain else np.nan
+    least = SAME if by.model == scene else OTHER
+    how = f"{by.model.title} by {by.solver or 'its own solver'} at a force error of {by.accuracy:.0e}"
+    confirmed, said = bool(gain > 0 and share >= least), "; ".join(filter(None, (why, also)))
+    return Confirmation(before, after, first, second, seen, share, confirmed, how, said)
 
 
 def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objective) -> tuple[float, dict[str, float]]:
     """The true objective of a run, and the features it is made of by name; NaN where it failed."""
-    contacts = scene.members
 
     def stacked(table: Mapping[str, np.ndarray], axes: int) -> np.ndarray:
-        parts = [table[name] if contacts[name] else table[name][:, None] for name in contacts]
-        assert all(part.ndim == axes for part in parts)
-        return np.concatenate(parts, axis=1)
+        return np.stack(list(channels(table, axes).values()), axis=1)
 
-    arguments = stacked(run.force, 3), stacked(run.penetration, 2)
+    arguments = stacked(run.force, 1), stacked(run.penetration, 0)
     # Designs of explicit models are compared by summits, which a crest between samples stands for here.
     between = scene.traits.history and not scene.traits.stiff
-    static = times.tobytes(), objective, tuple(contacts.items()), between
+    static = times.tobytes(), objective, tuple(scene.members.items()), between
     whole, values = program("design features", _features, static, arguments)[0](*arguments)
     unknown = float("nan")
     bad = run.status != "ok"

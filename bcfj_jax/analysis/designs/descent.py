@@ -61,13 +61,9 @@ def starts(evaluate: Evaluate, given: np.ndarray, count: int, seed: int) -> np.n
 
 
 def descend(evaluate: Evaluate, points: np.ndarray, norms: Sequence[float], iterations: int) -> list[Path]:
-    """L-BFGS-B from every point (B, P), first on each of the norms, then on crests.
+    """L-BFGS-B from every point (B, P) of the unit box, first on each of the norms q, increasing, then on crests.
 
-    Args:
-        evaluate: values at points of the unit box and a norm.
-        points: where to begin.
-        norms: q of each stage, increasing; the last stage, on crests, need not be named.
-        iterations: limit of each stage and start.
+    ``iterations``: limit of each of these stages and of each start.
     """
     stages = (*norms, np.inf)
     tracks: list[list[tuple[float, float, np.ndarray]]] = [[] for _ in points]

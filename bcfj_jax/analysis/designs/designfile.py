@@ -97,6 +97,12 @@ class Question:
     steady: bool = False
 
     @property
+    def options(self) -> dict[str, Any]:
+        """Those of ``design``."""
+        own = {"confirm": "auto" if self.search.confirm else None, "max_steps": self.given.max_steps}
+        return {**self.search.model_dump(), **own, "sense": self.sense, "steady": self.steady}
+
+    @property
     def resolved(self) -> dict[str, Any]:
         """The question with every default, as ``run.toml`` has it."""
         return {
@@ -123,28 +129,17 @@ def is_design(table: Mapping[str, Any]) -> bool:
 
 
 def load(what: str, more: Mapping[str, Any]) -> Question:
-    """A design file, or a scene whose question ``more`` asks.
+    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own.
 
-    Args:
-        what: a design file, a scene file, or a built-in scene's name.
-        more: tables of a design file that stand in place of the file's own: ``objective``, ``vary``, ``search``.
-
-    Raises:
-        InputError: for anything that is not right, naming the key and what would be.
+    ``InputError`` for anything that is not right names the key and what would be.
     """
     path = Path(what)
     table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
-    if not is_design(table):
-        table = {"scene": what}
-        beside = Path(".")
-    else:
-        beside = path.parent
+    table, beside = (table, path.parent) if is_design(table) else ({"scene": what}, Path("."))
     # What is no table is left as it is, and refused below.
-    vary: Any = table.get("vary", {})
-    search: Any = table.get("search", {})
+    vary, search, wanted = (table.get(name, {}) for name in ("vary", "search", "objective"))
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
     search = {**search, **more.get("search", {})} if isinstance(search, Mapping) else search
-    wanted = table.get("objective", {})
     if isinstance(wanted, Mapping) and more.get("objective"):
         wanted = {key: wanted[key] for key in ("steady",) if key in wanted} | dict(more["objective"])
     table = {**table, "vary": vary, "search": search, "objective": wanted}
@@ -170,14 +165,9 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
 
 
 def searched(given: SceneFile, ends: bool) -> tuple[AbstractModel, np.ndarray, str]:
-    """The model that is searched and its times: of a scene with levels, which the file left open, equilibria.
+    """The model that is searched, its times (T,) [s], and a sentence about both; "" for the scene as it is.
 
-    Args:
-        given: the scene file.
-        ends: whether it says when the run ends.
-
-    Returns:
-        The model, times (T,) [s], and a sentence about both; "" for the scene as it is.
+    Of a scene with levels, which the file left open, equilibria. ``ends``: whether the file says when the run ends.
     """
     scene, levels = given.scene, given.scene.coarser()
     if not (given.open and levels):

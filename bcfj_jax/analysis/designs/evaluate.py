@@ -24,7 +24,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histor
 from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
-from bcfj_jax.core.errors import InputError
+from bcfj_jax.analysis.engine import columns, refusal
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
 from bcfj_jax.core.threads import cores, each
@@ -37,7 +37,7 @@ class Values(NamedTuple):
     """At N points: what the descent sees, its gradient by unit coordinates, and the true objective.
 
     Attributes:
-        smooth: (N,) with norms or crests in place of peaks, times the sign that makes less better.
+        smooth: (N,) with norms or crests in place of peaks, times the objective's sign, which makes less better.
         slope: (N, P).
         goal: (N,) as ``smooth``, always with crests: by it points are compared.
         true: (N,) with greatest samples, without that sign.
@@ -61,6 +61,49 @@ class Spent:
     compile_s: float = 0.0
     failures: Counter = field(default_factory=Counter)
 
+    def batch(self, wall_s: float, compile_s: float) -> None:
+        """Account for one."""
+        self.batches += 1
+        self.wall_s += wall_s
+        self.compile_s += compile_s
+
+    def why(self) -> str:
+        """The most frequent failures, with their numbers."""
+        return ", ".join(f"{text} ({n})" for text, n in self.failures.most_common(3))
+
+
+class _Read(NamedTuple):
+    """What N runs left, for any objective.
+
+    Attributes:
+        value: normal forces and penetrations (N, T, C), continuous curves (N, C, 3); slopes: theirs, (..., P).
+        code: (N,); near: equilibria, from which the next search begins.
+    """
+
+    value: tuple[Any, Any, Any]
+    slopes: tuple[Any, Any, Any]
+    code: Any
+    near: Any = ()
+
+
+class _Given(NamedTuple):
+    """What ``_runs`` takes: all parameters, values (n, P) of the free ones, times, plan, how many count, equilibria."""
+
+    fixed: dict[str, Any]
+    points: Any
+    times: Any
+    how: Plan
+    count: Any
+    near: Any
+
+
+class _Static(NamedTuple):
+    """What a program of objectives is made for; the times as bytes, which are hashable."""
+
+    grid: bytes
+    objective: Objective
+    contacts: tuple[tuple[str, int], ...]
+
 
 @dataclass(frozen=True)
 class Evaluator:
@@ -69,7 +112,6 @@ class Evaluator:
     Attributes:
         scene, params, times, how: as ``force_history`` takes them.
         space, objective: what is free, what is made least.
-        sign: 1 to make it least, -1 to make it most.
         batch: points in one batch.
         spent: the account of all calls.
         steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
@@ -82,9 +124,8 @@ class Evaluator:
     how: Plan
     space: Space
     objective: Objective
-    sign: float
     batch: int
-    spent: Spent
+    spent: Spent = field(default_factory=Spent)
     steady: float | None = None
 
     def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:
@@ -94,9 +135,9 @@ class Evaluator:
     def at(self, values: np.ndarray, norm: float = np.inf) -> Values:
         """As a call, at SI values (N, P), which may lie outside of the bounds."""
         parts = [self._block(values[k : k + self.batch], norm) for k in range(0, len(values), self.batch)]
-        joined = [np.concatenate([part[i] for part in parts]) for i in range(4)]
-        reasons = [text for part in parts for text in part.reasons]
-        return Values(joined[0], joined[1], joined[2], joined[3], reasons)
+        *numbers, reasons = zip(*parts, strict=True)
+        smooth, slope, goal, true = map(np.concatenate, numbers)
+        return Values(smooth, slope, goal, true, [text for part in reasons for text in part])
 
     def _block(self, values: np.ndarray, norm: float) -> Values:
         refused = [self._refusal(point) for point in values]
@@ -107,20 +148,22 @@ class Evaluator:
         found = Values(nothing.copy(), np.full(values.shape, np.nan), nothing.copy(), nothing.copy(), refused)
         if not good:
             return found
-        *read, code, whys = self._read(values[good])
-        given = *read, np.asarray(float(norm))
-        static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
-        objectives, compile_s = program("design objective", _objectives, static, given)
+        read, whys = self._read(values[good])
+        given = read.value, read.slopes, np.asarray(float(norm))
+        static = _Static(self.times.tobytes(), self.objective, tuple(self.scene.members.items()))
+        objectives, compile_s = program("design objective", _objectives, (static,), given)
         begin = time.perf_counter()
-        smooth, slope, goal, true, code = (np.asarray(x)[: len(good)] for x in (*objectives(*given), code))
+        numbers = [np.asarray(x)[: len(good)] for x in objectives(*given)]
         self.spent.wall_s += time.perf_counter() - begin
         self.spent.compile_s += compile_s
-        slope = self.sign * slope * self.space.slope(values[good])
-        finite = np.isfinite(smooth) & np.isfinite(goal) & np.isfinite(true) & np.isfinite(slope).all(axis=1)
+        sign, code = self.objective.sign, np.asarray(read.code)[: len(good)]
+        smooth, slope, goal, true = numbers
+        slope = sign * slope * self.space.slope(values[good])
+        finite = np.isfinite(np.column_stack([smooth, goal, true, slope])).all(axis=1)
         code = np.where((code == OK) & ~finite, STEEP, code)
         for i, k in enumerate(good):
             if code[i] == OK:
-                found.smooth[k], found.goal[k] = self.sign * smooth[i], self.sign * goal[i]
+                found.smooth[k], found.goal[k] = sign * smooth[i], sign * goal[i]
                 found.slope[k], found.true[k] = slope[i], true[i]
             else:
                 found.reasons[k] = whys[i] or reason(int(code[i]), self.how.max_steps)
@@ -136,10 +179,11 @@ class Evaluator:
         self.spent.points += 1
         if not self.objective.sampled or self._refusal(values):
             return None
-        force, depth, _, *slopes, _, code, _ = (x[0] for x in self._read(values[None]))
-        if code != OK:
+        read, _ = self._read(values[None])
+        if read.code[0] != OK:
             return None
-        return sampled([force, depth, *slopes], self.objective, self.scene.members, self.space.slope(values))
+        tables = [x[0] for x in (*read.value[:2], *read.slopes[:2])]
+        return sampled(tables, self.objective, self.scene.members, self.space.slope(values))
 
     @cached_property
     def near(self) -> Any:
@@ -148,30 +192,29 @@ class Evaluator:
         if not jax.tree.leaves(origin):
             return origin
         found = self._batch(np.array([[float(self.params[name]) for name in self.space.names]]), origin)
-        return jax.tree.map(lambda x: x[0], found[-1])
+        return jax.tree.map(lambda x: x[0], found.near)
 
-    def _read(self, points: np.ndarray) -> tuple:
-        """What ``_runs`` gives of points that can be built, (n, P) SI, n up to the batch; for the last, reasons."""
+    def _read(self, points: np.ndarray) -> tuple[_Read, list[str]]:
+        """What runs at points that can be built leave, (n, P) SI, n up to the batch; and why some have no steady motion."""
         if self.steady is not None:
             return self._turns(points, self.steady)
-        return *self._batch(points, self.near)[:-1], [""] * self.batch
+        return self._batch(points, self.near), [""] * self.batch
 
-    def _turns(self, points: np.ndarray, end: float) -> tuple:
+    def _turns(self, points: np.ndarray, end: float) -> tuple[_Read, list[str]]:
         """As ``_read``, of a turn of the steady motion."""
-        begin, count = time.perf_counter(), len(points)
-        params = {name: np.full(count, float(x)) for name, x in self.params.items()}
-        params |= {name: points[:, k] for k, name in enumerate(self.space.names)}
+        begin, count, names = time.perf_counter(), len(points), self.space.names
+        params = columns(self.params, names, points)
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
-        force, depth = np.full(shape, np.nan), np.full(shape, np.nan)
-        slopes = [np.full((*shape, len(self.space.names)), np.nan) for _ in range(2)]
-        curve = np.full((shape[0], shape[2], 3), np.nan)
+        value = np.full(shape, np.nan), np.full(shape, np.nan), np.full((shape[0], shape[2], 3), np.nan)
+        none, by = np.zeros((*value[2].shape, len(names))), (*shape, len(names))
+        slopes = np.full(by, np.nan), np.full(by, np.nan), none
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
 
         def turned(i: int) -> Turn:
             one = {name: leaf[i] for name, leaf in params.items()}
-            return turn(self.scene, one, runs.state[i], end, self.space.names, self.how.max_steps)
+            return turn(self.scene, one, runs.state[i], end, names, self.how.max_steps)
 
         # The first alone: it may compile, for which all others would wait.
         good = np.flatnonzero(runs.code == OK)
@@ -180,36 +223,32 @@ class Evaluator:
             if found.reason:
                 code[i], whys[i] = NOT_FINITE, found.reason
                 continue
-            force[i], depth[i] = found.value.force[:, :, 0], found.value.penetration
+            value[0][i], value[1][i] = found.value.force[:, :, 0], found.value.penetration
             slopes[0][i] = np.moveaxis(found.derivative.force[..., 0], 0, -1)
             slopes[1][i] = np.moveaxis(found.derivative.penetration, 0, -1)
-        self.spent.wall_s += time.perf_counter() - begin - compile_s
-        self.spent.compile_s += compile_s
-        self.spent.batches += 1
-        return force, depth, curve, *slopes, np.zeros((*curve.shape, len(self.space.names))), code, whys
+        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        return _Read(value, slopes, code), whys
 
-    def _batch(self, points: np.ndarray, near: Any) -> tuple:
+    def _batch(self, points: np.ndarray, near: Any) -> _Read:
         """``_runs``, filled up with the first point; what runs one by one is shared out among the cores."""
         shares = min(cores(), len(points)) if _one_by_one(self.scene, self.how) else 1
         parts = [points[share] for share in np.array_split(np.arange(len(points)), shares)]
         sizes = [len(part) for part in parts]
         given = [
-            (dict(self.params), part[self._filled(size)], self.times, self.how, np.asarray(size), near)
+            _Given(dict(self.params), part[self._filled(size)], self.times, self.how, np.asarray(size), near)
             for part, size in zip(parts, sizes, strict=True)
         ]
-        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), given[0])
+        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), (given[0],))
         begin = time.perf_counter()
-        found = each(lambda one: runs(*one), given)
+        found = each(runs, given)
 
         def joined(*shared: Any) -> np.ndarray:
             wanted = [x[:size] for x, size in zip(shared, sizes, strict=True)]
             return np.concatenate(wanted)[self._filled(len(points))]
 
         found = jax.tree.map(joined, *found)
-        self.spent.wall_s += time.perf_counter() - begin
-        self.spent.compile_s += compile_s
-        self.spent.batches += 1
-        return found
+        self.spent.batch(time.perf_counter() - begin, compile_s)
+        return _Read(*found)
 
     def _filled(self, count: int) -> np.ndarray:
         """Rows of a batch of which so many are wanted: the first stands for the others."""
@@ -218,13 +257,7 @@ class Evaluator:
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""
         illegal = self.space.legal(point)
-        if illegal:
-            return illegal
-        try:
-            self.scene.check({**self.params, **dict(zip(self.space.names, point, strict=True))})
-        except InputError as error:
-            return str(error)
-        return ""
+        return illegal or refusal(self.scene, {**self.params, **dict(zip(self.space.names, point, strict=True))})
 
 
 def _one_by_one(scene: AbstractModel, how: Plan) -> bool:
@@ -233,13 +266,9 @@ def _one_by_one(scene: AbstractModel, how: Plan) -> bool:
     return scene.traits.large and jax.default_backend() == "cpu" and not batched
 
 
-def _runs(
-    scene: AbstractModel, names: tuple[str, ...], fixed: dict, points: Array, times: Array, how: Plan, count: Array,
-    near: Any,
-) -> tuple:  # fmt: skip
-    """Normal forces and penetrations (N, T, C), continuous curves (N, C, 3), the tangents of the three with a last axis (P,),
-    codes and equilibria, for any objective.
-    """
+def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
+    """The fields of a ``_Read``."""
+    fixed, points, times, how, count, near = given
     if scene.traits.history and possible(scene, how):
         size = len(points)
         params = {name: jnp.full(size, value) for name, value in fixed.items()}
@@ -247,7 +276,7 @@ def _runs(
         ends, grid = jnp.full(size, times[-1]), times / times[-1]
         value, slopes, code, *_ = jacobians(scene, names, params, ends, grid, how, count)
         moved = (jnp.moveaxis(slopes[0], 2, -1), jnp.moveaxis(slopes[1], 2, -1), jnp.moveaxis(slopes[3], 1, -1))
-        return value[0][..., 0], value[1], value[3], *moved, code, near
+        return (value[0][..., 0], value[1], value[3]), moved, code, near
 
     def one(theta: Array) -> tuple[tuple, tuple]:
         params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}
@@ -270,20 +299,17 @@ def _runs(
         )
     else:
         slopes, (read, code, places) = jax.vmap(whole)(points)
-    return *read, *slopes, code, places
+    return read, slopes, code, places
 
 
-def _objectives(
-    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], force: Array, depth: Array, curve: Array,
-    force_slope: Array, depth_slope: Array, curve_slope: Array, norm: Array,
-) -> tuple:  # fmt: skip
-    """The objective on norms with its gradient, on crests, and as it is reported, of N runs."""
-    times = np.frombuffer(grid)
+def _objectives(static: _Static, value: tuple, slopes: tuple, norm: Array) -> tuple:
+    """Of N runs the objective on norms with its gradient, on crests, and as it is reported."""
+    times, contacts = np.frombuffer(static.grid), dict(static.contacts)
 
     def of(read: tuple, norm: Array | None) -> Array:
         force, depth, curve = read
         found = Histories(force[:, :, None], depth, None, None, curve)
-        return objective.of(measured(times, found, objective, dict(contacts), norm))
+        return static.objective.of(measured(times, found, static.objective, contacts, norm))
 
     def one(read: tuple, slopes: tuple) -> tuple:
         def push(*along: Array) -> Array:
@@ -292,4 +318,4 @@ def _objectives(
         slope = jax.vmap(push, in_axes=-1)(*slopes)
         return of(read, norm), slope, of(read, jnp.asarray(jnp.inf)), of(read, None)
 
-    return jax.vmap(one)((force, depth, curve), (force_slope, depth_slope, curve_slope))
+    return jax.vmap(one)(value, slopes)

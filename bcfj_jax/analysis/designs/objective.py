@@ -38,13 +38,14 @@ Combine = Callable[[Mapping[str, Array]], Array]
 
 
 class Objective(NamedTuple):
-    """Features, and what is made of them: their weighted sum, or ``combine`` of all by name."""
+    """Features, and what is made of them: their weighted sum, or ``combine`` of all by name; least, or with a sign of -1 most."""
 
     name: str
     features: tuple[Feature, ...]
     weights: tuple[float, ...]
     combine: Combine | None
     unit: str
+    sign: float = 1.0
 
     @property
     def peaked(self) -> bool:
@@ -66,15 +67,10 @@ class Objective(NamedTuple):
 def objective(
     asked: str | Mapping[str, float] | Combine, features: Sequence[str], contacts: Mapping[str, int]
 ) -> Objective:
-    """What ``design`` was asked to make least.
+    """What ``design`` was asked to make least: a feature's name, weights by name, or a function of a dict of ``features``.
 
-    Args:
-        asked: a feature's name, weights by name, or a function of a dict of features by name.
-        features: the names that the function reads.
-        contacts: number of members by contact, ``AbstractModel.members``.
-
-    Raises:
-        InputError: for a name that is not known, and a period, which is found on the host.
+    ``contacts``: number of members by contact, ``AbstractModel.members``. ``InputError`` for a name that is not known, and for
+    a period, which is found on the host.
     """
     features = texts("features", features, 'name features, such as "contact.peak"')
     if callable(asked):
@@ -118,13 +114,9 @@ def _feature(name: str, contacts: Mapping[str, int]) -> Feature:
 def measured(
     times: np.ndarray, found: Histories, wanted: Objective, contacts: Mapping[str, int], norm: Array | None
 ) -> list[Array]:
-    """Values of the objective's features. Pure, differentiable.
+    """Values of the objective's features at times (T,) [s] of one run. Pure, differentiable.
 
-    Args:
-        times: (T,) [s], numbers.
-        found: histories of one run.
-        wanted, contacts: as ``objective`` made it, and as it was given.
-        norm: q; infinity takes crests, None the greatest samples.
+    ``norm``: q; infinity takes crests, None the greatest samples.
     """
     names = channel_names(contacts)
 
@@ -158,10 +150,7 @@ def sampled(
     """The samples (K,) whose greatest is the objective, with slopes (K, P), and which of them no neighbour in time is
     above; |F| is the greater of F and -F.
 
-    Args:
-        read: force and penetration (T, C), and their slopes (T, C, P).
-        wanted, contacts: an objective that is ``sampled``.
-        stretch: (P,) what slopes are multiplied by.
+    ``read``: force and penetration (T, C), and their slopes (T, C, P), which are multiplied by ``stretch`` (P,).
     """
     feature, names = wanted.features[0], channel_names(contacts)
     index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])

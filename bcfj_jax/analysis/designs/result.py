@@ -46,7 +46,7 @@ class Design(NamedTuple):
         at_bound: by name "lower" or "upper" for what lies at a bound and is pushed against it.
         before, after: the true objective by the optimiser's own solver; gain, positive where it became better.
         gradient: by name, of the crest (with the robust part, if any), per SI unit.
-        step, curvature: as ``newton.Refined``: how far the optimum may still be, a share of a range.
+        step, curvature: as ``refine.Refined``: how far the optimum may still be, a share of a range.
         starts: of every start its way, first that of the given design; agree: how many ended within 1e-4 of the best
             descent's value, near: how many of these within 1e-2 of every range of its place.
         confirmation: the independent run beside; None where it was not asked for.
@@ -104,17 +104,16 @@ class Design(NamedTuple):
             table[key] = None if table[key] is None else table[key]._asdict()
         space = self.space
         table["free"] = {
-            name: {
-                "unit": q.unit, "lower": space.lower[k], "upper": space.upper[k], "tolerance": space.tolerance[k],
-                "relative": bool(space.relative[k]), "scale": "log" if space.log[k] else "linear",
+            axis.name: {
+                "unit": q.unit, "lower": axis.lower, "upper": axis.upper, "tolerance": tolerance,
+                "relative": bool(relative), "scale": axis.scale,
             }
-            for k, (name, q) in enumerate(zip(space.names, space.quantities, strict=True))
+            for axis, q, tolerance, relative in zip(space.axes, space.quantities, space.tolerance, space.relative, strict=True)
         }  # fmt: skip
         table["verdict"] = self.certificate.verdict if self.certificate else None
         table["starts"] = [
             {
-                "start": dict(zip(space.names, space.values(way.start).tolist(), strict=True)),
-                "end": dict(zip(space.names, space.values(way.end).tolist(), strict=True)),
+                "start": space.named(space.values(way.start)), "end": space.named(space.values(way.end)),
                 "value": way.value, "evaluations": len(way.best), "failed": way.failed, "message": way.message,
             }
             for way in self.starts
@@ -122,11 +121,7 @@ class Design(NamedTuple):
         return table
 
     def save(self, folder: Path | str) -> Path:
-        """Write ``design.json``, ``starts.png`` and ``slices.png``; the folder.
-
-        Raises:
-            InputError: if the folder holds one of them already.
-        """
+        """Write ``design.json``, ``starts.png`` and ``slices.png``, of which the folder may hold none yet; the folder."""
         names = ("design.json", "starts.png", "slices.png")
         with outputs.session():
             where = outputs.open_folder(Path(folder), "design", "", names)
@@ -169,7 +164,7 @@ def draw_slices(found: Design, path: Path) -> None:
     halves = found.space.halves(np.array([found.values[n] for n in found.space.names]))
     with panels(len(found.slices), 3, path, 3.6, 2.9) as axes:
         for k, (axis, (name, cut)) in enumerate(zip(axes, found.slices.items(), strict=True)):
-            quantity = found.space.quantities[k]
+            quantity, bounds = found.space.quantities[k], found.space.axes[k]
             plain = quantity.unit not in ("m", "s", "N", "Pa")
             wide, small = (1.0, "") if plain else engineering(cut.values)
             angle = quantity.unit == "rad"
@@ -181,10 +176,9 @@ def draw_slices(found: Design, path: Path) -> None:
             axis.plot(at, found.after * scale, "o", color=_BEST, markersize=6, label="optimum")
             given = found.before_values[name] * wide
             axis.axvline(given, color=_GIVEN, linestyle="--", linewidth=1.0, label="given design")
-            for bound, text in ((found.space.lower[k], "bounds"), (found.space.upper[k], None)):
+            for bound, text in ((bounds.lower, "bounds"), (bounds.upper, None)):
                 axis.axvline(bound * wide, color="#4a4a4a", linewidth=1.2, label=text)
-            if found.space.log[k]:
-                axis.set_xscale("log")
+            axis.set_xscale(bounds.scale)
             side = found.at_bound.get(name)
             axis.set_title(name + (f" ({side} bound)" if side else ""), fontsize=9.5)
             unit = "deg" if angle else quantity.unit

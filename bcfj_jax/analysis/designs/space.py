@@ -7,12 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.analysis.axes import SCALES, Axis, bounded
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
-
-SCALES = ("linear", "log")
 
 
 class Free(NamedTuple):
@@ -33,34 +32,32 @@ class Free(NamedTuple):
 
 
 class Space(NamedTuple):
-    """The free parameters as arrays (P,), SI: names, bounds, tolerances, which of these are relative, which axes are
-    logarithmic; and what each parameter is.
-    """
+    """The P free parameters: axes, half widths of tolerances (P,) [SI], which of these are relative, what each is."""
 
-    names: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
+    axes: tuple[Axis, ...]
     tolerance: np.ndarray
     relative: np.ndarray
-    log: np.ndarray
     quantities: tuple[Quantity, ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        return tuple(axis.name for axis in self.axes)
+
+    def _each(self, what: str, x: np.ndarray) -> np.ndarray:
+        return np.stack([getattr(axis, what)(x[..., k]) for k, axis in enumerate(self.axes)], axis=-1)
+
     def values(self, unit: np.ndarray) -> np.ndarray:
-        """SI values (..., P) at points of the unit box; a bound is met to the last bit."""
-        low, high = self._ends()
-        x = low + (high - low) * unit
-        x = np.where(self.log, np.exp(np.where(self.log, x, 0.0)), x)
-        return np.where(unit == 0.0, self.lower, np.where(unit == 1.0, self.upper, x))
+        """SI values (..., P) at points of the unit box."""
+        return self._each("at", unit)
 
     def unit(self, values: np.ndarray) -> np.ndarray:
         """Coordinates (..., P) of SI values; outside of 0 to 1 for what lies beyond its bounds."""
-        low, high = self._ends()
-        return (np.where(self.log, np.log(np.where(self.log, values, 1.0)), values) - low) / (high - low)
+        return self._each("share", values)
 
     def slope(self, values: np.ndarray) -> np.ndarray:
         """d(value)/d(coordinate) (..., P)."""
-        low, high = self._ends()
-        return (high - low) * np.where(self.log, values, 1.0)
+        return self._each("steepness", values)
 
     def halves(self, values: np.ndarray) -> np.ndarray:
         """Half widths of the tolerance box about nominal values [SI], (P,)."""
@@ -71,38 +68,36 @@ class Space(NamedTuple):
         pairs = zip(self.quantities, values, strict=True)
         return next((f"{q.name} must be {q.range}" for q, x in pairs if not q.valid(float(x))), "")
 
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
-        safe = [np.where(self.log, x, 1.0) for x in (self.lower, self.upper)]
-        return tuple(  # type: ignore[return-value]
-            np.where(self.log, np.log(s), x) for s, x in zip(safe, (self.lower, self.upper), strict=True)
-        )
+    def named(self, values: Any) -> dict[str, float]:
+        """One number a parameter, by its name."""
+        return dict(zip(self.names, map(float, values), strict=True))
 
 
 def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequence[Any]]) -> Space:
-    """The free parameters, checked.
+    """The free parameters, checked, each a ``Free`` or its fields in order: (lower, upper), (lower, upper, tolerance), ...
 
-    Args:
-        scene: whose parameters they are.
-        params: the others' values: a stiffness' unit depends on the exponent.
-        free: by name a ``Free``, or its fields in order: (lower, upper), (lower, upper, tolerance), ...
-
-    Raises:
-        InputError: for no parameter, an unknown one (with the nearest), bounds that are no range or leave the
-            parameter's own, a negative tolerance, an unknown scale and a logarithmic one that reaches 0.
+    ``params``: the others' values, as a stiffness' unit depends on the exponent. ``InputError`` for no parameter, an unknown
+    one (with the nearest), a negative tolerance, and as ``axes.bounded``.
     """
+    known, some = scene.quantities, f"name one or more of {', '.join(scene.quantities)}"
     if not isinstance(free, Mapping):
         raise InputError("free", quoted(free), 'give bounds by name: {"stiffness": (1e9, 1e11)}')
     if not free:
-        raise InputError("free", "no parameter", f"name one or more of {', '.join(scene.quantities)}")
-    texts("free", list(free), f"name one or more of {', '.join(scene.quantities)}")
-    free = {scene.canonical(name): one for name, one in free.items()}
-    given = [_fields(name, one) for name, one in free.items()]
-    rows = [_one(scene, params, name, one) for name, one in zip(free, given, strict=True)]
-    lower, upper, tolerance = (np.array([row[k] for row in rows], dtype=float) for k in range(3))
-    return Space(
-        tuple(free), lower, upper, tolerance, np.array([g.relative for g in given]),
-        np.array([g.scale == "log" for g in given]), tuple(scene.quantities[name] for name in free),
-    )  # fmt: skip
+        raise InputError("free", "no parameter", some)
+    texts("free", list(free), some)
+    given = {scene.canonical(name): _fields(name, one) for name, one in free.items()}
+    axes, tolerance = [], []
+    for name, one in given.items():
+        where = f"free '{name}'"
+        if name not in known:
+            raise InputError(where, f"scene '{scene.kind}' has no such parameter", nearest(name, known))
+        axis: Any = Axis(name, one.lower, one.upper, one.scale)  # type: ignore[arg-type]
+        axes.append(bounded(where, scene, params, axis, SCALES[:2]))
+        half = Quantity("tolerance", "1" if one.relative else known[name].unit, "half width of a tolerance", 0.0)
+        power = inputs.exponent(scene, name, params)
+        tolerance.append(scalar(f"{where} tolerance", half, one.tolerance, power))
+    relative = np.array([one.relative for one in given.values()])
+    return Space(tuple(axes), np.array(tolerance), relative, tuple(known[name] for name in given))
 
 
 def _fields(name: str, one: Any) -> Free:
@@ -112,20 +107,3 @@ def _fields(name: str, one: Any) -> Free:
     if isinstance(one, str) or not isinstance(one, Sequence) or not 2 <= len(one) <= len(Free._fields):
         raise InputError(f"free '{name}'", quoted(one), f"give ({', '.join(Free._fields)}), the first two at least")
     return Free(*one)
-
-
-def _one(scene: AbstractModel, params: Params, name: str, given: Free) -> tuple[float, float, float]:
-    where, known = f"free '{name}'", scene.quantities
-    if name not in known:
-        raise InputError(where, f"scene '{scene.kind}' has no such parameter", nearest(name, known))
-    if given.scale not in SCALES:
-        raise InputError(f"{where} scale", f"no scale {quoted(given.scale)}", nearest(given.scale, SCALES))
-    power = inputs.exponent(scene, name, params)
-    lower, upper = (scalar(f"{where} {end}", known[name], getattr(given, end), power) for end in ("lower", "upper"))
-    half = Quantity("tolerance", "1" if given.relative else known[name].unit, "half width of a tolerance", 0.0)
-    tolerance = scalar(f"{where} tolerance", half, given.tolerance, power)
-    if not lower < upper:
-        raise InputError(where, f"lower = {lower:g} is not below upper = {upper:g}", "give lower < upper")
-    if given.scale == "log" and lower <= 0.0:
-        raise InputError(f"{where} lower", f"{lower:g} on a log scale", "give a lower bound > 0")
-    return lower, upper, tolerance

@@ -12,6 +12,7 @@ points of the box, and at the corner the slopes point to, and for normal deviati
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,10 +21,8 @@ from scipy.stats import norm as normal
 from scipy.stats import qmc
 
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
+from bcfj_jax.analysis.designs.search import SIGMAS, Search
 
-DISTRIBUTIONS = ("normal", "uniform")
-# Half widths of a box in standard deviations, by distribution.
-_SIGMAS = {"normal": 3.0, "uniform": np.sqrt(3.0)}
 # Differences for the gradient of a worst change, over a range; and where |g_i| t_i is rounded, over the objective.
 _DIFFERENCE, _ROUNDED = 1e-4, 1e-6
 
@@ -53,17 +52,12 @@ class Robustness(NamedTuple):
 
 
 def robustness(
-    evaluate: Evaluator, unit: np.ndarray, values: Values, distribution: str, samples: int, seed: int, kinked: bool
+    evaluate: Evaluator, unit: np.ndarray, values: Values, search: Search, kinked: bool
 ) -> Robustness | None:
     """Of a design (P,) in unit coordinates and the values of that one point; None without any tolerance.
 
-    Args:
-        evaluate: the objective without tolerances.
-        unit, values: the design.
-        distribution: "normal" or "uniform" deviations; the worst case is that of the box either way.
-        samples: runs of each kind.
-        seed: of the Sobol points.
-        kinked: whether several peaks are equally high there, so that a single gradient is not enough.
+    The worst case is that of the box, whatever the distribution. ``kinked``: whether several peaks are equally high there,
+    so that a single gradient is not enough.
     """
     space = evaluate.space
     at = space.values(unit)
@@ -71,43 +65,34 @@ def robustness(
     if not halves.any():
         return None
     widths = halves / space.slope(at)
-    changes, nominal = values.slope[0] * widths, float(values.true[0])
-    steepest, toward = nominal + evaluate.sign * float(np.abs(changes).sum()), np.sign(values.slope[0])
+    changes, nominal, sign = values.slope[0] * widths, float(values.true[0]), evaluate.objective.sign
+    steepest, toward = nominal + sign * float(np.abs(changes).sum()), np.sign(values.slope[0])
     read = evaluate.samples(unit) if kinked else None
     if read is not None:
         reach = np.where(read[2], read[0] + np.abs(read[1] * widths).sum(axis=1), -np.inf)
         k = int(np.argmax(reach))
         steepest, toward = float(reach[k]), np.sign(read[1][k])
-    moved = np.flatnonzero(halves)
-    shares = qmc.Sobol(moved.size, rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(samples))))
+    moved, power = np.flatnonzero(halves), int(np.ceil(np.log2(search.samples)))
+    shares = qmc.Sobol(moved.size, rng=np.random.default_rng(search.seed)).random_base2(power)
     box = np.zeros((len(shares), len(at)))
     box[:, moved] = 2.0 * shares - 1.0
     points = [at + halves * toward, *(at + halves * box)]
-    if distribution == "normal":
+    if search.distribution == "normal":
         scatter = np.zeros_like(box)
-        scatter[:, moved] = normal.ppf(np.clip(shares, 1e-9, 1.0 - 1e-9)) / _SIGMAS["normal"]
+        scatter[:, moved] = normal.ppf(np.clip(shares, 1e-9, 1.0 - 1e-9)) / SIGMAS["normal"]
         points += [*(at + halves * scatter)]
     found = evaluate.at(np.array(points))
-    signed = evaluate.sign * found.true
-    inside, drawn = signed[: 1 + len(box)], (found.true[1 + len(box) :] if distribution == "normal" else found.true[1:])
-    known = np.isfinite(inside).any()
-    worst = int(np.nanargmax(inside)) if known else 0
-    good = drawn[np.isfinite(drawn)]
-    reasons: dict[str, int] = {}
-    for text in filter(None, found.reasons):
-        reasons[text] = reasons.get(text, 0) + 1
-    return Robustness(
-        nominal,
-        steepest,
-        float(np.linalg.norm(changes) / _SIGMAS[distribution]),
-        float(found.true[worst]) if known else np.nan,
-        float(good.std()) if good.size else np.nan,
-        float(good.mean()) if good.size else np.nan,
-        dict(zip(space.names, map(float, points[worst]), strict=True)) if known else {},
-        len(points),
-        sum(reasons.values()),
-        reasons,
-    )
+    inside = sign * found.true[: 1 + len(box)]
+    good = found.true[-len(box) :]
+    good, reasons = good[np.isfinite(good)], dict(Counter(filter(None, found.reasons)))
+    linear, unknown = float(np.linalg.norm(changes) / SIGMAS[search.distribution]), float("nan")
+    scattered = (float(good.std()), float(good.mean())) if good.size else (unknown, unknown)
+    worst, worst_at = unknown, {}
+    if np.isfinite(inside).any():
+        k = int(np.nanargmax(inside))
+        worst, worst_at = float(found.true[k]), space.named(points[k])
+    counts = len(points), sum(reasons.values())
+    return Robustness(nominal, steepest, linear, worst, *scattered, worst_at, *counts, reasons)
 
 
 def robust(evaluate: Evaluator, kappa: float) -> Callable[..., Values]:

@@ -20,9 +20,9 @@ from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, 
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import real, whole
-from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.status import reason
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution, as_model
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import integrate_queue
@@ -85,19 +85,10 @@ def map_bifurcation(
 
 
 def bifurcation(
-    scene: AbstractModel,
-    params: Params,
-    name: str,
-    values: ArrayLike,
-    revolutions: int = 40,
-    *,
-    transients: int = 20,
-    phase: float = 0.0,
-    period: Period = None,
-    accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS,
+    scene: AbstractModel, params: Params, name: str, values: ArrayLike, revolutions: int = 40, *, transients: int = 20,
+    phase: float = 0.0, period: Period = None, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
     places: int = 8,
-) -> Diagram:
+) -> Diagram:  # fmt: skip
     """Stroboscopic sections of a driven scene against one parameter: clearance, drive speed, friction.
 
     Args:
@@ -113,34 +104,20 @@ def bifurcation(
     batch, each = _batch(scene, params, name, values)
     turns = revolutions_to_keep(revolutions, transients, phase)
     ends = np.array([turns[-1] * drive_period(scene, one, period) for one in each])
-    found, seen = _solve(scene, batch, ends, np.concatenate([[0.0], turns / turns[-1]]), (accuracy, max_steps, places))
-    reasons = _reasons(found, max_steps)
-    kept = {contact: jax.tree.map(lambda x: _without(x, reasons)[:, 1:], r) for contact, r in seen.items()}
-    return Diagram(
-        name,
-        np.asarray(batch[name]),
-        ends[:, None] * (turns / turns[-1]),
-        {contact: r.force for contact, r in kept.items()},
-        {contact: r.penetration for contact, r in kept.items()},
-        {contact: r.rate for contact, r in kept.items()},
-        reasons,
+    shares = turns / turns[-1]
+    reasons, seen = _solve(scene, batch, ends, np.concatenate([[0.0], shares]), (accuracy, max_steps, places))
+    force, depth, rate = (
+        {contact: _without(getattr(r, part), reasons)[:, 1:] for contact, r in seen.items()}
+        for part in ("force", "penetration", "rate")
     )
+    return Diagram(name, np.asarray(batch[name]), ends[:, None] * shares, force, depth, rate, reasons)
 
 
 def impact_bifurcation(
-    scene: AbstractModel,
-    params: Params,
-    name: str,
-    values: ArrayLike,
-    end: float,
-    kept: int,
-    *,
-    contact: str = "contact",
-    samples: int = 10_001,
-    accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS,
+    scene: AbstractModel, params: Params, name: str, values: ArrayLike, end: float, kept: int, *,
+    contact: str = "contact", samples: int = 10_001, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
     places: int = 8,
-) -> tuple[np.ndarray, list[str]]:
+) -> tuple[np.ndarray, list[str]]:  # fmt: skip
     """Approach speeds at the last touches of a scene without a drive, against one parameter.
 
     Args:
@@ -163,8 +140,8 @@ def impact_bifurcation(
     batch, each = _batch(scene, params, scene.canonical(name), values)
     grid, kept = np.linspace(0.0, 1.0, whole("samples", samples, least=2, most=limits.SAMPLES)), whole("kept", kept)
     ends = np.full(len(each), float(end))
-    found, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
-    reasons, read = _reasons(found, max_steps), seen[contact]
+    reasons, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
+    read = seen[contact]
     speeds = np.full((len(each), kept), np.nan)
     for row, text in enumerate(reasons):
         if not text:
@@ -188,36 +165,24 @@ def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -
 
 
 def _solve(
-    scene: AbstractModel,
-    batch: dict[str, Array],
-    ends: np.ndarray,
-    grid: np.ndarray,
+    scene: AbstractModel, batch: dict[str, Array], ends: np.ndarray, grid: np.ndarray,
     budget: tuple[str | float, int, int],
-) -> tuple[Solution, dict[str, Reading]]:
+) -> tuple[list[str], dict[str, Reading]]:  # fmt: skip
+    """Why runs failed, and what their contacts read at shares of their ends; accuracy, steps and places are the budget."""
     accuracy, max_steps, places = budget
     how, places = plan(scene, accuracy, max_steps), whole("places", places, most=limits.MEMBERS)
     grids = jnp.asarray(ends), jnp.asarray(grid)
-    return jax.device_get(_run(scene, batch, *grids, how.tolerance, how.max_steps, places))
+    codes, seen = jax.device_get(_run(scene, places, batch, *grids, Plan(how.tolerance, how.max_steps)))
+    return [reason(int(code), max_steps) for code in codes], seen
 
 
-@partial(jax.jit, static_argnums=(0, 5, 6))
+@partial(jax.jit, static_argnums=(0, 1))
 def _run(
-    scene: AbstractModel,
-    batch: dict[str, Array],
-    ends: Array,
-    grid: Array,
-    tolerance: Array,
-    max_steps: int,
-    places: int,
-) -> tuple[Solution, dict[str, Reading]]:
-    how = Plan(tolerance, max_steps)
+    scene: AbstractModel, places: int, batch: dict[str, Array], ends: Array, grid: Array, how: Plan
+) -> tuple[Array, dict[str, Reading]]:
     found, _ = integrate_queue(scene, batch, ends, grid, how, jnp.asarray(ends.size), min(places, ends.size))
     seen = jax.vmap(lambda p, end, states: readings(scene, p, end * grid, states))(batch, ends, found.states)
-    return found, seen
-
-
-def _reasons(found: Solution, max_steps: int) -> list[str]:
-    return [reason(int(code), max_steps) if code != OK else "" for code in found.code]
+    return found.code, seen
 
 
 def _without(x: np.ndarray, reasons: list[str]) -> np.ndarray:

@@ -66,11 +66,7 @@ def from_growth(growth: np.ndarray, interval: float, batches: int, reason: str =
 
 
 def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[int, int, int, int]:
-    """The numbers that make a mean, as ``int``.
-
-    Raises:
-        InputError: for no iterations, negative transients or seeds, or more batches than iterations.
-    """
+    """The numbers that make a mean, as ``int``; ``InputError`` for no iterations, or more batches than iterations."""
     iterations = whole("iterations", iterations, most=limits.SAMPLES)
     transients = whole("transients", transients, least=0, most=limits.SAMPLES)
     if whole("batches", batches, least=0) > iterations:
@@ -79,15 +75,8 @@ def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[i
 
 
 def map_exponent(
-    step: Step,
-    state: Any,
-    iterations: int,
-    *,
-    transients: int = 0,
-    interval: float = 1.0,
-    batches: int = 20,
-    seed: int = 0,
-) -> Exponent:
+    step: Step, state: Any, iterations: int, *, transients: int = 0, interval: float = 1.0, batches: int = 20, seed: int = 0
+) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent of a differentiable map by its tangent.
 
     Args:
@@ -107,30 +96,15 @@ def map_exponent(
         InputError: ``counts``.
     """
     iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
-    start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
-
-    def flat(y: Array) -> Array:
-        return ravel_pytree(step(rebuild(y)))[0]
-
-    def along(y: Array, w: Array) -> tuple[Array, Array]:
-        return jax.jvp(flat, (y,), (w,))
-
-    growth = _renormalised(along, start, transients + iterations, seed)[transients:]
-    return from_growth(growth, interval, batches)
+    flat, start = _flat(step, state)
+    growth = _renormalised(lambda y, w: jax.jvp(flat, (y,), (w,)), start, transients + iterations, seed)
+    return from_growth(growth[transients:], interval, batches)
 
 
 def flow_exponent(
-    field: Field,
-    state: Any,
-    intervals: int,
-    *,
-    interval: float,
-    transients: int = 0,
-    tolerance: float = 1e-7,
-    max_steps: int = 100_000,
-    batches: int = 20,
-    seed: int = 0,
-) -> Exponent:
+    field: Field, state: Any, intervals: int, *, interval: float, transients: int = 0, tolerance: float = 1e-7,
+    max_steps: int = 100_000, batches: int = 20, seed: int = 0,
+) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent [1/s] of a flow, state and tangent solved side by side by Tsit5.
 
         y' = f(t, y),   w' = (df/dy) w,
@@ -141,9 +115,8 @@ def flow_exponent(
         field: (t, y) -> dy/dt of an array; where it depends on time, for t from 0 to the interval, with a period that
             divides it.
         state: (n,) where the orbit begins.
-        intervals: so many count; the tangent is brought back to length 1 after each.
+        intervals: so many count; the tangent is brought back to length 1 after each; transients: so many before these.
         interval: [s].
-        transients: intervals before these.
         tolerance: local error per step, relative and absolute.
         max_steps: in an interval; beyond it the exponent is NaN.
         batches, seed: as ``map_exponent``.
@@ -166,9 +139,18 @@ def flow_exponent(
     return from_growth(growth, interval, batches, "" if np.isfinite(growth).all() else "the flow could not be solved")
 
 
-def _renormalised(
-    along: Callable[[Array, Array], tuple[Array, Array]], start: Array, iterations: int, seed: int
-) -> np.ndarray:
+def _flat(step: Step, state: Any) -> tuple[Callable[[Array], Array], Array]:
+    """A map of pytrees as one of arrays (n,), and where it begins."""
+    start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
+    return lambda y: ravel_pytree(step(rebuild(y)))[0], start
+
+
+def _grown(once: Callable, carry: tuple, iterations: int) -> np.ndarray:
+    """Logarithms of the growth in each step."""
+    return np.asarray(jax.jit(lambda carry: jax.lax.scan(once, carry, None, iterations)[1])(carry))
+
+
+def _renormalised(along: Callable[[Array, Array], Any], start: Array, iterations: int, seed: int) -> np.ndarray:
     """Logarithms of a tangent's growth over each step."""
 
     def once(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
@@ -176,25 +158,14 @@ def _renormalised(
         size = jnp.linalg.norm(w)
         return (y, w / jnp.where(size > 0.0, size, 1.0)), jnp.log(size)
 
-    def whole(y: Array) -> Array:
-        w = jax.random.normal(jax.random.key(seed), y.shape)
-        return jax.lax.scan(once, (y, w / jnp.linalg.norm(w)), None, iterations)[1]
-
-    return np.asarray(jax.jit(whole)(start))
+    w = jax.random.normal(jax.random.key(seed), start.shape)
+    return _grown(once, (start, w / jnp.linalg.norm(w)), iterations)
 
 
 def two_trajectories(
-    step: Step,
-    state: Any,
-    iterations: int,
-    *,
-    separation: float = 1e-7,
-    scales: Any = 1.0,
-    transients: int = 0,
-    interval: float = 1.0,
-    batches: int = 20,
-    seed: int = 0,
-) -> Exponent:
+    step: Step, state: Any, iterations: int, *, separation: float = 1e-7, scales: Any = 1.0, transients: int = 0,
+    interval: float = 1.0, batches: int = 20, seed: int = 0,
+) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent from two orbits, brought back to a separation after every step.
 
     Needs no derivative. The separation must be far above what the step itself gets wrong between two neighbours (an
@@ -212,12 +183,8 @@ def two_trajectories(
     iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
     if not separation > 0.0:
         raise InputError("separation", f"{separation:g}", "give more than 0")
-    start, rebuild = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, float), state))
+    flat, start = _flat(step, state)
     unit = jnp.broadcast_to(jnp.asarray(scales, float), start.shape)
-
-    def flat(y: Array) -> Array:
-        return ravel_pytree(step(rebuild(y)))[0]
-
     known = unit > 0.0
 
     def rms(w: Array) -> Array:
@@ -231,39 +198,25 @@ def two_trajectories(
         again = jnp.where(known, other - y, 0.0) * (separation / jnp.where(size > 0.0, size, 1.0))
         return (y, again), jnp.log(size / separation)
 
-    def whole(y: Array) -> Array:
-        w = jax.random.normal(jax.random.key(seed), y.shape) * unit
-        carry = (y, w * (separation / rms(w)))
-        return jax.lax.scan(once, carry, None, transients + iterations)[1]
-
-    growth = np.asarray(jax.jit(whole)(start))[transients:]
-    return from_growth(growth, interval, batches)
+    w = jax.random.normal(jax.random.key(seed), start.shape) * unit
+    growth = _grown(once, (start, w * (separation / rms(w))), transients + iterations)
+    return from_growth(growth[transients:], interval, batches)
 
 
 def flow_step(field: Field, interval: float, tolerance: float = 1e-7, max_steps: int = 100_000) -> Step:
     """The map of a flow over an interval, y(0) -> y(interval), by Tsit5; for ``two_trajectories`` and diagrams.
 
-    Derivatives go forward through it, but their own error is not controlled: for a tangent take ``flow_exponent``.
-
-    Args:
-        field, interval, tolerance, max_steps: as ``flow_exponent``; what cannot be solved is NaN.
+    Derivatives go forward through it, but their own error is not controlled: for a tangent take ``flow_exponent``, which
+    says what the arguments are. What cannot be solved is NaN.
     """
     max_steps = whole("max_steps", max_steps)
 
     def step(y: Array) -> Array:
         solution = dfx.diffeqsolve(
             dfx.ODETerm(lambda t, y, _: field(t, y)),  # pyright: ignore[reportArgumentType]
-            dfx.Tsit5(),
-            t0=0.0,
-            t1=interval,
-            dt0=None,
-            y0=y,
-            saveat=dfx.SaveAt(t1=True),
-            stepsize_controller=dfx.PIDController(rtol=tolerance, atol=tolerance),
-            adjoint=dfx.ForwardMode(),
-            max_steps=max_steps,
-            throw=False,
-        )
+            dfx.Tsit5(), t0=0.0, t1=interval, dt0=None, y0=y, saveat=dfx.SaveAt(t1=True), adjoint=dfx.ForwardMode(),
+            stepsize_controller=dfx.PIDController(rtol=tolerance, atol=tolerance), max_steps=max_steps, throw=False,
+        )  # fmt: skip
         assert solution.ys is not None
         return jnp.where(solution.result == dfx.RESULTS.successful, solution.ys[0], jnp.nan)
 

@@ -1,7 +1,12 @@
-"""Portraits of a finished run: phase portraits, contact modes over time, ball loads around the joint."""
+"""Portraits of a finished run: phase portraits, contact modes over time, ball loads around the joint.
+
+Every function writes a PNG and gives its path back. ``window``: (start, end) [s] of the run, None for all of it. Each
+raises ``InputError`` for a name that the run or the scene has not, and for a window outside the run.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,86 +21,74 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.simulation import Run
 
 _SHADES = {"free": "#e2e2e2", "impact": "#c4501b", "continuous": "#1f5fa8"}
+# A curve's place and rate by its name.
+_Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
-def _known(name: str, names: object, what: str) -> None:
-    if name not in list(names):  # type: ignore[call-overload]
-        raise InputError(what, f"no {what} '{name}'", nearest(name, list(names)))  # type: ignore[call-overload]
+def _known(name: str, names: Collection[str], what: str) -> None:
+    if name not in names:
+        raise InputError(what, f"no {what} '{name}'", nearest(name, names))
+
+
+def _states(run: Run) -> np.ndarray:
+    if run.trajectory is None:
+        raise InputError("run", "holds no states", "take one that simulate made")
+    return run.trajectory
+
+
+def _phases(path: Path, curves: _Curves, title: str, names: tuple[str, str], unit: str) -> Path:
+    """Rates against places, with each curve's name where there are several."""
+    (x_scale, x_prefix), (v_scale, v_prefix) = (
+        plots.engineering(np.concatenate([curve[k] for curve in curves.values()])) for k in (0, 1)
+    )
+    several = len(curves) > 1
+    with plots.panels(1, 1, path, 5.5, 4.4) as (axis,):
+        for name, (place, rate) in curves.items():
+            axis.plot(place * x_scale, rate * v_scale, lw=0.7, alpha=0.8, label=name)
+        if unit == "m" and "gap" in names[0]:
+            axis.axvline(0.0, color="#4a4a4a", lw=0.8, ls="--")
+        axis.set(title=title, xlabel=plots.label(names[0], unit, x_prefix))
+        axis.set_ylabel(plots.label(names[1], f"{unit}/s", v_prefix))
+        if several:
+            under = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16)}
+            axis.legend(ncols=min(len(curves), 3), fontsize=8, **under)
+    return path
 
 
 def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = None) -> Path:
     """Phase portrait of a contact: rate d' against penetration d, members on top of each other.
 
     d < 0 is the gap. Every loop around d = 0 is an impact; its loss of speed is the damping's.
-
-    Args:
-        run: a finished one.
-        contact: its name.
-        path: of the PNG.
-        window: (start, end) [s] to draw; None for all of the run.
-
-    Raises:
-        InputError: for a contact that the run has not, and a window outside it.
     """
     _known(contact, run.penetration, "contact")
     part = within(run.times, window)
     depth, rate = (channels({contact: x[contact][part]}) for x in (run.penetration, run.rate))
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, width=6.0, height=4.4)
-        d_scale, d_prefix = plots.engineering(np.concatenate(list(depth.values())))
-        v_scale, v_prefix = plots.engineering(np.concatenate(list(rate.values())))
-        for member in depth:
-            axis.plot(depth[member] * d_scale, rate[member] * v_scale, lw=0.7, alpha=0.8, label=member)
-        axis.axvline(0.0, color="#4a4a4a", lw=0.8, ls="--")
-        axis.set_title(f"{contact}: rate against penetration")
-        axis.set_xlabel(plots.label("penetration (negative: gap)", "m", d_prefix))
-        axis.set_ylabel(plots.label("rate", "m/s", v_prefix))
-        _legend(axis, len(depth))
-        plots.save(drawing, path)
-    return path
+    curves = {name: (depth[name], rate[name]) for name in depth}
+    title, names = f"{contact}: rate against penetration", ("penetration (negative: gap)", "rate")
+    return _phases(path, curves, title, names, "m")
 
 
 def state_portrait(run: Run, scene: AbstractModel, coordinate: str, path: Path, *, window: Window = None) -> Path:
-    """Phase portrait of a coordinate of the state: x' against x.
+    """Phase portrait of a coordinate of the state: x' against x. The run is one of the scene, made by ``simulate``.
 
-    Args:
-        run: a finished one of the scene, made by ``simulate``.
-        coordinate: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
-        path, window: as ``contact_portrait``.
-
-    Raises:
-        InputError: for a coordinate that the scene has not, a run without states, and a window outside it.
+    ``coordinate``: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
     """
     places = scene.coordinates()
     _known(coordinate, places, "coordinate")
-    if run.trajectory is None:
-        raise InputError("run", "holds no states", "take one that simulate made")
-    part, (at, rate_at) = within(run.times, window), places[coordinate]
-    x, rate = run.trajectory[part, at], run.trajectory[part, rate_at]
-    unit = "rad" if coordinate.endswith("turn") else "m"
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, width=6.0, height=4.4)
-        (x_scale, x_prefix), (v_scale, v_prefix) = plots.engineering(x), plots.engineering(rate)
-        axis.plot(x * x_scale, rate * v_scale, lw=0.8)
-        axis.set_title(f"{coordinate}: rate against place")
-        axis.set_xlabel(plots.label("x", unit, x_prefix))
-        axis.set_ylabel(plots.label("x'", f"{unit}/s", v_prefix))
-        plots.save(drawing, path)
-    return path
+    part, unit = within(run.times, window), "rad" if coordinate.endswith("turn") else "m"
+    place, rate = (_states(run)[part, k] for k in places[coordinate])
+    return _phases(path, {"": (place, rate)}, f"{coordinate}: rate against place", ("x", "x'"), unit)
 
 
 def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window = None) -> Path:
     """What every contact is doing over time: free, in an impact, in continuous contact; a row each member.
 
-    The share of the time in either mode stands beside each row. White: the run failed.
-
-    Args:
-        run, path, window: as ``contact_portrait``.
-        impact_time: the longest contact that counts as an impact [s], see ``modes.contact_modes``.
-
-    Raises:
-        InputError: for an impact time that is not positive, and a window outside the run.
+    The share of the time in either mode stands beside each row. White: the run failed. ``impact_time``: the longest
+    contact that counts as an impact [s], see ``modes.contact_modes``.
     """
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
     part = within(run.times, window)
     times = run.times[part]
     # Over the whole run: a contact that the window cuts is as long as it is.
@@ -104,9 +97,6 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
     scale, prefix = plots.engineering(times)
     edges = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]]) * scale
     with plots.style():
-        from matplotlib.colors import ListedColormap
-        from matplotlib.patches import Patch
-
         drawing, (axis,) = plots.figure(1, height=1.4 + 0.26 * len(rows))
         table = np.ma.masked_less(np.array(list(rows.values())), 0)
         colours = ListedColormap([_SHADES[mode] for mode in MODES])
@@ -115,15 +105,14 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
         axis.set_yticks(np.arange(len(rows)) + 0.5, list(rows), fontsize=8)
         axis.invert_yaxis()
         axis.grid(False)
+        beside: dict[str, Any] = {"fontsize": 8, "transform": axis.get_yaxis_transform()}
         for k, codes in enumerate(rows.values()):
             shares = " / ".join(f"{100.0 * np.mean(codes == mode):.0f}" for mode in range(len(MODES)))
-            axis.text(1.01, k + 0.5, f"{shares} %", fontsize=8, va="center", transform=axis.get_yaxis_transform())
-        axis.text(1.01, -0.1, "share", fontsize=8, va="bottom", transform=axis.get_yaxis_transform())
+            axis.text(1.01, k + 0.5, f"{shares} %", va="center", **beside)
+        axis.text(1.01, -0.1, "share", va="bottom", **beside)
         axis.set_xlabel(plots.label("time", "s", prefix))
-        axis.legend(
-            [Patch(color=_SHADES[mode]) for mode in MODES], MODES, ncols=3, fontsize=8, loc="lower right",
-            bbox_to_anchor=(1.0, 1.0), borderpad=0.2,
-        )  # fmt: skip
+        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderpad": 0.2}
+        axis.legend([Patch(color=_SHADES[mode]) for mode in MODES], MODES, ncols=3, fontsize=8, **above)
         plots.save(drawing, path)
     return path
 
@@ -134,46 +123,30 @@ def ball_loads(
     """Load of every member of a contact around the drive's axis, polar: size of the normal force against azimuth.
 
     Azimuth = the drive's turn + 2 pi i/k of k members, evenly spaced. In the joint 0 is where the head's axis leans to.
-
-    Args:
-        run: a finished one of the model, made by ``simulate``.
-        scene: the model, whose drive turns.
-        contact: one that has members (of the joint: that every ball has).
-        path, window: as ``contact_portrait``; a revolution is a good window.
-
-    Raises:
-        InputError: for a model without a drive that turns or without members, for another contact, a run without
-            states, and a window outside it.
+    The run is one of the model, made by ``simulate``, whose drive turns; a revolution is a good window. Of the joint a
+    contact is one that every ball has.
     """
     members = {name: count for name, count in scene.members.items() if count}
     if not (scene.drive_coordinate and members):
         raise InputError("scene", f"'{scene.kind}' has no members around a drive", "give a joint: it has balls")
     _known(contact, members, "contact of a ball")
-    if run.trajectory is None:
-        raise InputError("run", "holds no states", "take one that simulate made")
     part = within(run.times, window)
-    turn = run.trajectory[part, scene.coordinates()[scene.drive_coordinate][0]]
+    turn = _states(run)[part, scene.coordinates()[scene.drive_coordinate][0]]
     load = np.abs(run.force[contact][part, :, 0])
     scale, prefix = plots.engineering(load.ravel())
     with plots.style():
         from matplotlib.figure import Figure
 
         drawing = Figure(figsize=(5.6, 5.4), layout="constrained")
-        axis = drawing.add_subplot(projection="polar")
+        axis: Any = drawing.add_subplot(projection="polar")
         count = members[contact]
         for k, azimuth in enumerate(2.0 * np.pi * np.arange(count) / count):
             # Thinner and thinner: where all members do the same, all are still seen.
             width = 0.8 + 2.4 * (1.0 - k / count)
             axis.plot(turn + azimuth, load[:, k] * scale, lw=width, label=str(k + 1))
         axis.set_title(f"{contact}: normal force [{prefix.replace('u', 'µ')}N] against azimuth", pad=16)
-        axis.set_ylim(bottom=0.0)  # type: ignore[call-arg]
-        axis.set_rlabel_position(112.5)  # type: ignore[attr-defined]
+        axis.set_ylim(bottom=0.0)
+        axis.set_rlabel_position(112.5)
         axis.legend(title="ball", fontsize=8, loc="lower left", bbox_to_anchor=(0.98, 0.0), borderpad=0)
         plots.save(drawing, path)
     return path
-
-
-def _legend(axis: Any, count: int) -> None:
-    """Under the axes, where there is more than one member."""
-    if count > 1:
-        axis.legend(ncols=min(count, 3), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16))

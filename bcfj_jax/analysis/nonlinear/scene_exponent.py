@@ -37,17 +37,9 @@ _TIMES = (
 
 
 def scene_exponent(
-    scene: AbstractModel,
-    params: Params,
-    intervals: int,
-    *,
-    interval: float | None = None,
-    settle: float | None = None,
-    accuracy: str | float = 1e-5,
-    max_steps: int = MAX_STEPS,
-    batches: int = 10,
-    seed: int = 0,
-) -> Exponent:
+    scene: AbstractModel, params: Params, intervals: int, *, interval: float | None = None, settle: float | None = None,
+    accuracy: str | float = 1e-5, max_steps: int = MAX_STEPS, batches: int = 10, seed: int = 0,
+) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent of a scene [1/s], along the motion that its start settles to.
 
     A joint's is that of its stroboscopic map: what would only shift its phase or leave its manifold is taken out of the
@@ -90,27 +82,20 @@ def scene_exponent(
     scene.check(params)
     how = plan(scene, accuracy, max_steps)
     turning = -(-intervals // 10)
-    values = jnp.asarray(settle), jnp.asarray(interval), how.tolerance
-    growth, codes = jax.device_get(_growth(scene, dict(params), *values, how.max_steps, turning, intervals, seed))
+    spans = jnp.asarray(settle), jnp.asarray(interval)
+    plain = Plan(how.tolerance, how.max_steps)
+    growth, codes = jax.device_get(_growth(scene, turning + intervals, seed, dict(params), spans, plain))
     bad = np.flatnonzero(codes != OK)
     why = reason(int(codes[bad[0]]), max_steps) if bad.size else ""
     return from_growth(growth[turning:] if not why else np.full(intervals, np.nan), interval, batches, why)
 
 
-@partial(jax.jit, static_argnums=(0, 5, 6, 7, 8))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _growth(
-    scene: AbstractModel,
-    params: Params,
-    settle: Array,
-    interval: Array,
-    tolerance: Array,
-    max_steps: int,
-    turning: int,
-    intervals: int,
-    seed: int,
+    scene: AbstractModel, count: int, seed: int, params: Params, spans: tuple[Array, Array], how: Plan
 ) -> tuple[Array, Array]:
     """Logarithms of growth and status codes of every interval; the first code is the settling's where that failed."""
-    how, count = Plan(tolerance, max_steps), turning + intervals
+    settle, interval = spans
     settled = integrate(scene, params, jnp.stack([0.5 * settle, settle]), how, "forward")
     posed = problem(scene, params, settle + count * interval, how, True)
     both = _beside(scene, posed)
@@ -154,18 +139,10 @@ def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> 
     """Rows, or a state alone, carried from one time to another [s]; with a status code (``core.status``)."""
     solution = dfx.diffeqsolve(
         dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
-        seeker(both, how),
-        t0=begin,
-        t1=end,
-        dt0=jnp.minimum(both.first_step, end - begin),
-        y0=rows,
-        args=both.args,
-        saveat=dfx.SaveAt(t1=True),
-        stepsize_controller=controller(both, how),
-        adjoint=dfx.ForwardMode(),
-        max_steps=how.max_steps,
-        throw=False,
-    )
+        seeker(both, how), t0=begin, t1=end, dt0=jnp.minimum(both.first_step, end - begin), y0=rows, args=both.args,
+        saveat=dfx.SaveAt(t1=True), stepsize_controller=controller(both, how), adjoint=dfx.ForwardMode(),
+        max_steps=how.max_steps, throw=False,
+    )  # fmt: skip
     assert solution.ys is not None
     found = solution.ys[0]
     return found, code_of(solution.result, found)

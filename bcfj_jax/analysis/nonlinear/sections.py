@@ -90,16 +90,9 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
 
 
 def stroboscopic(
-    scene: AbstractModel,
-    params: Params,
-    revolutions: int = 40,
-    *,
-    transients: int = 20,
-    phase: float = 0.0,
-    period: Period = None,
-    accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS,
-) -> Section:
+    scene: AbstractModel, params: Params, revolutions: int = 40, *, transients: int = 20, phase: float = 0.0,
+    period: Period = None, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
+) -> Section:  # fmt: skip
     """States and contact readings of a driven scene, once per revolution of its drive.
 
     Sampled by the drive's phase: with a ``flexible`` drive the seat itself is ahead or behind. The load must have
@@ -161,15 +154,10 @@ def impacts(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> Impact
 
 
 def period_number(values: ArrayLike, tolerance: float, most: int = 16) -> int:
-    """Of how many points a settled section consists: the least p with |x_(k+p) - x_k| <= tolerance for all k.
+    """Of how many points a settled section (N,) or (N, m) consists: the least p with |x_(k+p) - x_k| <= tolerance for all k.
 
-    Args:
-        values: (N,) or (N, m) section values, transients left out.
-        tolerance: in units of the values.
-        most: the largest p tried; p needs N >= 2 p.
-
-    Returns:
-        p, or 0 where there is none: a longer period, quasi-periodic, chaotic, or a section that failed.
+    ``most``: the largest p tried; p needs N >= 2 p. 0 where there is none: a longer period, quasi-periodic, chaotic, or a
+    section that failed.
     """
     x, most = np.asarray(values, dtype=float), whole("most", most)
     for p in range(1, min(most, len(x) // 2) + 1):

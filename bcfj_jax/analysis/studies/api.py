@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +13,8 @@ import numpy as np
 
 from bcfj_jax.analysis.studies import local, specification
 from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.block import compute as run_points
+from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
 from bcfj_jax.core import presented
@@ -19,8 +22,9 @@ from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.threads import cores
-from bcfj_jax.io import outputs, usercode
+from bcfj_jax.io import outputs, report, usercode
 from bcfj_jax.io.stop import heeded
+from bcfj_jax.io.units import format_si
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,11 +37,12 @@ _WAIT_S = 30.0
 
 
 class Result(NamedTuple):
-    """A finished study: its folder, its table as the contract has it, and what ``study.json`` says."""
+    """A finished study: its folder, its table as the contract has it, what ``study.json`` says, and what was asked."""
 
     folder: Path
     table: pa.Table
     state: dict[str, Any]
+    study: Study
 
     _view = "bcfj_jax.analysis.studies.view"
     __repr__ = presented.text
@@ -56,22 +61,14 @@ class Result(NamedTuple):
         return self.state["failed"]
 
     def forces(self, point: int) -> tuple[np.ndarray, np.ndarray]:
-        """Times (T,) [s] and forces (T, C, 3) [N] of a point, where the study keeps histories.
-
-        Raises:
-            InputError: for a point the study does not have, or a study without histories.
-        """
-        zarr = library("zarr", "bcfj study", "study")
+        """Times (T,) [s] and forces (T, C, 3) [N] of a point; ``InputError`` where the study keeps none of it."""
         for path in sorted((self.folder / "blocks").glob("*.zarr")):
-            group = zarr.open_group(path, mode="r")
+            group = needs("zarr").open_group(path, mode="r")
             at = np.flatnonzero(group["point"][:] == point)
             if at.size:
                 return group["time"][int(at[0])], group["force"][int(at[0])]
-        raise InputError(
-            f"point {point}",
-            "the study keeps no forces of it",
-            "give a point of the study, and histories = true in its file",
-        )
+        remedy = "give a point of the study, and histories = true in its file"
+        raise InputError(f"point {point}", "the study keeps no forces of it", remedy)
 
 
 def study(
@@ -110,27 +107,15 @@ def study(
 
 
 def needed(histories: bool, scheduler: bool = False) -> None:
-    """Ask for every library that a run of a study imports sooner or later.
-
-    Args:
-        histories: whether the study keeps them.
-        scheduler: whether a Dask scheduler does the work.
-
-    Raises:
-        InputError: if one is not installed.
-    """
+    """Ask for every library that a run imports sooner or later; ``InputError`` if one is not installed."""
     for name in ("pyarrow", "filelock", *(["zarr"] if histories else [])):
-        library(name, "bcfj study", "study")
+        needs(name)
     if scheduler:
         library("distributed", "bcfj study", "cluster")
 
 
 def prepare(found: Study, folder: Path) -> Store:
-    """The folder of a study, made if it is not there.
-
-    Raises:
-        InputError: if it holds another study, or is no folder.
-    """
+    """The folder of a study, made if it is not there; ``InputError`` if it holds another one, or is no folder."""
     needed(found.histories)
     said = folder / RUN
     # Several runs may share the folder; only one begins it.
@@ -142,7 +127,7 @@ def prepare(found: Study, folder: Path) -> Store:
                 raise InputError(f"--out {folder}", "holds another study", remedy)
             usercode.same_as(_code(folder), f"--out {folder}: the study there")
         else:
-            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.seed))
+            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.design.seed))
             outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
     return Store(folder, Blocks(found))
 
@@ -193,30 +178,45 @@ def finish(store: Store) -> Result:
     with local.written():
         write_parquet(store.folder / RESULTS, table)
         outputs.write_json(store.folder / STATE, found)
-    return Result(store.folder, table, found)
+    return Result(store.folder, table, found, store.study)
 
 
 def state(store: Store) -> dict[str, Any]:
     """What ran and what is left."""
-    blocks, study = store.blocks, store.study
+    blocks, count = store.blocks, store.study.count
     finished = [k for k in range(len(blocks)) if store.finished(k)]
     points = sum(len(blocks.points(k)) for k in finished)
-    failed, reasons, steps, rounds = 0, {}, 0, 0
+    failures, steps, rounds = [], 0, 0
     for k in finished:
         table, facts = store.read(k), facts_of(store.path(k))
-        bad = [
-            text
-            for text, status in zip(table["reason"].to_pylist(), table["status"].to_pylist(), strict=True)
-            if status == "failed"
-        ]
-        failed += len(bad)
-        for text in bad:
-            kind = text.split(" at ")[0]
-            reasons[kind] = reasons.get(kind, 0) + 1
+        each = zip(table["reason"].to_pylist(), table["status"].to_pylist(), strict=True)
+        failures += [text.split(" at ")[0] for text, status in each if status == "failed"]
         steps, rounds = steps + sum(facts["steps"]), rounds + facts["rounds"]
     return {
-        "points": study.count, "finished": points, "left": study.count - points, "failed": failed,
-        "reasons": reasons, "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps, "rounds": rounds,
-        "code": usercode.record(), "status": "finished" if points == study.count else "unfinished",
+        "points": count, "finished": points, "left": count - points, "failed": len(failures),
+        "reasons": dict(Counter(failures)), "blocks": len(blocks), "blocks_finished": len(finished), "steps": steps,
+        "rounds": rounds, "code": usercode.record(), "status": "finished" if points == count else "unfinished",
         "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }  # fmt: skip
+
+
+def estimate(study: Study, workers: int | None) -> str:
+    """How many points, and about how long and how large, from a few that are run here and thrown away."""
+    blocks = Blocks(study)
+    at = blocks.order[np.unique(np.linspace(0, study.count - 1, min(blocks.size, 8)).astype(int))]
+    begin = time.perf_counter()
+    run_points(study, at, blocks.size)
+    middle = time.perf_counter()
+    table = run_points(study, at, blocks.size)
+    each = (time.perf_counter() - middle) / len(at)
+    team = workers or default_workers()
+    histories = table.force.nbytes / len(at) if study.histories else 0.0
+    disk = study.count * (8.0 * (len(study.names) + len(study.columns) + 1) + histories)
+    rows = [
+        ["points", str(study.count)],
+        ["blocks", f"{len(blocks)} of {blocks.size}"],
+        ["compiling", f"{middle - begin - each * len(at):.1f} s"],
+        ["computing", f"about {format_si(study.count * each / min(team, len(blocks)), 's', 2)} with {team} workers"],
+        ["disk", f"about {disk / 1e6:.3g} MB" if disk >= 1e6 else f"about {disk / 1e3:.3g} kB"],
+    ]
+    return report.text(rows)

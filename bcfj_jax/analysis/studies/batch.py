@@ -1,13 +1,14 @@
-"""Many points at once: how each run ended, its features, and on request its forces. One program a size of batch.
+"""Many points of a study at once: how each run ended, its features and their derivatives, and on request its forces.
 
 Scenes with a history go through a batch with a work queue; instants that are solved for themselves, each run from the one
-before it. On several devices each has its own part of the batch and its own queue.
+before it. On several devices each has its own part of the batch and its own queue. What has no batch is done one by one.
+One program a size of batch.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +16,24 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh
 
-from bcfj_jax.analysis.derivatives.batch import divided, filled
+from bcfj_jax.analysis.derivatives import batch as derivatives
+from bcfj_jax.analysis.derivatives.contact_events import TIGHTER
+from bcfj_jax.analysis.derivatives.contact_events import filled as with_events
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
-from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import Feature, members
+from bcfj_jax.analysis.derivatives.measures import measure, vector
+from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
+from bcfj_jax.analysis.derivatives.steady import steady, to_the_end
+from bcfj_jax.analysis.engine import differentiated, planned, simulated
 from bcfj_jax.analysis.features import contact_interval
 from bcfj_jax.analysis.histories import delay, settled_period
+from bcfj_jax.analysis.simulation.results import resolved
+from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, reason
+from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
 # What grows with the duration where the samples' times are those of a run that takes one second.
@@ -37,11 +45,23 @@ HOST = ("period", "delay", *START)
 _AT_ONCE = 8
 
 
+class Points(NamedTuple):
+    """Points of one scene: parameters, leaves (N,); last time of each (N,) [s]; the times' shares of it (T,), 0 to 1."""
+
+    params: Mapping[str, np.ndarray]
+    ends: np.ndarray
+    grid: np.ndarray
+
+    def one(self, i: Any) -> dict[str, Any]:
+        """Parameters of one point."""
+        return {name: leaf[i] for name, leaf in self.params.items()}
+
+
 class Batch(NamedTuple):
     """What N points gave.
 
     Attributes:
-        features: (N, F), NaN where a run failed.
+        features: (N, F), NaN where a run failed; with derivatives these behind them, (N, F (1 + P)).
         reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
         steps: (N,) attempted steps, or iterations.
         rounds: rounds of all places of the batch; 0 where there are none.
@@ -56,6 +76,23 @@ class Batch(NamedTuple):
     force: np.ndarray
 
 
+def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safety: float) -> Batch:
+    """Run points of a study with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's size.
+
+    The scene's tolerance is taken ``safety`` times.
+    """
+    given, scene, how = study.given, study.given.scene, planned(study.given, safety)
+    points = Points(study.params(values), ends, given.times / given.times[-1])
+    if study.steady:
+        return _of_steady(study, points, how, size)
+    single = any(event(f.kind) for f in study.features)
+    if study.derivatives and not single and derivatives.possible(scene, how):
+        return _with_derivatives(study, points, how, size)
+    if study.derivatives or single or given.solver is not None or given.resolved_peaks or scene.traits.open:
+        return _one_by_one(study, points, safety)
+    return run(scene, points, study.features, Plan(how.tolerance, given.max_steps), size, study.histories)
+
+
 def has_history(scene: AbstractModel) -> bool:
     """Whether the scene is integrated; not of one whose level is yet to be chosen."""
     return scene.traits.history and not scene.traits.open
@@ -63,40 +100,31 @@ def has_history(scene: AbstractModel) -> bool:
 
 def places() -> int:
     """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
-    if jax.default_backend() != "cpu":
-        return 1024
-    return 32
+    return 32 if jax.default_backend() == "cpu" else 1024
+
+
+class _Static(NamedTuple):
+    """What a program is made for; the grid as bytes, which are hashable."""
+
+    scene: AbstractModel
+    grid: bytes
+    wanted: tuple[Feature, ...]
+    host: bool
 
 
 def run(
-    scene: AbstractModel,
-    params: Mapping[str, np.ndarray],
-    ends: np.ndarray,
-    grid: np.ndarray,
-    wanted: Sequence[Feature],
-    how: Plan,
-    size: int,
-    forces: bool = False,
+    scene: AbstractModel, points: Points, wanted: Sequence[Feature], how: Plan, size: int, forces: bool = False
 ) -> Batch:
-    """Run N points, N at most ``size``.
+    """Features of N points of a scene whose level is chosen, without derivatives, and their forces where these are wanted.
 
-    Args:
-        scene: one whose level is chosen.
-        params: leaves (N,).
-        ends: (N,) last time of each [s].
-        grid: (T,) from 0 to 1.
-        wanted: the features.
-        how: tolerance and budget of steps.
-        size: of the program; fewer points need no other one.
-        forces: whether forces are given back.
+    ``size`` is the program's: fewer points need no other one.
     """
-    count = len(ends)
-    fill, mesh = filled(count, size)
+    ends, grid, count = points.ends, points.grid, len(points.ends)
+    fill, mesh = derivatives.filled(count, size)
     host = forces or any(feature.kind in HOST for feature in wanted)
-    arguments = {name: leaf[fill] for name, leaf in params.items()}, ends[fill], how, np.asarray(count)
-    # The grid as bytes, which are hashable.
-    static = scene, grid.tobytes(), tuple(wanted), host, mesh
-    batch, _ = program("batch", _program, static, arguments)
+    arguments = {name: leaf[fill] for name, leaf in points.params.items()}, ends[fill], how, np.asarray(count)
+    static = _Static(scene, np.asarray(grid).tobytes(), tuple(wanted), host)
+    batch, _ = program("batch", _program, (static, mesh), arguments)
     found = batch(*arguments)
     values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
     # Histories only where they are asked for.
@@ -120,32 +148,24 @@ def run(
     return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
 
 
-def _program(
-    scene: AbstractModel, grid: bytes, wanted: tuple[Feature, ...], host: bool, mesh: Mesh | None, params: dict,
-    ends: Array, how: Plan, count: Array,
-) -> tuple:  # fmt: skip
-    shares = np.frombuffer(grid)
-
+def _program(static: _Static, mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
     def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-        return _part(scene, shares, wanted, host, params, ends, how, count)
+        return _part(static, params, ends, how, count)
 
-    return divided(part, mesh, params, ends, how, count)
+    return derivatives.divided(part, mesh, params, ends, how, count)
 
 
-def _part(
-    scene: AbstractModel, grid: np.ndarray, wanted: tuple[Feature, ...], host: bool, params: dict, ends: Array,
-    how: Plan, count: Array,
-) -> tuple:  # fmt: skip
+def _part(static: _Static, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
     """What one device does."""
     from bcfj_jax.solve.work_queue import equilibria, integrate_queue  # With diffrax, which a kept program needs not.
 
-    contacts = scene.members
+    scene, grid = static.scene, np.frombuffer(static.grid)
 
     def look(one: tuple) -> tuple:
         params, end, states = one
         force, depth, rate = read = by_channel(scene, readings(scene, params, end * grid, states))
-        features = vector(grid, Histories(force, depth, rate, None), wanted, contacts, {})
-        return features, *(read if host else (None, None, None))
+        features = vector(grid, Histories(force, depth, rate, None), static.wanted, scene.members, {})
+        return features, *(read if static.host else (None, None, None))
 
     rounds = jnp.asarray(0)
     if has_history(scene):
@@ -186,3 +206,84 @@ def _on_host(
         within = span if np.isfinite(span) else float(grid[-1] - grid[0])
         shifts.append(float(delay(grid, force[:, place[a]], force[:, place[b]], within)))
     return float(np.mean(shifts))
+
+
+def _measured(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) of one run, and their derivatives (F, P)."""
+    scene = study.given.scene
+    return measure(times, value, slopes, study.features, scene.members, scene.traits.turning)
+
+
+def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Batch:
+    """As ``run``, with derivatives of the features."""
+    scene, (given, ends, grid) = study.given.scene, points
+    params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
+    found = derivatives.run(scene, params, ends, grid, wrt, how, size, study.histories)
+    rows = np.full((len(ends), len(study.columns)), np.nan)
+    for i in np.flatnonzero(found.code == OK):
+        value, slopes = (
+            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
+            for part in (found.value, found.derivative)
+        )
+        rows[i] = np.concatenate([x.ravel() for x in _measured(study, ends[i] * grid, value, slopes)])
+    reasons = [reason(code, how.max_steps) for code in found.code]
+    force = found.value.force if study.histories else np.zeros((len(ends), 0, 0, 0))
+    return Batch(rows, reasons, found.end, found.steps, found.rounds, force)
+
+
+def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
+    """As ``run``, for what has no batch: a solver of one's own, a level to be chosen, features of single contacts,
+    tangents that have a say in the steps (``derivatives.batch.possible``).
+    """
+    given, scene = study.given, study.given.scene
+    finer = plan(scene, given.accuracy, given.max_steps)
+    rows: list[tuple] = []
+    for i, end in enumerate(points.ends):
+        one, wrt, times, peaks = points.one(i), (), end * points.grid, {}
+        if study.derivatives:
+            one, wrt = complete(scene, one, study.derivatives)
+            found = differentiated(given, wrt, one, times, safety)
+            value, slopes, stop, steps = found.value, found.derivative, found.end, found.steps
+            why = reason(found.code, given.max_steps)
+        else:
+            single = simulated(given, one, times, safety)
+            read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
+            force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
+            value = Histories(force, depth, rate, None)
+            slopes = value._replace(**{name: x[None][:0] for name, x in value._asdict().items() if x is not None})
+            why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
+            peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
+        numbers, by = _measured(study, times, value, slopes)
+        with_events(scene, one, float(end), wrt, finer, study.features, numbers, by, safety * TIGHTER)
+        for k, feature in enumerate(study.features):
+            if feature.kind == "peak" and peaks:
+                numbers[k] = max(peaks[name] for name in members(feature.contacts[0], scene.members))
+        row = np.concatenate([numbers, by.ravel()])
+        rows.append((np.full_like(row, np.nan) if why else row, why, stop, int(steps), value.force))
+    features, whys, stop, steps, force = zip(*rows, strict=True)
+    return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))
+
+
+def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
+    """As ``run``, of one turn of steady motion; where it does not repeat itself, the reason says so.
+
+    All points run to their ends in one batch; from there each point's orbit is found by itself (``derivatives.steady``),
+    whose matrix over all states leaves nothing to gain by doing several side by side (docs/studies.md). It has its own
+    tolerances.
+    """
+    scene, count = study.given.scene, len(points.ends)
+    found = to_the_end(scene, points.params, points.ends, how, size)
+    rows, steps = np.full((count, len(study.columns)), np.nan), found.steps.copy()
+    reasons = [reason(int(code), how.max_steps) for code in found.code]
+    for i in np.flatnonzero(found.code == OK):
+        one, wrt = points.one(i), ()
+        if study.derivatives:
+            one, wrt = complete(scene, one, study.derivatives)
+        orbit = steady(scene, one, found.state[i], float(points.ends[i]), wrt, study.features, how.max_steps)
+        reasons[i] = "its motion has no pitch" if orbit is None else orbit.reason
+        if orbit is None or orbit.reason:
+            continue
+        steps[i] += orbit.steps
+        numbers = [orbit.features[f.name] for f in study.features]
+        rows[i] = numbers + [orbit.feature_derivatives[p][f.name] for f in study.features for p in wrt]
+    return Batch(rows, reasons, found.end, steps, found.rounds, np.zeros((count, 0, 0, 0)))

@@ -43,15 +43,10 @@ def _blocks(study: str, code: Files) -> Any:
 
 
 def compute_block(study: str, block: int, name: str, code: Files = ()) -> dict[str, bytes]:
-    """On a worker: the files of a block, by their names in ``blocks/``.
-
-    Args:
-        study: the content of ``run.toml``.
-        block, name: which, and what it is called where it was asked for.
-        code: the user's own files, which are not on this machine.
+    """On a worker: the files of a block, by their names in ``blocks/``; ``study``: what ``run.toml`` says.
 
     Raises:
-        RuntimeError: if it is called something else here: then this is another version of the code.
+        RuntimeError: if the block is called otherwise here: then this is another version of the code.
     """
     blocks = _blocks(study, code)
     from bcfj_jax.analysis.studies.block import compute
@@ -70,7 +65,6 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
     """Have all missing blocks computed by a scheduler's workers.
 
     Raises:
-        InputError: if Dask is not installed.
         local.Stopped: if the scheduler stays away, or a block cannot be computed.
     """
     from bcfj_jax.analysis.studies.local import Stopped, written

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from bcfj_jax.analysis.studies import specification
-from bcfj_jax.analysis.studies.api import RESULTS, Result, finish
+from bcfj_jax.analysis.studies.api import RESULTS, RUN, Result, finish
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store, print_fault, read_whole
 from bcfj_jax.core.errors import InputError, nearest
+
+T = TypeVar("T")
 
 
 class Finished(NamedTuple):
     """A study and its table, in the order of the points.
 
     Attributes:
-        study: what was asked.
         values: (N, D) of the varied parameters, as they were run [SI].
-        columns: (N,) of each of ``study.columns``, NaN where a run failed.
-        ok: (N,) whether each run did not fail.
+        columns: (N,) of each of ``study.columns``, NaN where a run failed; ok: (N,) whether it did not.
     """
 
     study: Study
@@ -34,18 +34,29 @@ class Finished(NamedTuple):
     @property
     def shares(self) -> np.ndarray:
         """(N, D) of the way from each lower bound to the upper one: by logarithm on a log axis, by probability on a normal."""
-        return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.axes)], axis=1)
+        return np.stack([axis.share(self.values[:, k]) for k, axis in enumerate(self.study.design.axes)], axis=1)
 
     def feature(self, name: str) -> np.ndarray:
-        """A feature (N,), NaN where the run failed.
-
-        Raises:
-            InputError: for a feature that the study did not keep, with the nearest it did.
-        """
+        """A feature (N,), NaN where the run failed; ``InputError`` for one that the study did not keep."""
         known = [f.name for f in self.study.features]
         if name not in known:
             raise InputError(f"feature '{name}'", "the study did not keep it", nearest(name, known))
         return np.where(self.ok, self.columns[name], np.nan)
+
+    def each(self, ask: Callable[[str], T], features: Sequence[str] = ()) -> tuple[list[T], dict[str, str]]:
+        """What ``ask`` gives of the features named, or of all that have it, and why the others have none.
+
+        An error is raised where one that is named has none, or where no feature has any.
+        """
+        good, errors = [], {}
+        for name in features or [f.name for f in self.study.features]:
+            try:
+                good.append(ask(name))
+            except InputError as error:
+                errors[name] = error
+        if errors and (features or not good):
+            raise next(iter(errors.values()))
+        return good, {name: f"{error.found}; {error.remedy}" for name, error in errors.items()}
 
 
 def _table(folder: Path, study: Study) -> Any:
@@ -75,11 +86,14 @@ def read(source: Source) -> Finished:
     """
     if isinstance(source, Finished):
         return source
-    folder = source.folder if isinstance(source, Result) else Path(source)
-    if not (folder / "run.toml").exists():
-        raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
-    study = specification.load(folder / "run.toml")
-    table = source.table if isinstance(source, Result) else _table(folder, study)
+    if isinstance(source, Result):
+        folder, study, table = source.folder, source.study, source.table
+    else:
+        folder = Path(source)
+        if not (folder / RUN).exists():
+            raise InputError(str(folder), "there is no study", "name the folder of one: what --out said")
+        study = specification.load(folder / RUN)
+        table = _table(folder, study)
     if table.num_rows != study.count:
         found = f"{table.num_rows} rows for {study.count} points"
         raise InputError(str(folder / RESULTS), found, "say bcfj study resume")

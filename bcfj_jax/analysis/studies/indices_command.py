@@ -10,11 +10,8 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies import sensitivity
-from bcfj_jax.analysis.studies.api import RESULTS, prepare
-from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, find, folder_of
-from bcfj_jax.analysis.studies.finished import Finished, read
+from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
 from bcfj_jax.analysis.studies.sensitivity import Indices
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
 
 JSON, PICTURE = "indices.json", "indices.png"
@@ -33,38 +30,12 @@ _MEANINGS = {
 }
 
 
-def finished(what: str, out: Path | None) -> tuple[Finished | None, Path]:
-    """A study that is finished, or None where something is left; and its folder.
-
-    Raises:
-        InputError: where there is no such study.
-    """
-    study, stem = find(what)
-    folder = folder_of(out, stem)
-    if not (folder / "run.toml").exists():
-        raise InputError(f"--out {folder}", "there is no study", "say bcfj study run first, or name its folder")
-    prepare(study, folder)
-    return (read(folder) if (folder / RESULTS).exists() else None), folder
-
-
-def unfinished(what: str, folder: Path) -> str:
-    """What to say and do first."""
-    return f"the study is not finished; first say\nbcfj study resume {what} --out {folder}"
-
-
 def run(what: str, out: Path | None, features: Sequence[str], seed: int) -> tuple[str, int]:
-    """Indices of some features, or of all; in words, and the exit code: 5 while the study is not finished.
-
-    Raises:
-        InputError: where there is no such study, and for features that have no indices.
-    """
-    found, folder = finished(what, out)
+    """Indices of some features, or of all; in words, and the exit code: 5 while the study is not finished."""
+    found, folder, first = finished(what, out)
     if found is None:
-        return unfinished(what, folder), INTERRUPTED
-    if features:
-        good, refused = [sensitivity.indices(found, name, seed) for name in features], {}
-    else:
-        good, refused = sensitivity.every(found, seed)
+        return first, INTERRUPTED
+    good, refused = sensitivity.every(found, seed, features)
     outputs.write_json(folder / JSON, content(good, refused, seed))
     picture(good, folder / PICTURE)
     meant = dict.fromkeys(_MEANINGS[one.method] for one in good if one.method in _MEANINGS)

@@ -57,15 +57,9 @@ class Fitted(NamedTuple):
 
 
 def covariance(a: Array, b: Array, length: Array, left: tuple[int, ...], right: tuple[int, ...]) -> Array:
-    """Covariance over s^2 of observations at points (n, D) with those at points (m, D).
+    """Covariance over s^2 of observations at points a (n, D) with those at points b (m, D), lengths (D,).
 
-    Args:
-        a, b: the points.
-        length: (D,).
-        left, right: directions in which either's derivatives are, too.
-
-    Returns:
-        (n (1 + len(left)), m (1 + len(right))).
+    ``left``, ``right``: directions in which either's derivatives are, too: (n (1 + len(left)), m (1 + len(right))).
     """
     d = (a[:, None, :] - b[None, :, :]) / length
     # Kept off 0, where a root has no derivative.

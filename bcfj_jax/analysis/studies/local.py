@@ -28,11 +28,7 @@ class Stopped(Exception):
 
 @contextlib.contextmanager
 def written() -> Iterator[None]:
-    """Within, what cannot be written stops the study, saying why.
-
-    Raises:
-        Stopped: in place of what the system raises.
-    """
+    """Within, what cannot be written raises ``Stopped``, saying why."""
     try:
         yield
     except OSError as error:
@@ -45,15 +41,8 @@ def written() -> Iterator[None]:
 def in_threads(store: Store, threads: int, progress: Callable[[int], None]) -> None:
     """Have all blocks computed by threads of this process, which share its programs and its imports.
 
-    XLA runs without Python's lock, so threads are as fast as processes where its runs take most of the time.
-
-    Args:
-        store: the folder.
-        threads: how many.
-        progress: receives the number of finished blocks, in any of the threads.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C; the blocks that are being computed are left behind (``stop.leave``).
+    XLA runs without Python's lock, so threads are as fast as processes where its runs take most of the time. ``progress``
+    receives the number of finished blocks, in any of the threads. On Ctrl-C the blocks under way are left behind.
     """
     enough, telling = threading.Event(), threading.Lock()
 
@@ -77,14 +66,8 @@ def in_threads(store: Store, threads: int, progress: Callable[[int], None]) -> N
 def run(store: Store, workers: int, progress: Callable[[int], None]) -> None:
     """Have all blocks computed by processes of their own; they end with this one.
 
-    Args:
-        store: the folder.
-        workers: how many.
-        progress: receives the number of finished blocks.
-
     Raises:
         Stopped: if the disk is full, or workers die again and again.
-        KeyboardInterrupt: Ctrl-C.
     """
     team: dict[int, subprocess.Popen] = {}
     deaths, most = 0, store.there()

@@ -17,26 +17,20 @@ tenths of a parameter's range, of the feature's distribution there from that eve
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.studies.design import block_length, unit_box
+from bcfj_jax.analysis.studies.design import KINDS, needs
 from bcfj_jax.analysis.studies.finished import Finished, Source, read
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.extras import library
 
-# Fewest blocks, or points where there are none, from which an estimate and its interval mean something: of Saltelli's
-# blocks enough for a bootstrap, of trajectories as many as Morris used (Campolongo: 10), of points several for each of
-# RBD-FAST's 10 harmonics.
-FEWEST = {"saltelli": 32, "morris": 4, "latin_hypercube": 100, "sobol": 100}
 # Points fail where parameters are extreme, not at random: with less than this share left it is another distribution.
 _SHARE_LEFT = 0.5
 # A feature that varies by less than this, relative to its size, does not vary.
 _NOTHING = 1e-12
 _RESAMPLES = 200
-METHODS = {"saltelli": "Sobol", "morris": "Morris", "latin_hypercube": "RBD-FAST, PAWN", "sobol": "RBD-FAST, PAWN"}
 
 
 class Indices(NamedTuple):
@@ -44,7 +38,7 @@ class Indices(NamedTuple):
 
     Attributes:
         feature: its name.
-        method: one of ``METHODS``.
+        method: of ``design.KINDS``.
         parameters: (D,) names.
         values: by name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1",
             "S1_conf", "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
@@ -82,18 +76,16 @@ def indices(source: Source, feature: str, seed: int = 0) -> Indices:
             not vary, and where failed points leave too little.
     """
     found = read(source)
-    study, y = found.study, found.feature(feature)
-    where = f"feature '{feature}'"
-    if study.kind not in METHODS:
+    design, y = found.study.design, found.feature(feature)
+    where, kind, length = f"feature '{feature}'", KINDS[design.kind], design.length
+    if not kind.method:
         remedy = "use the design saltelli, morris, latin_hypercube or sobol"
-        raise InputError(where, f"points of a {study.kind} have no distribution, which indices need", remedy)
-    length = block_length(study.kind, len(study.names), study.options)
-    kept = whole_blocks(y, length)
+        raise InputError(where, f"points of a {design.kind} have no distribution, which indices need", remedy)
+    # A block counts where it has a finite value at all of its points.
+    kept = np.repeat(np.isfinite(y).reshape(-1, length).all(axis=1), length)
     blocks, left = len(y) // length, int(np.count_nonzero(kept)) // length
-    called = {"saltelli": "blocks", "morris": "trajectories"}.get(study.kind, "points")
-    if left < FEWEST[study.kind] or left < _SHARE_LEFT * blocks:
-        need = max(FEWEST[study.kind], int(np.ceil(_SHARE_LEFT * blocks)))
-        lack = f"only {left} of {blocks} {called} have no failed or undefined point; {need} are needed"
+    if left < (need := max(kind.fewest, int(np.ceil(_SHARE_LEFT * blocks)))):
+        lack = f"only {left} of {blocks} {kind.parts} have no failed or undefined point; {need} are needed"
         raise InputError(where, lack, "draw more, or narrow the ranges to where runs do not fail")
     y, shares = y[kept], found.shares[kept]
     if np.ptp(y) <= _NOTHING * np.max(np.abs(y)):
@@ -101,58 +93,38 @@ def indices(source: Source, feature: str, seed: int = 0) -> Indices:
     values, pairs, dummy = _estimate(found, shares, y, seed)
     failed = int(np.count_nonzero(~found.ok))
     undefined = int(np.count_nonzero(found.ok & ~np.isfinite(found.feature(feature))))
-    return Indices(
-        feature, METHODS[study.kind], study.names, values, pairs, dummy, len(y), left, blocks - left, failed, undefined
-    )
+    names, counts = found.study.names, (len(y), left, blocks - left, failed, undefined)
+    return Indices(feature, kind.method, names, values, pairs, dummy, *counts)
 
 
-def every(source: Source, seed: int = 0) -> tuple[list[Indices], dict[str, str]]:
-    """Indices of every feature of a study, and why those that have none have none.
-
-    Raises:
-        InputError: if no feature has any.
-    """
+def every(source: Source, seed: int = 0, features: Sequence[str] = ()) -> tuple[list[Indices], dict[str, str]]:
+    """Indices of the features named, or of every feature that has any; and why the others have none."""
     found = read(source)
-    good: list[Indices] = []
-    errors: dict[str, InputError] = {}
-    for feature in found.study.features:
-        try:
-            good.append(indices(found, feature.name, seed))
-        except InputError as error:
-            errors[feature.name] = error
-    if not good:
-        raise next(iter(errors.values()))
-    return good, {name: f"{error.found}; {error.remedy}" for name, error in errors.items()}
+    return found.each(lambda name: indices(found, name, seed), features)
 
 
-def whole_blocks(y: np.ndarray, length: int) -> np.ndarray:
-    """(N,) whether each point's block, of so many consecutive points, has a finite value at all of them."""
-    whole = np.isfinite(y).reshape(-1, length).all(axis=1)
-    return np.repeat(whole, length)
-
-
-def _estimate(
-    found: Finished, shares: np.ndarray, y: np.ndarray, seed: int
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], float]:
+def _estimate(found: Finished, shares: np.ndarray, y: np.ndarray, seed: int) -> tuple[dict, dict, float]:
     """What SALib makes of whole blocks: by parameter, by pair, and PAWN's dummy."""
-    study, box = found.study, unit_box(found.study.axes)
+    design = found.study.design
     # SALib takes a seed of 0 for none.
     common: dict[str, Any] = {"num_resamples": _RESAMPLES, "conf_level": 0.95, "seed": seed + 1}
-    if study.kind == "saltelli":
-        second = study.options.second_order
-        got = library("SALib.analyze.sobol", "bcfj study", "study").analyze(box, y, calc_second_order=second, **common)
-        pairs = {name: np.asarray(got[name]) for name in ("S2", "S2_conf") if second}
-        return {name: np.asarray(got[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")}, pairs, np.nan
-    if study.kind == "morris":
-        levels = study.options.levels
-        got = library("SALib.analyze.morris", "bcfj study", "study").analyze(
-            box, shares, y, num_levels=levels, **common
-        )
+
+    def salib(method: str, *given: Any, **more: Any) -> Any:
+        return needs(f"SALib.analyze.{method}").analyze(design.box, *given, **more, **common)
+
+    def taken(got: Any, *names: str) -> dict[str, np.ndarray]:
         # SALib masks what groups leave out; there are none.
-        return {name: np.array(got[name], float) for name in ("mu", "mu_star", "mu_star_conf", "sigma")}, {}, np.nan
-    got = library("SALib.analyze.rbd_fast", "bcfj study", "study").analyze(box, shares, y, **common)
+        return {name: np.array(got[name], float) for name in names}
+
+    if design.kind == "saltelli":
+        got = salib("sobol", y, calc_second_order=design.second_order)
+        pairs = taken(got, "S2", "S2_conf") if design.second_order else {}
+        return taken(got, "S1", "S1_conf", "ST", "ST_conf"), pairs, np.nan
+    if design.kind == "morris":
+        got = salib("morris", shares, y, num_levels=design.levels)
+        return taken(got, "mu", "mu_star", "mu_star_conf", "sigma"), {}, np.nan
     pawn, dummy = _pawn(shares, y, seed)
-    return {"S1": np.array(got["S1"]), "S1_conf": np.array(got["S1_conf"]), "pawn": pawn}, {}, dummy
+    return taken(salib("rbd_fast", shares, y), "S1", "S1_conf") | {"pawn": pawn}, {}, dummy
 
 
 def _pawn(shares: np.ndarray, y: np.ndarray, seed: int) -> tuple[np.ndarray, float]:
@@ -161,5 +133,5 @@ def _pawn(shares: np.ndarray, y: np.ndarray, seed: int) -> tuple[np.ndarray, flo
     columns = np.concatenate([shares, dummies], axis=1)
     names = [str(k) for k in range(columns.shape[1])]
     box = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
-    median = np.asarray(library("SALib.analyze.pawn", "bcfj study", "study").analyze(box, columns, y, S=10)["median"])
+    median = np.asarray(needs("SALib.analyze.pawn").analyze(box, columns, y, S=10)["median"])
     return median[: shares.shape[1]], float(np.mean(median[shares.shape[1] :]))

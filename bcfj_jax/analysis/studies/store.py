@@ -27,9 +27,9 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.studies.block import Blocks, Table
+from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.extras import library
 from bcfj_jax.io.folder import inside
 
 if TYPE_CHECKING:
@@ -38,13 +38,26 @@ if TYPE_CHECKING:
 _FACTS = b"bcfj"
 
 
-class Store:
-    """The folder of a study.
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A name beside a file or folder, of which nothing is left where the block ends by an error."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    _remove(temporary)
+    try:
+        yield temporary
+    finally:
+        _remove(temporary)
 
-    Args:
-        folder: where.
-        blocks: the study, cut.
-    """
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+class Store:
+    """The folder of a study that is cut into blocks."""
 
     def __init__(self, folder: Path, blocks: Blocks) -> None:
         self.folder, self.blocks, self.study = folder, blocks, blocks.study
@@ -81,7 +94,7 @@ class Store:
     @contextmanager
     def claimed(self, block: int) -> Iterator[bool]:
         """Whether this process alone has the block, within."""
-        filelock = library("filelock", "bcfj study", "study")
+        filelock = needs("filelock")
         locks = self.folder / "locks"
         locks.mkdir(parents=True, exist_ok=True)
         lock = filelock.FileLock(locks / f"{self.blocks.names[block]}.lock")
@@ -99,26 +112,19 @@ class Store:
         """Keep a block; on disk when this returns."""
         self.place.mkdir(parents=True, exist_ok=True)
         path = self.path(block)
-        facts: dict[str, Any] = {
-            "block": self.blocks.names[block],
-            "rounds": table.rounds,
-            "steps": table.steps.tolist(),
-        }
+        steps = table.steps.tolist()
+        facts: dict[str, Any] = {"block": self.blocks.names[block], "rounds": table.rounds, "steps": steps}
         if self.study.histories:
             facts["histories"] = _write_forces(path.with_suffix(".zarr"), self.study, table)
         write_parquet(path, arrow(self.study, table), facts)
         self._finished.add(block)
 
     def keep(self, block: int, files: Mapping[str, bytes]) -> None:
-        """Keep a block whose files were written elsewhere; on disk when this returns.
-
-        Raises:
-            InputError: for a file that is not this block's.
-        """
+        """Keep a block whose files were written elsewhere; on disk when this returns. ``InputError`` for another's file."""
         self.place.mkdir(parents=True, exist_ok=True)
         path = self.path(block)
-        forces, temporary = path.with_suffix(".zarr"), self.place / f".{path.stem}.{os.getpid()}"
-        try:
+        forces = path.with_suffix(".zarr")
+        with _whole(self.place / path.stem) as temporary:
             for name, content in files.items():
                 target = inside(temporary, str(name), "a worker")
                 if str(name).split("/")[0] not in (path.name, forces.name) or not isinstance(content, bytes):
@@ -127,18 +133,33 @@ class Store:
                 target.write_bytes(content)
                 to_disk(target)
             if (temporary / forces.name).exists():
-                shutil.rmtree(forces, ignore_errors=True)
+                _remove(forces)
                 os.replace(temporary / forces.name, forces)
             os.replace(temporary / path.name, path)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
         to_disk(self.place)
+
+    def take(self, other: Path) -> int:
+        """Copy the blocks that are whole in another folder and missing here; their number."""
+        count = 0
+        for block, name in enumerate(self.blocks.names):
+            source = other / "blocks" / f"{name}.parquet"
+            if self.finished(block) or not source.exists():
+                continue
+            if fault := fault_of(source, name, len(self.blocks.points(block))):
+                sys.stderr.write(f"{source}: {fault}; it is not taken\n")
+                continue
+            files = [f"{name}.zarr/{part}" for part in facts_of(source).get("histories", {})]
+            self.keep(block, {file: (source.parent / file).read_bytes() for file in [*files, source.name]})
+            count += 1
+        return count
 
     def read(self, block: int) -> pa.Table:
         """A finished block's table."""
-        return library("pyarrow.parquet", "bcfj study", "study").read_table(
-            self.path(block), page_checksum_verification=True
-        )
+        return _table(self.path(block))
+
+
+def _table(path: Path) -> pa.Table:
+    return needs("pyarrow.parquet").read_table(path, page_checksum_verification=True)
 
 
 def print_fault(path: Path, fault: str) -> None:
@@ -148,26 +169,20 @@ def print_fault(path: Path, fault: str) -> None:
 
 def arrow(study: Study, table: Table) -> pa.Table:
     """A block's table as the contract has it: point, varied parameters, features, status, reason."""
-    pyarrow = library("pyarrow", "bcfj study", "study")
     columns = {"point": table.point.astype(np.int64)}
     columns |= {name: table.values[:, k] for k, name in enumerate(study.names)}
     columns |= {name: table.results[:, k] for k, name in enumerate(study.columns)}
-    return pyarrow.table({**columns, "status": table.status, "reason": table.reason})
+    return needs("pyarrow").table({**columns, "status": table.status, "reason": table.reason})
 
 
 def write_parquet(path: Path, table: pa.Table, facts: dict[str, Any] | None = None) -> None:
     """A Parquet file with checksums, whole or not at all: the same bytes for the same content."""
-    parquet = library("pyarrow.parquet", "bcfj study", "study")
     facts = {**(facts or {}), "digest": _content_digest(table, facts or {})}
     table = table.replace_schema_metadata({_FACTS: json.dumps(facts, sort_keys=True).encode()})
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        parquet.write_table(table, temporary, write_page_checksum=True)
+    with _whole(path) as temporary:
+        needs("pyarrow.parquet").write_table(table, temporary, write_page_checksum=True)
         to_disk(temporary)
         os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
     to_disk(path.parent)
 
 
@@ -192,15 +207,15 @@ def to_disk(path: Path) -> None:
 
 def facts_of(path: Path) -> dict[str, Any]:
     """What a block's file says of itself."""
-    metadata = library("pyarrow.parquet", "bcfj study", "study").read_schema(path).metadata or {}
+    metadata = needs("pyarrow.parquet").read_schema(path).metadata or {}
     return json.loads(metadata.get(_FACTS, b"{}"))
 
 
 def read_whole(path: Path) -> tuple[pa.Table | None, str]:
     """The table of a file that ``write_parquet`` wrote; else None, and what is wrong with it."""
-    parquet = library("pyarrow.parquet", "bcfj study", "study")
+    needs("pyarrow.parquet")
     try:
-        table = parquet.read_table(path, page_checksum_verification=True)
+        table = _table(path)
         facts = facts_of(path)
         digest = facts.pop("digest")
         same = digest == _content_digest(table, facts)
@@ -230,11 +245,8 @@ def _digest(path: Path) -> str:
 
 def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
     """Forces (n, T, C, 3) [N], times (n, T) [s] and points (n,) as a Zarr group; digests of its files."""
-    zarr = library("zarr", "bcfj study", "study")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        group = zarr.open_group(temporary, mode="w")
+    with _whole(path) as temporary:
+        group = needs("zarr").open_group(temporary, mode="w")
         grid = study.given.times / study.given.times[-1]
         group.create_array("force", data=table.force, chunks=(1, *table.force.shape[1:]))
         group.create_array("time", data=table.ends[:, None] * grid)
@@ -244,17 +256,12 @@ def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
         files = sorted(p for p in temporary.rglob("*") if p.is_file())
         for file in files:
             to_disk(file)
-        shutil.rmtree(path, ignore_errors=True)
+        _remove(path)
         os.replace(temporary, path)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
-    return {file.relative_to(temporary).as_posix(): _digest(path / file.relative_to(temporary)) for file in files}
+        return {(name := file.relative_to(temporary).as_posix()): _digest(path / name) for file in files}
 
 
 def merge(store: Store) -> pa.Table:
     """All finished blocks as one table, in the order of the points."""
-    pyarrow = library("pyarrow", "bcfj study", "study")
     parts = [store.read(k).replace_schema_metadata(None) for k in range(len(store.blocks)) if store.finished(k)]
-    whole = pyarrow.concat_tables(parts).combine_chunks()
-    return whole.sort_by("point")
+    return needs("pyarrow").concat_tables(parts).combine_chunks().sort_by("point")

@@ -17,8 +17,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.studies import kriging
-from bcfj_jax.analysis.studies.design import Axis
 from bcfj_jax.analysis.studies.finished import Finished, Source, read
 from bcfj_jax.analysis.studies.kriging import Fitted, Hyper
 from bcfj_jax.core.errors import InputError
@@ -81,9 +81,7 @@ class Surface(eqx.Module):
         of the study, and says so by its deviation alone.
         """
         values = jnp.atleast_2d(jnp.asarray(values, float))
-        shares = jnp.stack(
-            [axis.share_by(values[:, k], jnp, jax.scipy.special.ndtr) for k, axis in enumerate(self.axes)], axis=1
-        )
+        shares = jnp.stack([axis.share(values[:, k], jnp) for k, axis in enumerate(self.axes)], axis=1)
         mean, variance = kriging.predict(self.fitted, shares, self.directions)
         return self.offset + self.scale * mean, self.scale * jnp.sqrt(self.inflation * self.fitted.variance * variance)
 
@@ -134,13 +132,13 @@ def fit(source: Source, feature: str, derivatives: bool = True) -> Surface:
         float(np.mean(ratio < 1.0)), float(np.mean(ratio < 2.0)), int(y.size), int(np.count_nonzero(~kept)),
     )  # fmt: skip
     numbers: tuple[Any, Any, Any] = (np.asarray(offset), np.asarray(scale), np.asarray(inflation))
-    return Surface(feature, found.study.axes, directions, fitted, *numbers, assessed)
+    return Surface(feature, found.study.design.axes, directions, fitted, *numbers, assessed)
 
 
 def _slopes(found: Finished, feature: str) -> tuple[np.ndarray, tuple[int, ...]]:
     """Derivatives (N, G) by the shares of those parameters that the study differentiated by, and their numbers."""
     columns, directions = [], []
-    for k, axis in enumerate(found.study.axes):
+    for k, axis in enumerate(found.study.design.axes):
         name = f"d({feature})/d({axis.name})"
         if name not in found.columns:
             continue

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.derivatives.names import feature_unit
-from bcfj_jax.analysis.studies import pictures, surface
-from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED
-from bcfj_jax.analysis.studies.design import Axis
+from bcfj_jax.analysis.studies import surface, view
+from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
 from bcfj_jax.analysis.studies.finished import Finished
-from bcfj_jax.analysis.studies.indices_command import finished, unfinished
 from bcfj_jax.analysis.studies.surface import Surface
-from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import brief
 
@@ -28,28 +26,16 @@ _MEANING = (
 
 
 def run(what: str, out: Path | None, features: Sequence[str], derivatives: bool) -> tuple[str, int]:
-    """Surfaces of some features, or of all; in words, and the exit code: 5 while the study is not finished.
-
-    Raises:
-        InputError: where there is no such study, and where no feature asked for has a surface.
-    """
-    found, folder = finished(what, out)
+    """Surfaces of some features, or of all; in words, and the exit code: 5 while the study is not finished."""
+    found, folder, first = finished(what, out)
     if found is None:
-        return unfinished(what, folder), INTERRUPTED
-    good: list[Surface] = []
-    errors: dict[str, InputError] = {}
-    for name in features or [f.name for f in found.study.features]:
-        try:
-            good.append(surface.fit(found, name, derivatives))
-        except InputError as error:
-            errors[name] = error
-    if errors and (features or not good):
-        raise next(iter(errors.values()))
+        return first, INTERRUPTED
+    good, errors = found.each(lambda name: surface.fit(found, name, derivatives), features)
     outputs.write_json(folder / JSON, {one.feature: content(one) for one in good})
     for one in good:
         name = f"surface-{one.feature.replace(':', '-')}.png"
         draw(one, found, outputs.inside(folder, name, f"feature {one.feature}"))
-    refused = [f"{name}: no surface: {error.found}; {error.remedy}" for name, error in errors.items()]
+    refused = [f"{name}: no surface: {why}" for name, why in errors.items()]
     return "\n".join([table(good), *refused, f"results in {folder}"]), DONE
 
 
@@ -127,7 +113,7 @@ def _curves(one: Surface, found: Finished, path: Path) -> None:
             # One scale for all, so that what matters shows.
             if len(lines) > 1:
                 panel.set_ylim(np.min(ends) - margin, np.max(ends) + margin)
-            panel.set(xlabel=pictures.label(found.study, one.axes[k].name), ylabel=plots.label(kind, unit, prefix))
+            panel.set(xlabel=view.label(found.study, one.axes[k].name), ylabel=plots.label(kind, unit, prefix))
             rest = "" if len(lines) == 1 else ", the others in the middle"
             panel.set_title(f"{one.feature}{rest if k == 0 else ''}")
             if k == 0:
@@ -149,8 +135,8 @@ def _maps(one: Surface, found: Finished, path: Path) -> None:
             panel.plot(*found.values[good].T, "o", ms=3.5, mfc="none", mec="white", mew=0.9)
             _scale(panel, "x", one.axes[0])
             _scale(panel, "y", one.axes[1])
-            panel.set(xlabel=pictures.label(found.study, one.axes[0].name))
-            panel.set(ylabel=pictures.label(found.study, one.axes[1].name))
+            panel.set(xlabel=view.label(found.study, one.axes[0].name))
+            panel.set(ylabel=view.label(found.study, one.axes[1].name))
         axes[0].contour(*mesh, mean, levels=8, colors="white", linewidths=0.6)
         axes[0].set_title(f"{one.feature}; circles: the study's points")
         axes[1].set_title(f"{one.feature}: predicted deviation")

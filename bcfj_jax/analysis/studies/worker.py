@@ -28,12 +28,9 @@ _LOOK_S, _PARENT_S = 0.05, 0.5
 def work(
     store: Store, progress: Callable[[int], None] = lambda _: None, enough: Callable[[], bool] = lambda: False
 ) -> None:
-    """Compute what is missing; return when nothing is, whoever computed it.
+    """Compute what is missing; return when nothing is, whoever computed it or when ``enough``, asked before each block, is true.
 
-    Args:
-        store: the folder.
-        progress: receives the number of blocks that are there.
-        enough: whether to return before; asked before each block.
+    ``progress`` receives the number of blocks that are there.
     """
     left = list(range(len(store.blocks)))
     while left:

@@ -24,6 +24,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features, histories
 from bcfj_jax.io.outputs import channels
+from bcfj_jax.solve.measured_error import shares
 from bcfj_jax.solve.simulation import Run
 
 NAMES = ("force_rms_error", "peak_error", "impulse_error", "period_error", "dissipated_error")
@@ -51,12 +52,9 @@ class Measured(NamedTuple):
 
 
 def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
-    """A good run's forces at the times, straight lines between its own where these differ; the rest on its own.
+    """A good run's forces at times (T,) [s], straight lines between its own where these differ; the rest on its own.
 
-    Args:
-        run: what was simulated.
-        times: (T,) [s].
-        turning: whether the period is that of the forces' history (``ModelTraits``).
+    ``turning``: whether the period is that of the forces' history (``ModelTraits``).
     """
     force, depth, rate = channels(run.force, 1), channels(run.penetration), channels(run.rate)
     slip = channels(run.slip)
@@ -117,22 +115,14 @@ def _repeats(run: Run, normal: np.ndarray) -> float:
 
 def errors(found: Measured, truth: Measured, times: np.ndarray) -> dict[str, float]:
     """Every error of ``NAMES``, see the top of the file."""
-    off = found.force - truth.force
-    rms = np.sqrt(np.mean(np.square(off), axis=0)).max(axis=-1)
-    tops = [np.abs(x.force[..., 0]).max(axis=0) for x in (found, truth)]
-    pushes = np.abs(np.trapezoid(off[..., 0], times, axis=0))
-    pushed = np.trapezoid(np.abs(truth.force[..., 0]), times, axis=0)
-    every = truth.contact[:, None] == truth.contact
-    peak = np.max(np.where(every, tops[1], 0.0), axis=1)
-    push = np.max(np.where(every, pushed, 0.0), axis=1)
+    owner, contacts = truth.contact, np.unique(truth.contact)
+    each = [shares(found.force[:, owner == k], truth.force[:, owner == k], times) for k in contacts]
+    tops = np.abs(truth.force[..., 0]).max(axis=0)
+    peak = np.array([tops[owner == k].max() for k in owner])
     with np.errstate(invalid="ignore", divide="ignore"):
-        both = np.stack([rms / peak, np.abs(tops[0] - tops[1]) / peak, pushes / push])
-        # A contact that never touches, in either, is right.
-        both = np.where(np.isnan(both) & np.isfinite(off).all(axis=(0, 2)), 0.0, both)
         late = np.abs(found.period / truth.period - 1.0)
-    asked = np.isfinite(truth.period) & (tops[1] >= _CARRIES * peak) & (peak > 0)
-    late = np.where(np.isnan(late), 1.0, late)[asked]
-    worst = {name: float(np.max(row)) for name, row in zip(MAIN, both, strict=True)}
+    late = np.where(np.isnan(late), 1.0, late)[np.isfinite(truth.period) & (tops >= _CARRIES * peak) & (peak > 0)]
+    worst = {name: float(np.max(row)) for name, row in zip(MAIN, zip(*each, strict=True), strict=True)}
     worst["period_error"] = float(late.max()) if late.size else float("nan")
     return worst | {"dissipated_error": _dissipated(found, truth)}
 

@@ -13,7 +13,7 @@ import io
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from bcfj_jax.io.stop import OutOfTime, within
 from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
+T = TypeVar("T")
 NAME = "reference.npz"
 # Below this many times its own error a reference does not distinguish settings.
 SEPARATES = 3.0
@@ -82,38 +83,53 @@ class Reference(NamedTuple):
         return SEPARATES * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
 
 
+class _Attempts:
+    """Runs that may fail, or take longer than the seconds left: what each gives, and why some gave nothing."""
+
+    def __init__(self, left: Callable[[], float]) -> None:
+        self.left, self.failures, self.late = left, list[str](), False
+
+    def made(self, name: str, run: Callable[[], T]) -> T | None:
+        """What a run gives; None where it gives nothing."""
+        try:
+            return within(self.left(), run)
+        except OutOfTime:
+            self.late = True
+            self.failures.append(f"{name} {_LATE}")
+        except RuntimeError as error:  # Of JAX: no memory for it, say.
+            self.failed(name, str(error))
+        return None
+
+    def failed(self, name: str, why: str) -> None:
+        """Note it."""
+        self.failures.append(f"{name}: {why}")
+
+
 def reference(
     given: SceneFile, left: Callable[[], float], say: Callable[[str], None], derivatives: bool = True
 ) -> Reference:
-    """Certify a scene's truth.
-
-    Args:
-        given: the user's scene file.
-        left: seconds left for the whole study, now.
-        say: receives the progress.
-        derivatives: whether to certify derivatives, too.
-    """
-    names = parameters(given)
+    """Certify a scene's truth, and its derivatives where they are wanted; ``left``: seconds for the whole study, now."""
+    names, begin, tried = parameters(given), left(), _Attempts(left)
     without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
-    begin = left()
-    truth, certificate, late = _values(given, left, say)
+    truth, certificate = _values(given, tried, say)
     dear = TANGENTS * (begin - left()) > left() / 3.0
     certificate |= {"derivatives": without}
     if truth is None:
-        return Reference(None, None, certificate, late=late)
-    found = None
-    if late or _still(given) or not names or not derivatives or dear:
-        why = "no parameter to take them by" if not names else "fidelities without inertia have no solver"
-        why = f"they {_NO_TIME}" if (late or dear) and names and not _still(given) else why
-        without["reason"] = why if derivatives else NOT_ASKED
+        return Reference(None, None, certificate, late=tried.late)
+    if not derivatives:
+        without["reason"] = NOT_ASKED
+    elif not names:
+        without["reason"] = "no parameter to take them by"
+    elif not given.scene.traits.history:
+        without["reason"] = "fidelities without inertia have no solver"
+    elif tried.late or dear:
+        without["reason"] = f"they {_NO_TIME}"
     else:
         say(f"reference derivatives by {', '.join(names)}")
-        found, certificate["derivatives"], late = _slopes(given, names, left)
-    return Reference(truth, found, certificate, late=late)
-
-
-def _still(given: SceneFile) -> bool:
-    return not given.scene.traits.history
+        tried = _Attempts(left)
+        found, certificate["derivatives"] = _slopes(given, names, tried)
+        return Reference(truth, found, certificate, late=tried.late)
+    return Reference(truth, None, certificate, late=tried.late)
 
 
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
@@ -122,12 +138,10 @@ def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
     return loaded(overlaid(given.resolved, {"accuracy": accuracy}))
 
 
-def _values(
-    given: SceneFile, left: Callable[[], float], say: Callable[[str], None]
-) -> tuple[Any, dict[str, Any], bool]:
-    """The truth, its certificate, and whether the time was over before."""
+def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> tuple[Measured | None, dict[str, Any]]:
+    """The truth and its certificate."""
     best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
-    truth, failures, spent, late = None, [], 0.0, False
+    truth, spent, left = None, 0.0, tried.left
     for candidates in _candidates(given):
         if truth is not None and spent * _DEARER > left() / 3.0:
             best["reason"] = f"a tighter one {_NO_TIME}"
@@ -140,20 +154,17 @@ def _values(
                 each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
                 affordable = int(max(left() / 3.0 / each, _LEAST_STEPS))
                 file = replace(file, max_steps=min(file.max_steps, affordable))
-            try:
-                found = within(left(), lambda file=file: trial(file, repeated=False))
-            except OutOfTime:
-                failures.append(f"{label['solver']} {_LATE}")
-                best["reason"], late = f"a tighter one {_LATE}", True
+            found = tried.made(label["solver"], lambda file=file: trial(file, repeated=False))
+            if tried.late:
+                best["reason"] = f"a tighter one {_LATE}"
                 break
-            except RuntimeError as error:  # Of JAX: no memory for it, say.
-                failures.append(f"{label['solver']}: {error}")
+            if found is None:
                 continue
             spent += found.cost["wall_s"]
             if found.run.status == "ok":
                 pair.append((label | found.cost, measured(pick(found.run), given.times, given.scene.traits.turning)))
             else:
-                failures.append(f"{label['solver']}: {found.run.reason}")
+                tried.failed(label["solver"], found.run.reason)
             if len(pair) == 2:
                 break
         if len(pair) < 2:
@@ -168,20 +179,17 @@ def _values(
         if worst(apart) <= _GOAL[given.scene.traits.stiff]:
             break
     if truth is None:
-        best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
-    return truth, best, late
+        best["reason"] = f"no two methods reached the end: {'; '.join(tried.failures)}"
+    return truth, best
 
 
 def _candidates(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
     """Ever tighter candidates: a label, the scene file, and what turns its run into one at the user's times."""
-    if _still(given):
-        count = given.resolved["time"]["samples"]
+    if not given.scene.traits.history:
+        count, name = given.resolved["time"]["samples"], level(given)
         double = loaded(overlaid(given.resolved, {"time": {"samples": 2 * count - 1}}))
-        label = {"solver": level(given), "force_error": float("nan")}
-        yield [
-            (label, given, lambda run: run),
-            ({**label, "solver": label["solver"] + ", other starts"}, double, _half),
-        ]
+        labels = ({"solver": solver, "force_error": float("nan")} for solver in (name, f"{name}, other starts"))
+        yield list(zip(labels, (given, double), (lambda run: run, _half), strict=True))
         return
     for methods in _METHODS[given.scene.traits.stiff]:
         yield [
@@ -196,43 +204,38 @@ def _half(run: Run) -> Run:
     return run._replace(times=run.times[::2], **parts)
 
 
-def _slopes(
-    given: SceneFile, names: tuple[str, ...], left: Callable[[], float]
-) -> tuple[np.ndarray | None, dict[str, Any], bool]:
-    """Derivatives, their certificate, and whether the time was over before."""
-    truth, first, failures, late, spent = None, {}, [], False, 0.0
+def _slopes(given: SceneFile, names: tuple[str, ...], tried: _Attempts) -> tuple[np.ndarray | None, dict[str, Any]]:
+    """Derivatives and their certificate."""
+    truth, first, spent = None, {}, 0.0
     witnesses: list[tuple[float, dict[str, Any]]] = []
-    stiff = given.scene.traits.stiff
-    for solver, error in _SLOPES[stiff]:
+    for solver, error in _SLOPES[given.scene.traits.stiff]:
         if solver == first.get("solver"):
             continue
-        if spent > left() / 3.0:
-            failures.append(f"{solver}: {_NO_TIME}")
+        if spent > tried.left() / 3.0:
+            tried.failed(solver, _NO_TIME)
             break
-        file, begin = _method(given, solver, error), left()
-        try:
-            each = within(begin, lambda file=file: slopes(file, names))
-        except OutOfTime:
-            failures.append(f"{solver}: {_LATE}")
-            late = True
+        file, begin = _method(given, solver, error), tried.left()
+        each = tried.made(solver, lambda file=file: slopes(file, names))
+        if tried.late:
             break
-        spent = begin - left()
-        if each.value is None:
-            failures.append(f"{solver}: {each.reason}")
+        spent = begin - tried.left()
+        if each is None or each.value is None:
+            if each is not None:
+                tried.failed(solver, each.reason)
             continue
         how_dear = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
         if truth is None:
             truth, first = each.value, how_dear
             continue
         witnesses.append((derivative_error(each.value, truth), how_dear))
-        if not stiff:
+        if not given.scene.traits.stiff:
             break
     said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}
-    said["reason"] = "; ".join(failures)
+    said["reason"] = "; ".join(tried.failures)
     if not witnesses:
-        return None, said, late
+        return None, said
     error, nearest = min(witnesses, key=lambda witness: witness[0])
-    return truth, said | {"methods": [first, nearest], "error": error}, late
+    return truth, said | {"methods": [first, nearest], "error": error}
 
 
 def save(found: Reference, folder: Path) -> str:
@@ -247,12 +250,7 @@ def save(found: Reference, folder: Path) -> str:
 
 
 def restore(certificate: Any, folder: Path, digest: Any) -> Reference | None:
-    """A kept reference; None where its file is not the one that ``save`` wrote, or not as it was.
-
-    Args:
-        certificate, digest: as the journal has them.
-        folder: where the file is.
-    """
+    """A kept reference, of which the journal has certificate and digest; None where its file is not as ``save`` wrote it."""
     try:
         content = (folder / NAME).read_bytes()
         if hashlib.sha256(content).hexdigest() != digest:

@@ -21,7 +21,7 @@ from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve import named
-from bcfj_jax.solve.plan import LEVELS, plan
+from bcfj_jax.solve.plan import LEVELS, force_error, plan
 
 AS_GIVEN = "as given"
 # Laws of the coefficient of restitution that the field uses most.
@@ -102,16 +102,6 @@ def _made(table: Mapping[str, Any]) -> AbstractModel | None:
         return None
 
 
-def own_error(given: SceneFile) -> float:
-    """The force error that the user's own file asks for."""
-    return LEVELS[given.accuracy] if isinstance(given.accuracy, str) else float(given.accuracy)
-
-
-def own_solver(given: SceneFile) -> str:
-    """The solver of the user's own file."""
-    return given.solver or _default_solver(given)
-
-
 def _default_solver(given: SceneFile) -> str:
     return named.known(given.scene.traits.stiff)[0]
 
@@ -131,10 +121,7 @@ def distinct(scene: AbstractModel, errors: tuple[float, ...] = ERRORS) -> list[f
 def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = True) -> list[Setting]:
     """Every setting worth trying on a scene, the user's own first, then cheap ones before dear ones.
 
-    Args:
-        given: the user's scene file.
-        only: groups and solvers to try; by default all.
-        derivatives: whether derivatives are measured where they can be.
+    ``only``: groups and solvers to try; by default all. ``derivatives``: whether they are measured where they can be.
 
     Raises:
         InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a model whose
@@ -155,9 +142,9 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
 
 def _every(given: SceneFile) -> list[Setting]:
     moves = given.scene.traits.history
-    solver = own_solver(given) if moves else "none"
+    solver = given.solver or _default_solver(given) if moves else "none"
     # An empty change: the file as it stands.
-    own = Setting(AS_GIVEN, "tolerance", solver, own_error(given), given.resolved, derivatives=moves)
+    own = Setting(AS_GIVEN, "tolerance", solver, force_error(given.accuracy), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
     more += [*_models(given), *_precisions(given, moves)]
     seen, found = {(_same(given.resolved), own.bits)}, [own]
@@ -186,6 +173,24 @@ def _percent(error: float) -> str:
     return f"{100 * error:g} %"
 
 
+def _setting(given: SceneFile, name: str, group: str, change: Mapping[str, Any], **more: Any) -> Setting:
+    """A change of the user's file, by default a ladder of its own at the file's own force error."""
+    own: dict[str, Any] = {"ladder": name, "error": force_error(given.accuracy)}
+    return Setting(name, group, table=overlaid(given.resolved, change), change=change, **(own | more))
+
+
+def _laddered(
+    given: SceneFile, name: str, group: str, change: Mapping[str, Any], moves: bool, **more: Any
+) -> Iterator[Setting]:
+    """The same at a few force errors, of a model that asks for one."""
+    for error in distinct(given.scene, _KNOBS_AT[given.scene.traits.large]):
+        if moves:
+            at = {**change, "accuracy": _accuracy(given, error)}
+            yield _setting(given, f"{name} at {_percent(error)}", group, at, ladder=name, error=error, **more)
+        else:
+            yield _setting(given, name, group, change, error=error, **more)
+
+
 def _tolerances(given: SceneFile) -> Iterator[Setting]:
     stiff = given.scene.traits.stiff
     for solver in named.known(stiff):
@@ -193,49 +198,41 @@ def _tolerances(given: SceneFile) -> Iterator[Setting]:
             change = {"accuracy": _accuracy(given, error, solver)}
             # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
             fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
-            wanted = fit[solver] if stiff else place % 2 == 0
-            name, table = f"{solver} at {_percent(error)}", overlaid(given.resolved, change)
-            yield Setting(name, "tolerance", solver, error, table, change, derivatives=wanted)
+            more = {"ladder": solver, "error": error, "derivatives": fit[solver] if stiff else place % 2 == 0}
+            yield _setting(given, f"{solver} at {_percent(error)}", "tolerance", change, **more)
 
 
 def _fidelities(given: SceneFile) -> Iterator[Setting]:
     for coarse in given.scene.coarser():
         change = {"scene": coarse.options}
-        table = overlaid(given.resolved, change)
-        model = _made(table)
+        model = _made(overlaid(given.resolved, change))
         steps = model is None or model.traits.history
         # Sorted first: nothing is as cheap.
-        yield Setting(
-            coarse.name, "fidelity", coarse.name, 1.0, table, change, coarse.physics, integrated=steps
-        )  # fmt: skip
+        yield _setting(given, coarse.name, "fidelity", change, error=1.0, physics=coarse.physics, integrated=steps)
 
 
 def _models(given: SceneFile) -> Iterator[Setting]:
     """Other choices of the model: the scene's own, and other laws that read the same coefficients."""
     same = _made(given.resolved)
-    error = own_error(given)
     for one in given.scene.variants(given.params):
-        table = overlaid(given.resolved, one.change)
-        model = _made(table)
+        model = _made(overlaid(given.resolved, one.change))
         if model is not None and (model != same or "scene" not in one.change):
-            yield Setting(one.name, MODEL, one.name, error, table, one.change, one.physics)
+            yield _setting(given, one.name, MODEL, one.change, physics=one.physics)
     if same is None or "law" not in given.resolved["scene"]:
         return
     for law in _USUAL_LAWS:
         change = {"scene": {"law": law}}
-        table = overlaid(given.resolved, change)
-        model = _made(table)
+        model = _made(overlaid(given.resolved, change))
         if model is not None and model != same and set(model.quantities) == set(same.quantities):
-            yield Setting(f"law {law}", MODEL, f"law {law}", error, table, change, f"contacts follow the law {law}")
+            yield _setting(given, f"law {law}", MODEL, change, physics=f"contacts follow the law {law}")
 
 
 def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
-    scene, values = given.scene, given.resolved["parameters"]
-    large = scene.traits.large
+    values = given.resolved["parameters"]
     changes: list[tuple[str, str, dict[str, Any], str]] = []
     if "smoothing" in values and not values["smoothing"]:
         changes.append(("smoothing", "without smoothing", {"scene": {"smoothing": False}}, ""))
-        depth = _depth(given)
+        depth = float(ask("depth", _first_scale, (given.scene,), (dict(given.params),)))  # A typical one [m].
         for share in _WIDTHS_OF_DEPTH:
             physics = f"contacts begin softly, over {_percent(share)} of a typical penetration"
             parameters = {"parameters": {"smoothing": float(f"{share * depth:.3g}")}}
@@ -253,33 +250,20 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             if law != now:
                 physics = f"friction by the law {law}" if law else "no friction at all"
                 changes.append(("friction law", f"friction {law or 'none'}", {"scene": {"friction": law}}, physics))
-    same = _made(given.resolved)
+    same, large = _made(given.resolved), given.scene.traits.large
     for group, name, change, physics in changes:
         # Contacts that name a friction law of their own, or a scene without contacts, do not heed the scene's.
         if "scene" in change and _made(overlaid(given.resolved, change)) == same:
             continue
-        for error in _knobs_at(scene):
-            at = {**change, "accuracy": _accuracy(given, error)} if moves else change
-            title = f"{name} at {_percent(error)}" if moves else name
-            table = overlaid(given.resolved, at)
-            yield Setting(title, group, name, error, table, at, physics, derivatives=not large and group == "smoothing")
-
-
-def _knobs_at(scene: AbstractModel) -> list[float]:
-    return distinct(scene, _KNOBS_AT[scene.traits.large])
+        slopes = not large and group == "smoothing"
+        yield from _laddered(given, name, group, change, moves, physics=physics, derivatives=slopes)
 
 
 def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
-    name = "32-bit numbers"
-    for error in _knobs_at(given.scene) if moves else (own_error(given),):
-        change = {"accuracy": _accuracy(given, error)} if moves else {}
-        title = f"{name} at {_percent(error)}" if moves else name
-        yield Setting(title, "precision", name, error, overlaid(given.resolved, change), change, bits=32)
-
-
-def _depth(given: SceneFile) -> float:
-    """A typical penetration [m]."""
-    return float(ask("depth", _first_scale, (given.scene,), (dict(given.params),)))
+    if moves:
+        yield from _laddered(given, "32-bit numbers", "precision", {}, True, bits=32)
+    else:
+        yield _setting(given, "32-bit numbers", "precision", {}, bits=32)
 
 
 def _first_scale(scene: AbstractModel, params: dict) -> Array:
@@ -291,8 +275,5 @@ def _outputs(given: SceneFile) -> Iterator[Setting]:
     for every in _THINNED:
         samples = (count - 1) // every + 1
         if samples > 10:
-            change = {"time": {"samples": samples}}
-            table, physics = overlaid(given.resolved, change), _PHYSICS["output"].format(every)
-            yield Setting(
-                f"{samples} samples", "output", f"{samples} samples", own_error(given), table, change, physics
-            )
+            change, physics = {"time": {"samples": samples}}, _PHYSICS["output"].format(every)
+            yield _setting(given, f"{samples} samples", "output", change, physics=physics)

@@ -22,8 +22,7 @@ from bcfj_jax.analysis.tradeoff.measures import (
 )
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
-from bcfj_jax.analysis.tradeoff.single import single
-from bcfj_jax.analysis.tradeoff.trial import loaded, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import loaded, single, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
@@ -102,16 +101,13 @@ class _Clock:
 
 
 def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float, say: Callable[[str], None]) -> Study:
-    """Measure settings of a scene.
+    """Measure settings of a scene, which as it stands defines the truth; Ctrl-C ends it with what is finished.
 
     Args:
-        given: the user's scene file: as it stands, it defines the truth.
         todo: the settings, ``settings.settings``.
         journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
         budget: seconds; what would not fit any more is not run, and what was begun and did not fit is left behind.
-        say: receives the progress.
-
-    Ctrl-C ends it with what is finished.
+        given, say: the scene; receives the progress.
     """
     clock = _Clock(budget)
     rows = [_NOTHING | {"setting": s.name, "group": s.group, "force_error": s.error, "status": CUT_OFF} for s in todo]

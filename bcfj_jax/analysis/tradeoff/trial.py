@@ -1,18 +1,36 @@
-"""One setting run: what came out, what it cost. Compiling apart, every result waited for."""
+"""One setting run: what came out, what it cost. Compiling apart, every result waited for.
+
+    python -m bcfj_jax.analysis.tradeoff.trial TABLE.json OUT.npz
+
+is a run in 32-bit numbers, to know what they would cost: the package refuses them, and JAX's width of numbers belongs to a
+whole process, so that the study's own cannot change it for one run.
+"""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+import tempfile
+import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import level
+from bcfj_jax.analysis.engine import differentiated, simulated
+from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
+from bcfj_jax.io import usercode
+from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile, from_table, shown
-from bcfj_jax.solve.plan import plan
-from bcfj_jax.solve.simulation import Run, simulate
+from bcfj_jax.io.stop import check
+from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.simulation import Run, timed
 
 # Parameters that derivatives are taken by, the first few that a scene has and that are not 0.
 _MAIN = (
@@ -24,6 +42,8 @@ _AT_MOST = 3
 _SPEND, _LEAST, _MOST, _ONCE = 0.4, 3, 9, 5.0
 # No program compiles in less; to look one up takes a millisecond, more on a busy machine.
 _LOOK_UP = 0.05
+# What of a run is compared, contact by contact.
+_READ = ("force", "penetration", "rate", "slip")
 
 
 class Trial(NamedTuple):
@@ -40,12 +60,7 @@ def loaded(table: Mapping[str, Any]) -> SceneFile:
 
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
-
-    def once() -> Run:
-        budget: dict[str, Any] = {"max_steps": given.max_steps, "solver": given.solver}
-        return simulate(given.scene, given.params, given.times, accuracy=given.accuracy, **budget)
-
-    return repeatedly(once, repeated)
+    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), repeated)
 
 
 def repeatedly(once: Callable[[], Run], repeated: bool = True) -> Trial:
@@ -82,11 +97,10 @@ class Slopes(NamedTuple):
 def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
     """Derivatives of a scene file's forces by the logarithms of parameters, by forward tangents."""
     try:
-        how = plan(given.scene, given.accuracy, given.max_steps, given.solver)
-        found = level(given.scene, given.params, given.times, names, how)
+        found = differentiated(given, names)
         compile_s = found.compile_s
         if compile_s > _LOOK_UP and found.wall_s < _ONCE:
-            found = level(given.scene, given.params, given.times, names, how)
+            found = differentiated(given, names)
     except InputError as error:
         return Slopes(None, float("nan"), float("nan"), str(error))
     compile_s = compile_s if compile_s > _LOOK_UP else 0.0
@@ -95,3 +109,61 @@ def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
         return Slopes(None, found.wall_s, compile_s, f"{why}, at {found.end:g} s")
     sizes = np.array([float(given.params[name]) for name in names])
     return Slopes(found.derivative.force * sizes[:, None, None, None], found.wall_s, compile_s, "")
+
+
+def single(table: Mapping[str, Any], seconds: float) -> Trial:
+    """Run a scene file in 32-bit numbers, in another process, for so many seconds at most.
+
+    Raises:
+        RuntimeError: where the other process failed, with its last line, or did not end in time.
+        KeyboardInterrupt: for a Ctrl-C that came meanwhile, which the other process takes as well.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        asked, out = Path(place, "table.json"), Path(place, "out.npz")
+        asked.write_text(json.dumps(plain(table)))
+        command = [
+            sys.executable,
+            "-m",
+            "bcfj_jax.analysis.tradeoff.trial",
+            str(asked),
+            str(out),
+            *usercode.arguments(),
+        ]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=max(seconds, 1.0), check=False)
+        except subprocess.TimeoutExpired:
+            raise RuntimeError(f"32-bit numbers: not done within the {seconds:.0f} s that were left") from None
+        check()
+        if done.returncode:
+            last = [line for line in done.stderr.splitlines() if line.strip()][-1:] or [f"exit {done.returncode}"]
+            raise RuntimeError(f"32-bit numbers: {last[0]}")
+        with np.load(out) as kept:
+            result = json.loads(str(kept["result"]))
+            parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in _READ}
+            run = Run(times=kept["times"], **parts, **result["status"])
+    return Trial(run, result["cost"])
+
+
+def _child(table: Mapping[str, Any], out: Path) -> None:
+    given = loaded(table)
+    given.scene.check(given.params)
+    # Planned in the width that planning asks for.
+    tolerance = float(plan(given.scene, given.accuracy, given.max_steps, given.solver).tolerance)
+    jax.config.update("jax_enable_x64", False)
+    warnings.filterwarnings("ignore", message="Explicitly requested dtype")
+    params = {name: jax.numpy.asarray(np.float32(value)) for name, value in given.params.items()}
+    how = Plan(jax.numpy.asarray(np.float32(tolerance)), given.max_steps, solver=given.solver)
+    run, cost = repeatedly(lambda: timed(given.scene, params, given.times, how))
+    result = {
+        "contacts": {name: list(getattr(run, name)) for name in _READ},
+        "status": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
+        "cost": cost,
+    }
+    arrays = {f"{name} {c}": np.asarray(x, float) for name in _READ for c, x in getattr(run, name).items()}
+    np.savez(out, times=given.times, result=json.dumps(result), **arrays)  # pyright: ignore[reportArgumentType]
+
+
+if __name__ == "__main__":
+    open_cache()
+    usercode.from_arguments(sys.argv)
+    _child(json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]))

@@ -12,7 +12,7 @@ from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.solve import adjoint, bdf
-from bcfj_jax.solve.integrate import _LEAST, _anywhere, problem
+from bcfj_jax.solve.integrate import _LEAST, _anywhere, of_rows, problem
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.simulation import readings
@@ -111,11 +111,10 @@ def test_reverse_is_forward_along_the_same_steps(accuracy):
         if how.tangents:
             changes = jax.tree.map(lambda *parts: jnp.concatenate(parts), _anywhere(SCENE, params), changes)
         by_args, by_start = changes
-        found = bdf.solve(
-            posed.solver, posed.args, (SCENE, by_args), jnp.concatenate([posed.start[None], by_start]), posed.scales,
-            times, posed.first_step, posed.shortest_step, how.max_steps, bdf.ORDERS if how.tangents else 2, _LEAST,
-            adjoint.SEGMENT[how.tangents],
-        )  # fmt: skip
+        rows = jnp.concatenate([posed.start[None], by_start])
+        orders = bdf.ORDERS if how.tangents else 2
+        steps = bdf.Steps(how.max_steps, orders, _LEAST, adjoint.SEGMENT[how.tangents])
+        found = bdf.solve(of_rows(posed, posed.solver, (SCENE, by_args), rows), times, steps)
         assert found.record is not None
         states, slopes = found.rows[:, 0], jnp.moveaxis(found.rows[:, -len(kept.MOVED) :], 1, 0) / small
         forward = jax.vmap(lambda e, d: jax.jvp(read, (zero, states), (e, d))[1])(eye, slopes)

@@ -1,0 +1,280 @@
+"""What a trade-off says: its tables, ``tradeoff.png``, its report, and its results in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bcfj_jax.analysis.tradeoff import advice as advise
+from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
+from bcfj_jax.analysis.tradeoff.settings import MODEL
+from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study
+from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Picture, Table, Verdict, brief, span
+from bcfj_jax.io.units import format_si
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_AT_REFERENCE = "At the reference: the setting differs from the reference by less than the two reference runs differ."
+Rows = Sequence[Sequence[str]]
+_MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+# Errors above have lost the motion; they are drawn at the edge.
+_TOP, _LEAST = 10.0, 1e-12
+
+
+def write(folder: Path, found: Study, stem: str, known: str) -> str:
+    """Write the tables, the picture and the report; the results in words. ``known``: the scene's ``model_form``."""
+    advice, doubts = advise.recommended(found), advise.doubts(found.reference)
+    outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
+    outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
+    chosen, choices, reference, moved = (
+        recommended_rows(advice),
+        model_rows(found),
+        reference_rows(found),
+        model_form(found),
+    )
+    front = _front(sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"]))
+    pictures = ()
+    if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
+        pictures = (picture(found, advice, folder / "tradeoff.png", stem),)
+    changes = {one["setting"]: one["change"] for one in advice.values() if one["setting"] and one["change"]}
+    blocks = [
+        (f"For {budgets}: set this, [accuracy] in place of yours", changes[name].rstrip("\n"))
+        for name, budgets in advise.shared(advice).items()
+        if name in changes
+    ]
+    best, model = (
+        "Pareto front: no other setting is both faster and more accurate",
+        "what other choices of the model change",
+    )
+    every, nothing = (
+        (Table("Every setting, dominated and failed ones too", rows_of(found.rows)),),
+        [["setting"], ["none ran"]],
+    )
+    sections = [
+        Table("Recommended settings", chosen),
+        *(Listing(head, toml) for head, toml in blocks),
+        Table(best, front, _AT_REFERENCE, every) if len(front) > 1 else Table("Pareto front", nothing, "", every),
+        *([Table(f"Model form: {model}", choices, moved)] if len(choices) > 1 else []),
+        Table("Reference: what errors are measured against", reference),
+    ]  # fmt: skip
+    title, said = f"Speed and accuracy of {stem}", answer(advice, doubts, found)
+    report.write(folder, Page(title, said, pictures, tuple(doubts), tuple(sections), model_form=moved), known)
+    parts = [verdict(advice, doubts, found), *([f"Model form: {moved}"] if moved else [])]
+    parts += [f"warning: {doubt}" for doubt in doubts]
+    heads = ("Recommended settings", f"Model form: {model}", "Reference", "Pareto front, the fastest first")
+    tables = zip(heads, (chosen, choices, reference, front), strict=True)
+    parts += [f"{head}\n{report.text(rows)}" for head, rows in tables if len(rows) > 1]
+    parts += [f"{head}\n{toml}" for head, toml in blocks]
+    return "\n\n".join([*parts, f"every setting, whole scene files to paste, pictures: {folder}"])
+
+
+def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str, Any]:
+    """``tradeoff.json``: status and reasons, the reference's certificate, what is recommended, every setting."""
+    certificate = found.reference.certificate if found.reference else {"status": "not run"}
+    status = "interrupted" if found.interrupted else "ok" if certificate["status"] == "ok" else "failed"
+    expected = advise.expected(found)
+    return {
+        "status": status,
+        "reasons": doubts,
+        "reference": certificate,
+        "safety": advise.SAFETY,
+        "recommended": advice,
+        "settings": [
+            row | {"expected_error": error, "physics": setting.physics, "change": setting.change}
+            for row, setting, error in zip(found.rows, found.settings, expected, strict=True)
+        ],
+    }
+
+
+def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
+    """The recommended setting for each error budget."""
+    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+    if not walls:
+        return Verdict(BAD, "No setting", verdict(advice, doubts, found))
+    parts = [
+        f"for {budgets}: {name}, {brief(walls[name], 's')} a run" for name, budgets in advise.shared(advice).items()
+    ]
+    kind, word = (FAIR, "Recommended, with doubts") if doubts else (GOOD, "Recommended")
+    if found.interrupted:
+        kind, word = FAIR, "Interrupted; recommended so far"
+    return Verdict(kind, word, f"{'; '.join(parts)}.")
+
+
+def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
+    """The result in a sentence."""
+    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+    ran = sum(row["status"] == OK for row in found.rows)
+    out = sum(row["status"] == NO_TIME for row in found.rows)
+    head = f"{ran} of {len(found.rows)} settings ran{f'; the budget left out {out}' if out else ''}."
+    if not walls:
+        return f"{head} No setting is recommended: {doubts[0] if doubts else 'none keeps a budget'}."
+    parts = [f"for {b}: {name}, {format_si(walls[name], 's', 3)}" for name, b in advise.shared(advice).items()]
+    return f"{head} The cheapest {'; '.join(parts)}."
+
+
+def recommended_rows(advice: dict[str, Any]) -> Rows:
+    """Table of what to take for which budget."""
+    rows = [["budget", "setting", "time of a run", "faster than given", "worst error", "model"]]
+    for budget, one in advice.items():
+        if not one["setting"]:
+            rows.append([budget, "-", "-", "-", "-", one["reason"]])
+            continue
+        fast, wall = one["times_as_fast_as_given"], format_si(one["wall_s"], "s", 3)
+        times, error = f"{fast:.2g} times" if fast else "-", _share(max(one["errors"].values()))
+        rows.append([budget, one["setting"], wall, times, error, one["physics"]])
+    return rows
+
+
+def reference_rows(found: Study) -> Rows:
+    """Table of the reference: its methods, and by how much they differ."""
+    if found.reference is None or found.reference.truth is None:
+        return [["reference", "none"]]
+    certificate = found.reference.certificate
+    rows = [["reference", "value"]]
+    for method in certificate["methods"]:
+        asked = method["force_error"]
+        how = f"force error {asked:g}, " if asked is not None and np.isfinite(asked) else ""
+        rows.append([method["solver"], f"{how}{method['steps']} steps, {format_si(method['wall_s'], 's', 3)}"])
+    rows += [[f"differ by: {name.replace('_', ' ')}", _share(certificate["errors"][name])] for name in NAMES]
+    slopes = certificate["derivatives"]
+    if slopes["methods"]:
+        rows.append(["derivatives by", ", ".join(slopes["parameters"])])
+        rows.append([f"{' and '.join(m['solver'] for m in slopes['methods'])} differ by", _share(slopes["error"])])
+    return rows
+
+
+def model_rows(found: Study) -> Rows:
+    """Table of other choices of the model, what moves forces most first: each against the scene as given."""
+    every = zip(found.settings, found.rows, strict=True)
+    rows: list[dict[str, Any]] = [row | {"physics": s.physics} for s, row in every if s.group == MODEL]
+    own = found.rows[0]["wall_s"]
+    rows.sort(key=lambda row: -abs(row["peak_change"]) if np.isfinite(row["peak_change"]) else 1.0)
+    head = [["choice", "largest change of a peak", "force rms", "wall", "what differs", "status"]]
+    for row in rows:
+        change = f"{row['contact']} {100 * row['peak_change']:+.2g} %" if np.isfinite(row["peak_change"]) else "-"
+        times = row["wall_s"] / own if own else float("nan")
+        wall = f"{times:.2g} times" if np.isfinite(times) else "-"
+        status = f"{row['status']} {row['reason']}".strip()
+        head.append([row["setting"], change, _share(row["force_rms_error"]), wall, row["physics"], status])
+    return head
+
+
+def model_form(found: Study) -> str:
+    """How far other choices of the model moved the scene's peaks, in a sentence; "" where none was run."""
+    rows = [row for row in found.rows if row["group"] == MODEL and np.isfinite(row["peak_change"])]
+    if not rows:
+        return ""
+    most = max(rows, key=lambda row: abs(row["peak_change"]))
+    return (
+        f"{len(rows)} other choices of the model were run beside the given one. They move a peak by up to "
+        f"{100 * abs(most['peak_change']):.2g} % ({most['setting']}: {most['contact']} {100 * most['peak_change']:+.2g} %). "
+        "The errors in the other tables are those of the computation."
+    )
+
+
+def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
+    """Table of settings."""
+    errors = (*NAMES, "derivative_error")
+    heads = [name.removesuffix("_error").replace("_", " ") for name in errors]
+    table = [["setting", *heads, "time of a run", "compile", "front", "status"]]
+    for row in rows:
+        status = f"{row['status']} {row['reason']}".strip() + (" (at the reference)" if row["at_reference"] else "")
+        walls = (format_si(row[name], "s", 3) for name in ("wall_s", "compile_s"))
+        front = "yes" if row["pareto"] else ""
+        table.append([row["setting"], *(_share(row[name]) for name in errors), *walls, front, status])
+    return table
+
+
+def _front(rows: Sequence[dict[str, Any]]) -> Rows:
+    """The same of the Pareto front, without the columns that say nothing there."""
+    table = rows_of(rows)
+    said = [any(row[k] not in ("-", "") for row in table[1:]) for k in range(len(table[0]))]
+    kept = [k for k, head in enumerate(table[0]) if said[k] and head not in ("compile", "front")]
+    return [[row[k] for k in kept] for row in table]
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.2g} %"
+
+
+def picture(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> Picture:
+    """Work-precision: one panel of values, one of derivatives where there are any."""
+    slopes = any(np.isfinite(row["derivative_error"]) for row in study.rows)
+    with plots.sheet(path, 1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4) as axes:
+        errors = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
+        walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
+        least_error = study.reference.least_error if study.reference else float("nan")
+        _panel(axes[0], study, walls, errors, least_error)
+        _front_line(axes[0], study, errors, least_error)
+        _chosen(axes[0], advice, walls, errors)
+        axes[0].set_title(f"{plots.plain(title)}: worst of force rms, peak and impulse")
+        axes[0].set_ylabel("error [-]")
+        axes[0].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=4)
+        if slopes:
+            errors = {r["setting"]: r["derivative_error"] for r in study.rows if np.isfinite(r["derivative_error"])}
+            walls = {row["setting"]: row["derivative_wall_s"] for row in study.rows}
+            _panel(
+                axes[1], study, walls, errors, study.reference.least_slope_error if study.reference else float("nan")
+            )
+            axes[1].set_title("derivatives of the forces, rms")
+            axes[1].set_ylabel("error of derivatives [-]")
+    known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
+    rings = [
+        f"{name} ({span([known[name]])}) for {budgets}"
+        for name, budgets in advise.shared(advice).items()
+        if name in known
+    ]
+    shows = f"Worst error against wall time of {len(known)} settings"
+    shows += f"; recommended, with their error as a share: {'; '.join(rings)}." if rings else "; none is recommended."
+    return Picture(path.name, "Error against time", shows)
+
+
+def _panel(
+    axis: Axes, study: Study, walls: Mapping[str, float], errors: Mapping[str, float], least_error: float
+) -> None:
+    """Ladders of solvers as lines, other settings by what they set."""
+    kinds: dict[str, list[str]] = {}
+    for setting in study.settings:
+        if np.isfinite(errors.get(setting.name, np.nan)):
+            kind = setting.ladder if setting.group == "tolerance" else setting.group
+            kinds.setdefault(kind, []).append(setting.name)
+    solvers = {setting.ladder for setting in study.settings if setting.group == "tolerance"}
+    for number, (kind, names) in enumerate(sorted(kinds.items(), key=lambda item: item[0] not in solvers)):
+        x, y = np.array([walls[n] for n in names]), np.clip([errors[n] for n in names], _LEAST, _TOP)
+        colour, mark = plots.COLOURS[number % len(plots.COLOURS)], _MARKS[number % len(_MARKS)]
+        line = "-" if kind in solvers else "none"
+        axis.plot(
+            x, y, linestyle=line, markersize=4.5, linewidth=0.7, alpha=0.85, label=kind, color=colour, marker=mark
+        )
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel("wall time of a run, compiled [s]")
+    low, high = axis.get_ylim()
+    if least_error > 0:
+        low = min(low, least_error / 3.0)
+        axis.axhspan(low, least_error, color="#9a9a9a", alpha=0.18, linewidth=0)
+        inside = {"transform": axis.get_yaxis_transform(), "fontsize": 7.5, "color": "#555555"}
+        axis.text(0.99, least_error, "below: not distinguished by the reference", ha="right", va="top", **inside)
+    axis.set_ylim(low, high)
+
+
+def _front_line(axis: Axes, study: Study, errors: Mapping[str, float], least_error: float) -> None:
+    best = sorted((row["wall_s"], errors[row["setting"]]) for row in study.rows if row["pareto"])
+    if best:
+        x, y = np.array(best).T
+        y = np.minimum(np.maximum(y, least_error if least_error > 0 else 0.0), _TOP)
+        axis.step(x, y, where="post", color="#222222", linewidth=2.2, alpha=0.35, label="Pareto front", zorder=0)
+
+
+def _chosen(axis: Axes, advice: Mapping[str, Mapping[str, Any]], walls: Mapping, errors: Mapping) -> None:
+    """Rings round recommended settings, with the budgets they are for."""
+    for number, (name, budgets) in enumerate(advise.shared(advice).items()):
+        place = (walls[name], max(errors[name], _LEAST))
+        label = "recommended, with the budgets it keeps" if not number else None
+        axis.plot(*place, "o", markersize=12, markerfacecolor="none", markeredgecolor="#b84e00", label=label)
+        axis.annotate(budgets, place, (9, 7), textcoords="offset points", fontsize=8, color="#b84e00")
