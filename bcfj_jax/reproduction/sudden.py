@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint.model import joint_of_keys
 from bcfj_jax.models.joint.scene import PLAIN, Joint
-from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction.fit import targets
 from bcfj_jax.reproduction.measures import resultant
 from bcfj_jax.reproduction.record import STEP, Record, record
@@ -52,7 +52,7 @@ class Start(NamedTuple):
 
 def scene() -> Joint:
     """The plain joint, in which the knobs were turned."""
-    return joint(law="adams_impact", **PLAIN)
+    return joint_of_keys(law="adams_impact", **PLAIN)
 
 
 def six(run: Run, every: int = 1) -> np.ndarray:

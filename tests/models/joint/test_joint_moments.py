@@ -28,7 +28,7 @@ VARIANTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
 def test_moments_are_the_rates_of_angular_momentum(name):
-    scene = scenes.joint(**VARIANTS[name])
+    scene = scenes.make("joint", **VARIANTS[name])
     params = scene.parameters(axial_load=2e3, load_torque=1800.0)
     y, t, c = jnp.asarray(noisy(scene, params, 5, places=1.5e-4)), jnp.asarray(1.0), constants(scene, params)
 
