@@ -7,11 +7,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import geometry, unequal
+from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.contacts import Groove
-from bcfj_jax.models.joint.guides import Guides, body_maps, guides
+from bcfj_jax.models.joint.guides import body_maps
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 
@@ -45,7 +45,6 @@ class Constants(eqx.Module):
     pilot_clearance: Array
     pilot_hollow: Array
     bands: Bands | None
-    guides: Guides
     body_maps: Array
     axes: Array
     radial: Array
@@ -120,13 +119,13 @@ def constants(scene: Joint, params: Params) -> Constants:
         flank=flank,
         sine=jnp.sin(p["contact_angle"]) if gothic else zero,
         cosine=jnp.cos(p["contact_angle"]) if gothic else one,
-        clearance=jnp.stack([unequal.clearance(scene, p, name) for name in GROOVES], -1),
+        clearance=jnp.stack([scene.clearance(p, name) for name in GROOVES], -1),
         ball=p["ball_radius"],
         gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
     )
     clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
     ends = scene.has("cage_window_end")
-    window = unequal.clearance(scene, p, "cage_ball") if scene.has("cage_ball") else zero
+    window = scene.clearance(p, "cage_ball") if scene.has("cage_ball") else zero
     window = window[:, None, None] if scene.unequal and scene.has("cage_ball") else window
     hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
     inverse_mass = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
@@ -148,12 +147,11 @@ def constants(scene: Joint, params: Params) -> Constants:
         else None,
         window_clearance=window if scene.has("cage_ball") else zero,
         cage_laws=_side_by_side(scene, params, BALLS[2:]) if ends else None,
-        cage_clearance=jnp.stack([unequal.clearance(scene, p, x) for x in BALLS[2:]], -1)[..., None] if ends else zero,
+        cage_clearance=jnp.stack([scene.clearance(p, x) for x in BALLS[2:]], -1)[..., None] if ends else zero,
         pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
         pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
         bands=_bands(scene, params) if scene.banded else None,
-        guides=guides(scene, axes),
         body_maps=body_maps(scene, axes),
         axes=axes,
         radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),

@@ -38,7 +38,7 @@ def test_moments_are_the_rates_of_angular_momentum(name):
         # What the equations of motion read: mass times acceleration, inertia times angular acceleration.
         pushed = system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))
         more = energy.rubbed(scene, c, y), energy.power(scene, c, t, y).friction
-        return state, pushed, moments.on_parts(scene, c, state), moments.moments(scene, c, t, y), more
+        return state, pushed, system.on_parts(scene, c, state), moments.moments(scene, c, t, y), more
 
     state, (on_balls, coupling), exerted, found, more = jax.device_get(look(t, y))
     total = {
