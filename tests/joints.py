@@ -27,7 +27,7 @@ def plain_joint(**options):
 
     It costs half of the default's program and has closed forms, and kept data are of it. Tests of the default say so.
     """
-    return bj.scenes.joint(**PLAIN | options)
+    return bj.scenes.make("joint", **PLAIN | options)
 
 
 JOINT = plain_joint()

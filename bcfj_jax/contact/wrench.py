@@ -56,15 +56,29 @@ class ContactForce(NamedTuple):
         return dot(self.slide, self.slide)
 
 
+class FrictionState(NamedTuple):
+    """What friction with a state reads; without one every law acts by its steady slip.
+
+    Attributes:
+        bristle: deflection z [m], world; ``spin``: with which it turns [rad/s], world.
+        late: slip speed of late [m/s], of friction that lags.
+    """
+
+    bristle: Vector | None = None
+    spin: Vector = ZERO
+    late: Number | None = None
+
+
+STEADY = FrictionState()
+
+
 def press(
     law: AbstractLaw,
     friction: AbstractFriction | None,
     c: Coefficients,
     face: Face,
     velocity: Vector,
-    bristle: Vector | None = None,
-    spin: Vector = ZERO,
-    late: Number | None = None,
+    state: FrictionState = STEADY,
 ) -> ContactForce:
     """Force of one face (module docstring).
 
@@ -73,10 +87,9 @@ def press(
         c: their coefficients; ``smoothing`` among them is the half-width of the regularisation [m].
         face: where it touches.
         velocity: of b less that of a at the point of contact [m/s], world.
-        bristle: deflection z [m], world; without it every friction law acts by its steady slip.
-        spin: with which bristles turn [rad/s], world; read with bristles only.
-        late: slip speed of late [m/s], of friction that lags.
+        state: of friction.
     """
+    bristle, spin, late = state
     rate = dot(face.normal, velocity)
     normal = times(face.gate, regularised_force(law, face.depth, jnp.asarray(rate), c, c.get("smoothing")))
     slide = subtract(velocity, scale(rate, face.normal))

@@ -383,17 +383,26 @@ class Part(NamedTuple):
 STILL = Part(WORLD, ZERO, ZERO, ZERO, {}, ZERO, ZERO)
 
 
-def carried(
-    body: Body, parent: Part, q: list[Number], v: list[Number], first: int, driven: int, t: Array, p: Params
-) -> Part:
-    """A body from the one that it hangs on.
+class Own(NamedTuple):
+    """A body's own coordinates and velocities; index of its first velocity, and that of its drive's partial velocity."""
 
-    Args:
-        body, parent: the joint's two ends.
-        q, v: its own coordinates and velocities.
-        first: index of its first velocity; ``driven``: index that its drive's partial velocity gets.
-        t, p: time [s], parameters.
-    """
+    q: list[Number]
+    v: list[Number]
+    first: int
+    driven: int
+
+
+class _Along(NamedTuple):
+    """Motion along or about an axis: how far, how fast, what a drive adds to the acceleration; index of the velocity."""
+
+    position: Number
+    rate: Number
+    jerk: Number
+    index: int
+
+
+def carried(body: Body, parent: Part, own: Own, t: Array, p: Params) -> Part:
+    """A body from the one that it hangs on, at a time [s]."""
     place = tuple(sizes.length(size, body.name, f"at_{letter}", p) for letter, size in zip("xyz", body.at, strict=True))
     part = parent.shifted(turned(parent.axes, place))
     if body.tilt is not None:
@@ -401,16 +410,15 @@ def carried(
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
     basis = _basis(sizes.axis(body.axis, body.name), p)
     base = part.axes
-    q, v, j = list(q), list(v), first
+    q, v, j = list(own.q), list(own.v), own.first
     for _, kind, which in JOINTS[body.joint]:
         if kind in ("slide", "hinge"):
             if body.drive is not None:
-                position, rate, jerk = body.drive.motion(t, body.name, p)
-                index = driven
+                along = _Along(*body.drive.motion(t, body.name, p), own.driven)
             else:
-                position, rate, jerk, index, j = q.pop(0), v.pop(0), 0.0, j, j + 1
+                along, j = _Along(q.pop(0), v.pop(0), 0.0, j), j + 1
             way = turned(base, basis[which])
-            part = (_slid if kind == "slide" else _hinged)(part, way, basis[which], position, rate, jerk, index)
+            part = _slid(part, way, along) if kind == "slide" else _hinged(part, way, basis[which], along)
         else:
             rates = (v.pop(0), v.pop(0), v.pop(0))
             spun = turned(part.axes, rates)
@@ -425,20 +433,19 @@ def carried(
     return part
 
 
-def _slid(part: Part, way: Vector, axis: Vector, s: Number, rate: Number, jerk: Number, j: int) -> Part:
-    del axis
-    part = part.shifted(scale(s, way))
-    moving = scale(rate, way)
-    drift = add(part.drift, scale(2.0, cross(part.spin, moving)), scale(jerk, way))
-    partials = part.partials | {j: (ZERO, way)}
+def _slid(part: Part, way: Vector, along: _Along) -> Part:
+    part = part.shifted(scale(along.position, way))
+    moving = scale(along.rate, way)
+    drift = add(part.drift, scale(2.0, cross(part.spin, moving)), scale(along.jerk, way))
+    partials = part.partials | {along.index: (ZERO, way)}
     return part._replace(velocity=add(part.velocity, moving), partials=partials, drift=drift)
 
 
-def _hinged(part: Part, way: Vector, axis: Vector, angle: Number, rate: Number, jerk: Number, j: int) -> Part:
-    turning = scale(rate, way)
-    swirl = add(part.swirl, cross(part.spin, turning), scale(jerk, way))
-    partials = part.partials | {j: (way, ZERO)}
-    axes = rotated(part.axes, axis, angle)
+def _hinged(part: Part, way: Vector, axis: Vector, along: _Along) -> Part:
+    turning = scale(along.rate, way)
+    swirl = add(part.swirl, cross(part.spin, turning), scale(along.jerk, way))
+    partials = part.partials | {along.index: (way, ZERO)}
+    axes = rotated(part.axes, axis, along.position)
     return part._replace(axes=axes, spin=add(part.spin, turning), partials=partials, swirl=swirl)
 
 

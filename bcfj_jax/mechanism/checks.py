@@ -40,6 +40,26 @@ def check_structure(scene: Dynamics) -> None:
     where = f"mechanism '{scene.kind}'"
     if not scene.bodies:
         raise InputError(where, "has no bodies", "list at least one")
+    _check_tree(scene, where)
+    for load in scene.loads:
+        checked(f"{where} load", load)
+    for part in (*scene.contacts, *scene.loads):
+        _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
+    names: dict[str, str] = {b.name: "body" for b in scene.bodies}
+    for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
+        if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
+            found = f"the name '{part.name}' already belongs to a {names[part.name]}"
+            raise InputError(f"{where} {what}", found, "give another name")
+        names[part.name] = what
+    _check_contacts(scene, where)
+    _check_loads(scene, where)
+    for name, _ in scene.given:
+        if scene.canonical(name) not in scene.quantities:
+            found = f"no parameter '{name}'"
+            raise InputError(f"{where} defaults", found, nearest(name, scene.quantities))
+
+
+def _check_tree(scene: Dynamics, where: str) -> None:
     bodies: dict[str, str] = {}
     for b in scene.bodies:
         if b.name in bodies:
@@ -67,20 +87,10 @@ def check_structure(scene: Dynamics) -> None:
                 raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = bodies[at]
-    for load in scene.loads:
-        checked(f"{where} load", load)
-    for part in (*scene.contacts, *scene.loads):
-        _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
-    names: dict[str, str] = dict.fromkeys(bodies, "body")
-    for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
-        if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
-            raise InputError(
-                f"{where} {what}",
-                f"the name '{part.name}' already belongs to a {names[part.name]}",
-                "give another name",
-            )
-        names[part.name] = what
-    known = [*bodies, GROUND]
+
+
+def _check_contacts(scene: Dynamics, where: str) -> None:
+    known = [*(b.name for b in scene.bodies), GROUND]
     for c in scene.contacts:
         for body in c.between:
             if body not in known:
@@ -96,6 +106,10 @@ def check_structure(scene: Dynamics) -> None:
         if len(counts) > 1:
             found = f"the bodies and the gap have different numbers of members: {sorted(counts)}"
             raise InputError(f"{where} contact '{c.name}'", found, "give all of them the same number")
+
+
+def _check_loads(scene: Dynamics, where: str) -> None:
+    known = [*(b.name for b in scene.bodies), GROUND]
     for load in scene.loads:
         for body in load.touches:
             if body not in known:
@@ -105,10 +119,6 @@ def check_structure(scene: Dynamics) -> None:
             if free != 1:
                 found = f"'{load.body}' has {free} free coordinates"
                 raise InputError(f"{where} load '{load.name}' body", found, "give a body that slides or hinges freely")
-    for name, _ in scene.given:
-        if scene.canonical(name) not in scene.quantities:
-            found = f"no parameter '{name}'"
-            raise InputError(f"{where} defaults", found, nearest(name, scene.quantities))
 
 
 def _check_static(where: str, part: Any) -> None:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import Face
-from bcfj_jax.contact.wrench import ContactForce, press
+from bcfj_jax.contact.wrench import ContactForce, FrictionState, press
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
@@ -31,7 +31,7 @@ from bcfj_jax.core.vectors import (
     turned,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, arrays, equations, sizes
-from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Part, carried, quaternion_rate
+from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Own, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action, kept, quantities
@@ -240,7 +240,8 @@ class Dynamics(AbstractModel):
         at, first, driven = 0, 0, len(self._free)
         for b in self.ordered:
             n, m = len(b.coordinates), len(b.rates)
-            part = carried(b, parts[b.parent], q[at : at + n], v[first : first + m], first, driven, t, p)
+            own = Own(q[at : at + n], v[first : first + m], first, driven)
+            part = carried(b, parts[b.parent], own, t, p)
             at, first, driven = at + n, first + m, driven + (b.drive is not None)
             parts[b.name] = part
             mass[b.name] = sizes.value(b.mass, b.name, "mass", p)
@@ -300,7 +301,8 @@ class Dynamics(AbstractModel):
             bristle = (own[-3], own[-2], own[-1]) if c.bristles else None
             turn = c.gap.carried(first.spin, second.spin)
             try:
-                touch = press(c.law, c.friction, c_values, face, velocity, bristle, turn, own[-1] if c.lags else None)
+                kept = FrictionState(bristle, turn, own[-1] if c.lags else None)
+                touch = press(c.law, c.friction, c_values, face, velocity, kept)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
             found.append((face, touch))

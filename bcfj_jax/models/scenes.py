@@ -15,7 +15,13 @@ from bcfj_jax.models.chain import chain
 from bcfj_jax.models.four_bar import four_bar
 from bcfj_jax.models.impact import bounce, impact
 from bcfj_jax.models.joint import defaults as joint_numbers
-from bcfj_jax.models.joint.model import joint
+from bcfj_jax.models.joint.model import joint as joint
+from bcfj_jax.models.joint.model import joint_of_keys
+from bcfj_jax.models.joint.options import JointCage as JointCage
+from bcfj_jax.models.joint.options import JointDrive as JointDrive
+from bcfj_jax.models.joint.options import JointGeometry as JointGeometry
+from bcfj_jax.models.joint.options import JointLoads as JointLoads
+from bcfj_jax.models.joint.options import JointMaterials as JointMaterials
 from bcfj_jax.models.oblique_impact import oblique_impact
 from bcfj_jax.models.slider_crank import slider_crank
 from bcfj_jax.models.slider_guide import slider_guide
@@ -29,7 +35,7 @@ SCENES: dict[str, Callable[..., AbstractModel]] = {
     "slider_crank": slider_crank,
     "slider_guide": slider_guide,
     "four_bar": four_bar,
-    "joint": joint,
+    "joint": joint_of_keys,
 }
 
 # Scenes of two free bodies: [scene.spheres] in a scene file may give their stiffness, exponent and mass.

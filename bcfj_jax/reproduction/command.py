@@ -13,8 +13,8 @@ from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Rows, Table, Verdict, counted
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint.model import joint_of_keys
 from bcfj_jax.models.joint.scene import PLAIN, Joint
-from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction import frames, pictures, sudden, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE
 from bcfj_jax.reproduction.fit import ERROR, PeakFit, fit, targets
@@ -173,7 +173,7 @@ def run(out: Path | None, say: Callable[[str], None], end: float = END) -> tuple
     """
     folder = outputs.open_folder(out, "reproduce", "joint", FILES)
     begin = time.perf_counter()
-    scene = joint(**PLAIN)
+    scene = joint_of_keys(**PLAIN)
     params = scene.parameters()
     records: dict[str, Record] = {}
 

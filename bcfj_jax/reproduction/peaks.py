@@ -15,9 +15,9 @@ from jax import Array
 from bcfj_jax.contact.stiffness import sphere_in_socket
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
+from bcfj_jax.models.joint.model import joint_of_keys
 from bcfj_jax.models.joint.quasistatic import Found, quasistatic_forces, quasistatic_places
 from bcfj_jax.models.joint.scene import PLAIN, Joint
-from bcfj_jax.models.scenes import joint
 
 # The numbers fitted, in this order, and the claims they are of; Q23 is a range, and so two numbers.
 TARGETS = ("Q20", "Q21", "Q23 least", "Q23 greatest", "Q26", "Q27")
@@ -26,7 +26,7 @@ _INSTANTS = 24
 
 def still_scene() -> Joint:
     """The joint of the calibration: equilibrium at each instant, no friction."""
-    return joint(fidelity="quasistatic", friction=False, **PLAIN)
+    return joint_of_keys(fidelity="quasistatic", friction=False, **PLAIN)
 
 
 def tied(params: Params, free: Params) -> Params:

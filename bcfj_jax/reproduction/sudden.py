@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint.model import joint_of_keys
 from bcfj_jax.models.joint.scene import PLAIN, Joint
-from bcfj_jax.models.scenes import joint
 from bcfj_jax.reproduction.fit import targets
 from bcfj_jax.reproduction.measures import six
 from bcfj_jax.reproduction.record import STEP, Record, record
@@ -45,7 +45,7 @@ IDENTIFIES = (
 
 def scene() -> Joint:
     """The plain joint, in which the knobs were turned."""
-    return joint(law="adams_impact", **PLAIN)
+    return joint_of_keys(law="adams_impact", **PLAIN)
 
 
 def start(found: Record) -> dict[float, np.ndarray]:

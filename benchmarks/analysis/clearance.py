@@ -39,7 +39,7 @@ LEAST, MOST = 0.02, 4.0
 
 def studied(points: int, workers: int, every: bool, folder: Path) -> dict[str, Any]:
     """Normal and axial oscillation [N] by contact (N,), the worst member's, against clearance [m]."""
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     default = {name: float(x) for name, x in scene.parameters().items() if name.startswith("clearance")}
     if every:
         factors = np.geomspace(LEAST, MOST, points)

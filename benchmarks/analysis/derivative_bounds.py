@@ -125,7 +125,7 @@ def cranks(count: int, seed: int) -> Iterator[Case]:
 
 def jointed(count: int, seed: int, **options: Any) -> Iterator[Case]:
     """Joints of ``random_scenes.joints`` for 0.1 to 0.2 s, their load risen within 0.02 to 0.05 s."""
-    scene = bj.scenes.joint(**options)
+    scene = bj.scenes.joint_of_keys(**options)
     for k, params in enumerate(joints(count, seed, scene=scene)):
         rng = np.random.default_rng([seed, k])
         p = {name: float(x) for name, x in params.items()} | {"load_ramp": rng.uniform(0.02, 0.05)}

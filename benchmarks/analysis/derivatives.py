@@ -157,7 +157,7 @@ def make() -> None:
     from benchmarks.references.joint_casadi import default_scales
     from benchmarks.references.joint_sensitive import Sensitive
 
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params, times = scene.parameters(), grid()
     made = Sensitive(scene, params, default_scales(scene), MOVED)
     print(f"built in {made.compile_s:.1f} s", flush=True)

@@ -46,7 +46,7 @@ def times(params: dict) -> np.ndarray:
 
 
 def main(names: list[str]) -> None:
-    scene, motion = bj.scenes.joint(fidelity="quasistatic", **PLAIN), bj.scenes.joint(**PLAIN)
+    scene, motion = bj.scenes.joint_of_keys(fidelity="quasistatic", **PLAIN), bj.scenes.make("joint", **PLAIN)
     params = scene.parameters()
     t, results = times(params), {}
     for name in names or OBJECTIVES:

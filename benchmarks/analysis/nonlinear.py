@@ -116,7 +116,7 @@ def bouncing() -> dict[str, Any]:
 
 def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: float, tolerance: float):
     """The joint's exponent from two runs of RODAS3 at a tolerance far below the separation."""
-    scene = scenes.joint(**PLAIN)
+    scene = scenes.joint_of_keys(**PLAIN)
     params = scene.parameters(smoothing=smoothing)
     settle, how = 1.2, Plan(jnp.asarray(tolerance), 4_000_000)
     start = integrate(scene, params, jnp.array([0.5, 1.0]) * settle, Plan(jnp.asarray(1e-3)), "forward").states[-1]
@@ -139,7 +139,7 @@ def pair_of_runs(smoothing: float, interval: float, intervals: int, separation: 
 
 
 def exponents() -> dict[str, Any]:
-    scene = scenes.joint(**PLAIN)
+    scene = scenes.joint_of_keys(**PLAIN)
     result: dict[str, Any] = {}
     shown = {}
     table: list[tuple[str, ...]] = [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
@@ -170,7 +170,7 @@ def exponents() -> dict[str, Any]:
 
 def clearance() -> dict[str, Any]:
     """Penetration of the windows once per revolution, at 10 clearances of theirs."""
-    scene, result = scenes.joint(**PLAIN), {}
+    scene, result = scenes.joint_of_keys(**PLAIN), {}
     values = np.linspace(4e-6, 40e-6, 10)
     # The calm joint's scatter at looser accuracy would be the solver's; the rattle needs no digits, and costs more.
     budgets = (1e-4, 1e-3)
@@ -196,7 +196,7 @@ def clearance() -> dict[str, Any]:
 
 def scatter() -> dict[str, Any]:
     """How far the unloaded ball's section at the default onset scatters, against the accuracy asked for."""
-    scene, result = scenes.joint(**PLAIN), {}
+    scene, result = scenes.joint_of_keys(**PLAIN), {}
     values = np.array([12e-6, 20e-6, 40e-6])
     table = [("force error", *(f"{1e6 * value:.0f} µm" for value in values))]
     for accuracy in (1e-4, 1e-5, 1e-6):
@@ -213,7 +213,7 @@ def scatter() -> dict[str, Any]:
 
 def crossing() -> dict[str, Any]:
     """The joint's exponent against the clearance of the windows."""
-    scene = scenes.joint(**PLAIN)
+    scene = scenes.joint_of_keys(**PLAIN)
     values, found = np.array([8.0, 12.0, 16.0, 20.0, 30.0, 40.0]) * 1e-6, []
     for value in values:
         params = scene.parameters(clearance_cage_ball=value)
@@ -229,7 +229,7 @@ def crossing() -> dict[str, Any]:
 
 
 def portraits() -> dict[str, Any]:
-    scene = scenes.joint(**PLAIN)
+    scene = scenes.joint_of_keys(**PLAIN)
     params = scene.parameters(smoothing=SHARP)
     turn = nonlinear.drive_period(scene, params)
     run = simulate(scene, params, np.linspace(0.0, 3.0 * turn, 24_001), accuracy=1e-4)

@@ -79,7 +79,7 @@ def singles(task: tuple[list[float], int]) -> float:
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[core % len(cores)]})
-    scene = scenes.joint(**PLAIN)
+    scene = scenes.joint_of_keys(**PLAIN)
     simulate(scene, scene.parameters(), TIMES)
     begin = time.perf_counter()
     for clearance in clearances:
@@ -112,7 +112,7 @@ def study(table: dict[str, Any]) -> dict[str, Any]:
 
 def by_places(count: int) -> list[dict[str, float]]:
     """Points a second of one core against the number of slots."""
-    scene, rows = scenes.joint(**PLAIN), []
+    scene, rows = scenes.joint_of_keys(**PLAIN), []
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
     wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]

@@ -106,7 +106,7 @@ def impact(source: str, noise: float, seed: int) -> Problem:
 @functools.cache
 def static_forces() -> dict[str, np.ndarray]:
     """Normal forces (T,) [N] by channel of the joint in equilibrium."""
-    scene = scenes.joint(fidelity="quasistatic", **PLAIN)
+    scene = scenes.joint_of_keys(fidelity="quasistatic", **PLAIN)
     found = simulate(scene, scene.parameters(), INSTANTS).force
     return {
         f"{name}_{i + 1}.normal" if force.ndim == 3 else f"{name}.normal": one
@@ -117,7 +117,7 @@ def static_forces() -> dict[str, np.ndarray]:
 
 def static(noise: float, seed: int) -> Problem:
     """The joint without inertia and friction at 41 angles."""
-    scene, forces = scenes.joint(fidelity="quasistatic", **PLAIN), static_forces()
+    scene, forces = scenes.joint_of_keys(fidelity="quasistatic", **PLAIN), static_forces()
     truth = {name: float(value) for name, value in scene.parameters().items()}
     free = tuple(Free(n, JOINT_BOUNDS[n][0] * truth[n], JOINT_BOUNDS[n][1] * truth[n]) for n in STATIC)
     channels = noisy(list(forces), list(forces.values()), noise, seed)
@@ -129,7 +129,7 @@ def dynamic(noise: float, seed: int) -> Problem:
     return joint_problem(noise, seed, {"damping": JOINT_TRUTH["damping"]})
 
 
-JOINT_TRUTH = {name: float(value) for name, value in scenes.joint(**PLAIN).parameters().items()}
+JOINT_TRUTH = {name: float(value) for name, value in scenes.joint_of_keys(**PLAIN).parameters().items()}
 CASES = {
     "impact": Case(functools.partial(impact, "own"), IMPACT, 6, 200),
     "exact": Case(functools.partial(impact, "scipy"), IMPACT, 6, 200),

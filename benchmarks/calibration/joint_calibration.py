@@ -30,7 +30,7 @@ from benchmarks.analysis.derivatives import CONTACTS, load
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 
-SCENE = scenes.joint(**PLAIN)
+SCENE = scenes.joint_of_keys(**PLAIN)
 TRUTH = {name: float(value) for name, value in SCENE.parameters().items()}
 # Bounds as factors of the truth. Three off where that is possible; steeper or flatter than these no contact is.
 BOUNDS = {

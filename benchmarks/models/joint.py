@@ -69,7 +69,7 @@ def _sum(tree: Any) -> jax.Array:
 
 def costs() -> dict[str, Any]:
     """Microseconds of field, Jacobian, factorisation, solve and step; one run, and per run of 64."""
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params = scene.parameters()
     c, y = constants(scene, params), loaded_state(scene, params)
     t, h, args, a = jnp.asarray(0.13), jnp.asarray(1e-4), (scene, c), Arrowhead()
@@ -103,7 +103,7 @@ def precision() -> dict[str, Any]:
     """Work against error: RODAS3 and SDIRK2 here, CVODES, LSODA, Radau and diffrax as shipped."""
     from benchmarks.references.joint_peers import SOLVERS, cvodes, errors, groove_forces
 
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params = scene.parameters()
     times, sizes = np.linspace(0.0, 0.6, 301), np.asarray(scales(scene, params))
     reference = groove_forces(scene, params, cvodes(scene, params, times, 1e-9, sizes).states)
@@ -143,11 +143,11 @@ def precision() -> dict[str, Any]:
 
 def seconds() -> dict[str, Any]:
     """The paper's 3 s with an output every millisecond, at 1 %; and the quasistatic revolution."""
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params, times = scene.parameters(), np.linspace(0.0, 3.0, 3001)
     first = bj.simulate(scene, params, times)
     walls = [bj.simulate(scene, params, times).stats["wall_s"] for _ in range(REPEATS)]
-    still = bj.scenes.joint(fidelity="quasistatic", **PLAIN)
+    still = bj.scenes.joint_of_keys(fidelity="quasistatic", **PLAIN)
     angles = np.linspace(0.0, 0.6, 361)[:-1] + 1.0
     cold = bj.simulate(still, still.parameters(), angles).stats["compile_s"]
     revolution = [bj.simulate(still, still.parameters(), angles).stats["wall_s"] for _ in range(REPEATS)]
@@ -162,7 +162,7 @@ def seconds() -> dict[str, Any]:
 
 def batch() -> dict[str, Any]:
     """64 runs of differing clearance, 0.6 s at 1 %: time per run beside one run alone."""
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params, times = scene.parameters(), jnp.linspace(0.0, 0.6, 301)
     how = plan(scene, 1e-2)
     clearance = jnp.linspace(20e-6, 100e-6, 64)
@@ -204,7 +204,7 @@ def options() -> dict[str, Any]:
         "spin on": {"spin": True},
         "flexible drive": {"drive": "flexible"},
     }.items():
-        scene = bj.scenes.joint(**PLAIN | given)
+        scene = bj.scenes.joint_of_keys(**PLAIN | given)
         params = scene.parameters()
         c, a = constants(scene, params), Arrowhead()
         y = loaded_state(scene, params)

@@ -63,7 +63,7 @@ def measured(
     count: int, seed: int, budget: float, friction: float, options: dict[str, Any]
 ) -> tuple[list[dict[str, Any]], int]:
     """A row a joint, and how many the dynamic model did not finish."""
-    adaptive, motion = bj.scenes.joint(fidelity="auto", **options), bj.scenes.joint(**options)
+    adaptive, motion = bj.scenes.joint_of_keys(fidelity="auto", **options), bj.scenes.joint_of_keys(**options)
     rng = np.random.default_rng(seed)
     rows: list[dict[str, Any]] = []
     unfinished = 0

@@ -49,7 +49,8 @@ def cost(accuracy: Any) -> dict[str, dict[str, float]]:
     """Steps, wall time and time per step of a run of 0.75 s, and that over the plain joint's; compile time beside."""
     times = np.linspace(0.0, 0.15 + TURN, 751)
     runs = {
-        name: (scene := bj.scenes.joint(**PLAIN | options), scene.parameters()) for name, options in VARIANTS.items()
+        name: (scene := bj.scenes.joint_of_keys(**PLAIN | options), scene.parameters())
+        for name, options in VARIANTS.items()
     }
     walls: dict[str, list[float]] = {name: [] for name in runs}
     found: dict[str, dict[str, float]] = {}
@@ -85,7 +86,7 @@ def drift() -> dict[str, dict[str, float]]:
     found = {}
     for name in ("plain", "window ends", "window ends, bands", "all"):
         for weight in (0.0, 20e3):
-            scene = bj.scenes.joint(**PLAIN | VARIANTS[name])
+            scene = bj.scenes.joint_of_keys(**PLAIN | VARIANTS[name])
             params = scene.parameters(axial_load=weight)
             run = bj.simulate(scene, params, times)
             c = constants(scene, params)
@@ -119,7 +120,7 @@ def balance() -> dict[str, float]:
     """Closure of the energy balance of the first 0.1 s, load rise and all."""
     found = {}
     for name in ("plain", "all"):
-        scene = bj.scenes.joint(**PLAIN | VARIANTS[name])
+        scene = bj.scenes.joint_of_keys(**PLAIN | VARIANTS[name])
         result = energy_balance.balance(scene, scene.parameters(), np.linspace(0.0, 0.1, 11), 1e-4)
         found[name] = float(result.closure)
     return found

@@ -66,7 +66,7 @@ PROGRAMS = {
 }
 
 _ONE = "whole solver one kernel"
-SCENE = bj.scenes.joint(**PLAIN)
+SCENE = bj.scenes.joint_of_keys(**PLAIN)
 PARAMS = SCENE.parameters()
 NAMES = [name for name, value in PARAMS.items() if float(value) != 0.0][:MANY]
 TIMES = jnp.asarray(grid())

@@ -25,7 +25,7 @@ END, ANGLES, REPEATS = 3.0, 360, 3
 
 def run(fidelity: str) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Normal force of every contact over the revolution (360, ...), and seconds."""
-    scene = bj.scenes.joint(fidelity=fidelity, **PLAIN)
+    scene = bj.scenes.joint_of_keys(fidelity=fidelity, **PLAIN)
     params = scene.parameters()
     turn = 2.0 * np.pi / float(params["drive_speed"])
     times = END - turn + turn * np.arange(1, ANGLES + 1) / ANGLES

@@ -71,7 +71,7 @@ def ending(name: str) -> str:
 
 def measured(options: dict, values: dict, accuracy: float | str = "balanced") -> tuple[dict, np.ndarray]:
     """A row of the table, and the late normal forces (T, contacts)."""
-    scene = bj.scenes.joint(**PLAIN | options)
+    scene = bj.scenes.joint_of_keys(**PLAIN | options)
     params = scene.parameters(values | (WIDER if options.get("bands") else {}))
     seconds, found = np.inf, None
     for _ in range(REPEATS):

@@ -75,7 +75,7 @@ TOLERANCES = ((5e-3, False), (1e-3, False), (1e-3, True), (1e-4, True), (1e-5, T
 def derivatives(options: dict[str, Any], values: dict[str, float], seed: int) -> dict[str, Any]:
     """Verdicts and differences of a variant."""
     del seed
-    scene = bj.scenes.joint(**options)
+    scene = bj.scenes.joint_of_keys(**options)
     begin = time.process_time()
     found = bj.sensitivity(scene, scene.parameters(values), TIMES, list(BOUNDS), features=["seat_cage.mean"])
     certificate = found.certificate
@@ -96,7 +96,7 @@ class Setting:
     """A variant's joint, its truth, and its record without noise."""
 
     def __init__(self, options: dict[str, Any], values: dict[str, float]) -> None:
-        self.scene = bj.scenes.joint(unequal=True, **options)
+        self.scene = bj.scenes.joint_of_keys(unequal=True, **options)
         given = self.scene.parameters(values | {ONE_BALL: EXTRA})
         self.truth = {name: float(value) for name, value in given.items()}
         run = bj.simulate(self.scene, self.scene.parameters(self.truth), TIMES, accuracy=TIGHT)
@@ -244,7 +244,7 @@ def _told(deviations: np.ndarray, chi2: list[float]) -> dict[str, Any]:
 def tangents(options: dict[str, Any], values: dict[str, float], seed: int) -> dict[str, float]:
     """Largest derivative [N] of any normal force of the first 0.12 s by the logarithm of ``stiffness``, by tolerance."""
     del seed
-    scene = bj.scenes.joint(**options)
+    scene = bj.scenes.joint_of_keys(**options)
     params = scene.parameters(values)
 
     def largest(tolerance: Any, controlled: bool) -> Any:

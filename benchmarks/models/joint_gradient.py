@@ -144,7 +144,7 @@ def exact_of_plain(kept: Any) -> np.ndarray:
 
 def plain() -> dict[str, Any]:
     """The plain joint."""
-    scene, kept = bj.scenes.joint(**PLAIN), load()
+    scene, kept = bj.scenes.joint_of_keys(**PLAIN), load()
     return table_of(scene, scene.parameters(), jnp.asarray(kept.times), exact_of_plain(kept), TOLERANCES)
 
 
@@ -153,7 +153,7 @@ def peer() -> dict[str, Any]:
     from benchmarks.references.joint_casadi import default_scales
     from benchmarks.references.joint_sensitive import Sensitive
 
-    scene, kept, rows = bj.scenes.joint(**PLAIN), load(), []
+    scene, kept, rows = bj.scenes.joint_of_keys(**PLAIN), load(), []
     params, exact = scene.parameters(), exact_of_plain(kept)
     made = Sensitive(scene, params, default_scales(scene), MOVED)
 
@@ -205,7 +205,7 @@ def hundred(scene: Any) -> tuple[dict[str, Any], list[str]]:
 
 def unlike() -> Any:
     """A joint with window ends and unequal balls, which has a hundred parameters."""
-    return bj.scenes.joint(spin=False, bands=False, window_ends=True, unequal=True)
+    return bj.scenes.joint_of_keys(spin=False, bands=False, window_ends=True, unequal=True)
 
 
 def cost(scene: Any) -> dict[str, Any]:
@@ -269,7 +269,7 @@ def cost(scene: Any) -> dict[str, Any]:
 
 def before() -> dict[str, Any]:
     """Compiling of the plain joint's gradient at ``balanced`` by the package that is imported."""
-    found, scene, times = {}, bj.scenes.joint(**PLAIN), jnp.linspace(0.0, 0.6, 601)
+    found, scene, times = {}, bj.scenes.joint_of_keys(**PLAIN), jnp.linspace(0.0, 0.6, 601)
     params = scene.parameters()
     for mode in ("reverse", "auto"):
         function = scalars(scene, params, times, mode, False)
@@ -284,7 +284,7 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
     "peer": peer,
     "default": default,
     "cost": lambda: cost(unlike()),
-    "cost_plain": lambda: cost(bj.scenes.joint(**PLAIN)),
+    "cost_plain": lambda: cost(bj.scenes.joint_of_keys(**PLAIN)),
     "before": before,
     "after": before,
 }

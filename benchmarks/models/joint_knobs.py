@@ -25,7 +25,7 @@ TIMES, LATE, MAX_STEPS = np.linspace(0.0, 0.9, 901), 0.3, 1_000_000
 
 def run(values: dict[str, float]) -> dict:
     """Histories of the second revolution and what they cost."""
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params = scene.parameters(values)
     found = bj.simulate(scene, params, TIMES, max_steps=MAX_STEPS)
     late = found.times >= LATE

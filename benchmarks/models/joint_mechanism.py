@@ -43,7 +43,7 @@ jax.config.update("jax_cpu_enable_async_dispatch", False)
 # By size of the batch, fields in a row.
 ROUNDS, PASSES = 7, {1: 5000, 64: 200}
 TIMES = jnp.linspace(0.0, 0.1, 51)
-JOINT = bj.scenes.joint(**PLAIN)
+JOINT = bj.scenes.joint_of_keys(**PLAIN)
 
 
 def sizes(mechanism: Mechanism, params: Any, end: Any) -> Array:

@@ -71,7 +71,7 @@ def make() -> None:
     from benchmarks.references.joint_casadi import cvodes, default_scales
     from benchmarks.references.joint_peers import SOLVERS
 
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params, scales = scene.parameters(), default_scales(scene)
     times = np.linspace(0.0, 3.0, 3001)
     made = constants(scene, params)
@@ -120,7 +120,7 @@ def check() -> None:
     import bcfj_jax as bj
 
     reference = load()
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.joint_of_keys(**PLAIN)
     params = scene.parameters(reference.settings["parameters"])
     rows = []
     for accuracy in ACCURACIES:

@@ -21,7 +21,7 @@ from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, errors, load
 from benchmarks.common import markdown, save
 
-SCENE = bj.scenes.joint(**PLAIN)
+SCENE = bj.scenes.joint_of_keys(**PLAIN)
 NAMES = tuple(dict.fromkeys(name for own in MOVED.values() for name in own))
 PITCH, LONG_S, MAX_STEPS = 0.1, 3.0, 400_000
 # What moves a mean by less than 0.01 % per 1 % of a parameter counts as that much.

@@ -45,7 +45,7 @@ def sizes() -> dict[str, dict[str, float]]:
 
 def looked_at(values: dict[str, float]) -> dict[str, Any]:
     """Period [s] and ripple [N] of the pilot's force, and the largest ball force [N]."""
-    scene = bj.scenes.joint(unequal=True)
+    scene = bj.scenes.joint(bj.scenes.JointGeometry(unequal=True))
     run = bj.simulate(scene, scene.parameters(values), TIMES)
     settled = TIMES[-1] / 3.0 <= TIMES
     pilot = np.asarray(run.force[PILOT])[:, 0]
@@ -73,7 +73,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 def prices() -> dict[str, dict[str, float]]:
     """Of each option steps and CPU seconds of 0.6 s, and the pilot's mean force."""
     times = np.linspace(0.0, 0.6, 601)
-    cases = {name: bj.scenes.joint(**options) for name, options in OPTIONS.items()}
+    cases = {name: bj.scenes.joint_of_keys(**options) for name, options in OPTIONS.items()}
     spent: dict[str, list[float]] = {name: [] for name in cases}
     found = {}
     for _ in range(ROUNDS + 1):

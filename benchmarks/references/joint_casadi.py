@@ -246,9 +246,9 @@ def cost(made: Build, y: np.ndarray, count: int = 5000) -> dict[str, float]:
 
 def default_scene() -> Joint:
     """The joint with the options that are written in CasADi."""
-    from bcfj_jax.models.joint.model import joint
+    from bcfj_jax.models.joint.model import joint_of_keys
 
-    return joint(**PLAIN)
+    return joint_of_keys(**PLAIN)
 
 
 def default_scales(scene: Joint, place: float = 5e-5, speed: float = 0.1) -> np.ndarray:

@@ -74,7 +74,7 @@ def worker() -> None:
         run = functools.partial(bj.simulate, scene, scene.parameters(), at)
         row, first = measured(run, run)
         found[name] = kept(row, np.concatenate([f.ravel() for f in first.force.values()]))
-    scene, times, none = bj.scenes.joint(**PLAIN), jnp.linspace(0.0, 0.1, 101), jnp.zeros(len(MOVED))
+    scene, times, none = bj.scenes.joint_of_keys(**PLAIN), jnp.linspace(0.0, 0.1, 101), jnp.zeros(len(MOVED))
     for name, (tolerance, controlled) in JACOBIANS.items():
         how = Plan(jnp.asarray(tolerance), 400_000, controlled)
 

@@ -110,7 +110,7 @@ def main() -> None:
     jax.config.update("jax_enable_compilation_cache", False)
     found: dict[str, Any] = {}
     for name in given.scenes:
-        scene = bj.scenes.joint(**SCENES[name])
+        scene = bj.scenes.joint_of_keys(**SCENES[name])
         for lanes in given.lanes:
             params, y = states(scene, lanes)
             for what, operation in operations(scene).items():

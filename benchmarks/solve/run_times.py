@@ -44,7 +44,7 @@ def worker() -> None:
         return min(walls)
 
     found = {}
-    scene, t = bj.scenes.joint(spin=False, window_ends=False, bands=False), np.linspace(0.0, 0.1, 101)
+    scene, t = bj.scenes.joint_of_keys(spin=False, window_ends=False, bands=False), np.linspace(0.0, 0.1, 101)
     params = scene.parameters()
     forces = jax.jit(lambda p: bj.force_history(scene, p, t))
     found["joint, 0.1 s"] = quickest(lambda: jax.block_until_ready(forces(params)))

@@ -119,7 +119,7 @@ def main() -> None:
     memory = [reserved(drop, elastic, n * flight) for n in DROPS]
     pairs = [runs(drop, elastic, (n + 0.5) * flight) for n in DROPS]
     rows.append(row("bounce by contacts", DROPS, *map(list, zip(*pairs, strict=True))))
-    joint = scenes.joint(**PLAIN)
+    joint = scenes.joint_of_keys(**PLAIN)
     params = joint.parameters()
     pairs = [runs(joint, params, n * REVOLUTION) for n in TURNS]
     rows.append(row("joint by revolutions", TURNS, *map(list, zip(*pairs, strict=True))))
@@ -128,7 +128,7 @@ def main() -> None:
     rows.append(row("joint's derivatives by parameters", PARAMETERS, *map(list, zip(*pairs, strict=True))))
     pairs = []
     for n in BALLS:
-        scene = scenes.joint(balls=n, **PLAIN)
+        scene = scenes.joint_of_keys(balls=n, **PLAIN)
         pairs.append(runs(scene, scene.parameters(sized(joint.parameters(), n)), 0.1))
     rows.append(row("joint by balls", BALLS, *map(list, zip(*pairs, strict=True))))
     save("size", {"rows": rows, "memory": memory})

@@ -21,7 +21,7 @@ def test_every_contact_is_named_in_every_frame():
 
 @pytest.mark.slow
 def test_who_turns_with_the_cage_sees_one_period_a_turn():
-    scene = bj.scenes.joint(window_ends=True)
+    scene = bj.scenes.joint(cage=bj.scenes.JointCage(window_ends=True))
     times = np.linspace(0.0, 1.8, 1801)
     read = [f"seat_cage.force.{k} in {body}" for body in ("cage", "seat", "head") for k in "xy"]
     run = bj.simulate(scene, scene.parameters(), times, read=read)

@@ -109,7 +109,7 @@ def test_a_run_beyond_the_envelope_is_reported(tmp_path):
 
 def test_a_joint_beyond_the_envelope_is_reported():
     def stated(end=3.0, parameters=(), **options):
-        scene = scenes.joint(**options)
+        scene = scenes.make("joint", **options)
         return envelope.warnings(scene, scene.parameters(dict(parameters)), np.array([0.0, end]))
 
     assert stated() == [] and stated(fidelity="auto") == [] and stated(friction="lugre", fidelity="quasistatic") == []

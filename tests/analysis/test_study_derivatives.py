@@ -205,7 +205,7 @@ def test_an_objective_of_steady_motion_is_that_of_a_turn_and_has_its_derivative(
     from bcfj_jax.analysis.designs.objective import objective
     from bcfj_jax.analysis.designs.space import space
 
-    scene = bj.scenes.joint(**PLAIN)
+    scene = bj.scenes.make("joint", **PLAIN)
     params = scene.parameters()
     box = space(scene, params, {"friction_static": (0.05, 0.2)})
     wanted = objective("seat_cage.mean", (), scene.members)

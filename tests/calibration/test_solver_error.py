@@ -85,7 +85,7 @@ def test_a_solver_that_is_good_enough_is_left_as_it_is(coarse):
 @pytest.mark.slow
 def test_the_joint_with_all_options_runs_at_the_accuracy_asked_for_next():
     """Steps that BDF chooses for the tangents, too, are many at loose tolerances, and a fit's budget is enough for them."""
-    scene = scenes.joint(unequal=True, **dict.fromkeys(PLAIN, True))
+    scene = scenes.make("joint", unequal=True, **dict.fromkeys(PLAIN, True))
     truth = {name: float(v) for name, v in scene.parameters(smoothing=30e-6).items()}
     times = np.linspace(0.0, 0.3, 31)
     record = Experiment("a", times, (Channel("seat_cage.normal", np.zeros(31), 1.0),))

@@ -45,12 +45,12 @@ def test_a_joint_follows_a_table_beside_its_file(tmp_path):
     write_toml(tmp_path / "scene.toml", content)
     given = scenefile.load(tmp_path / "scene.toml")
     table = [[0.0, 0.02, 0.05], [0.0, 1500.0, -300.0]]
-    assert given.scene == scenes.joint(load_profile="table", load_table=table) and given.resolved_peaks
+    assert given.scene == scenes.joint(loads=scenes.JointLoads("table", table)) and given.resolved_peaks
     assert float(given.params["load_torque"]) == 1500.0 and "load_ramp" not in given.params
     # What was run loads again, wherever the CSV file is, and Python takes the file's name, too.
     again = scenefile.from_table(given.resolved, None)
     assert again.scene == given.scene and again.resolved == given.resolved
-    assert scenes.joint(load_profile="table", load_table=str(tmp_path / "torque.csv")) == given.scene
+    assert scenes.joint(loads=scenes.JointLoads("table", str(tmp_path / "torque.csv"))) == given.scene
 
 
 def test_loads_of_a_mechanism_fluctuate_and_follow_a_file(tmp_path):

@@ -69,7 +69,7 @@ def test_a_clearance_goes_by_either_name(tmp_path):
 def test_template_of_the_joint_says_what_every_number_is_and_where_it_is_from():
     scene, text = load("joint").scene, template("joint")
     lines = {line.lstrip("# ").partition(" = ")[0].strip('"'): line for line in text.splitlines() if " = " in line}
-    for name in inspect.signature(scenes.joint).parameters:
+    for name in inspect.signature(scenes.SCENES["joint"]).parameters:
         assert name in lines
     for name, quantity in scene.quantities.items():
         unit = "-" if quantity.unit == "1" else quantity.unit

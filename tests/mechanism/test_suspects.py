@@ -85,7 +85,7 @@ JOINTS = {
 )
 @pytest.mark.parametrize("name", JOINTS)
 def test_none_of_the_joints_that_are_refused_is_left_out(name, options):
-    scene, draw = bj.scenes.joint(**options), np.random.default_rng(1)
+    scene, draw = bj.scenes.make("joint", **options), np.random.default_rng(1)
     params = scene.parameters()
     columns = {
         key: np.r_[float(params[key]), low, draw.uniform(low, high, 38)] for key, (low, high) in JOINTS[name].items()

@@ -102,7 +102,7 @@ def _taking():
 
 TAKING = dict(_taking())
 # Scenes are run below; what follows the drive of a mechanism needs a run of many turns, and takes its numbers by the same words.
-ELSEWHERE = {"scenes.chain", "scenes.joint", "nonlinear.bifurcation", "nonlinear.impact_bifurcation",
+ELSEWHERE = {"scenes.chain", "nonlinear.bifurcation", "nonlinear.impact_bifurcation",
              "nonlinear.scene_exponent", "nonlinear.stroboscopic"}  # fmt: skip
 
 
@@ -118,7 +118,8 @@ def test_numpys_whole_numbers_are_taken(name, tmp_path):
 
 
 def test_scenes_take_them_too():
-    assert bj.scenes.joint(balls=np.int8(7)) == bj.scenes.joint(balls=7)
+    joints = [bj.scenes.joint(bj.scenes.JointGeometry(balls=n)) for n in (np.int8(7), 7)]  # pyright: ignore
+    assert joints[0] == joints[1]
     assert bj.scenes.chain(np.uint8(4)) == bj.scenes.chain(4)
     assert hash(bj.scenes.chain(np.int64(4))) == hash(bj.scenes.chain(4))
 
@@ -130,7 +131,7 @@ def test_scenes_take_them_too():
         lambda: _design(starts=10**9),
         lambda: _design(samples=10**9),
         lambda: bj.scenes.chain(10**9),
-        lambda: bj.scenes.joint(balls=10**9),
+        lambda: bj.scenes.joint(bj.scenes.JointGeometry(balls=10**9)),
         lambda: bj.Body("b", "particle", members=10**9),
         lambda: bj.Mechanism("m", (bj.Body("b", "slide", mass=1.0),), samples=10**9),
         lambda: nonlinear.map_bifurcation(_logistic, 0.3, [3.2], transients=1, kept=10**9),

@@ -156,13 +156,13 @@ class BallInGroove(AbstractGap):
         radial = scale(1.0 / distance, plane)
         outward = distance - jnp.sqrt(c["pitch_radius"] ** 2 + c["offset"] ** 2)
         if self.section == "circular":
-            return (_torus(aside, outward, across, radial, c["clearance"], c["ball_radius"], 0.0),)
+            return (_torus((aside, outward), (across, radial), c["clearance"], c["ball_radius"], 0.0),)
         kappa = 1.0 if self.side == "outer" else -1.0
         flank = c["ball_radius"] * (2.0 * c["conformity"] - 1.0)
         sine, outward = flank * jnp.sin(c["contact_angle"]), outward + kappa * (flank * jnp.cos(c["contact_angle"]))
         tube = flank + c["clearance"]
         first, second = (
-            _torus(plus(aside, sign * sine), outward, across, radial, tube, c["ball_radius"], sign)
+            _torus((plus(aside, sign * sine), outward), (across, radial), tube, c["ball_radius"], sign)
             for sign in (1.0, -1.0)
         )
         return first, second
@@ -230,11 +230,12 @@ def groove(
     return mesh.moved(axes=np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
-def _torus(aside: Any, outward: Any, across: Vector, radial: Vector, tube: Array, ball: Array, flank: float) -> Face:
-    """A ball in a torus: its place in the section from the section's centre [m], and ``tube`` the play [m].
+def _torus(place: tuple[Any, Any], axes: tuple[Vector, Vector], tube: Array, ball: Array, flank: float) -> Face:
+    """A ball in a torus: its place in the section from the section's centre [m], by its axes; ``tube`` the play [m].
 
     ``flank`` is +1 or -1, the side of the groove that this is the flank of, or 0 for both.
     """
+    (aside, outward), (across, radial) = place, axes
     distance = jnp.sqrt(aside * aside + outward * outward + ROUND**2)
     towards, up = aside / distance, outward / distance
     normal = add(scale(towards, across), scale(up, radial))

@@ -4,7 +4,7 @@ Balls touch only seat, head and cage, so with the places eliminated (they are in
 I/s - J  is  one (twist x twist) block a ball, and coupling coordinates of head, cage and seat. Blocks are eliminated ball by
 ball; what is left is one matrix of the coupling's size, whose inverse is kept.
 
-``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls (``bristles``).
+``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls (``slopes``).
 """
 
 from __future__ import annotations

@@ -32,14 +32,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import contacts
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.slopes import Bond, Slopes, dyad
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -67,18 +65,16 @@ class Band(NamedTuple):
 
     Attributes:
         penetration: (k, 1) d [m].
-        mean: (k, 3) q; hessian: (k, 3, 3) of d by p [1/m]; spread: (k,).
+        mean: (k, 3) q; spread: (k,).
         axis: (3,) of the cage; lever: (k,) [m].
     """
 
     penetration: Array
     mean: Array
-    hessian: Array
     spread: Array
     axis: Array
     lever: Array
     gate: None = None
-    gate_slope: None = None
 
 
 def band(c: Bands, place: Array, axis: Array) -> Band:
@@ -96,13 +92,8 @@ def band(c: Bands, place: Array, axis: Array) -> Band:
     edge = (jnp.sign(height) * c.sine)[:, None] * axis + share[:, None] * across
     mean = jnp.where(within[:, None], x / size[:, None], edge)
     length = dot(mean, mean)
-    plane = jnp.eye(3) - dyad(axis, axis)
-    unit = across / reach[:, None]
-    inner = (jnp.eye(3) - jnp.where(size > 1.0, 1.0, 0.0)[:, None, None] * dyad(mean, mean)) / size[:, None, None]
-    outer = share[:, None, None] * (plane - jnp.where(whole, 0.0, 1.0)[:, None, None] * dyad(unit, unit))
-    hessian = jnp.where(within[:, None, None], inner, outer) / c.width[:, None, None]
     penetration = dot(place, mean) + 0.5 * c.width * (1.0 - length) - c.clearance
-    return Band(penetration[:, None], mean, hessian, 0.5 * (1.0 - length), axis, c.lever)
+    return Band(penetration[:, None], mean, 0.5 * (1.0 - length), axis, c.lever)
 
 
 def _across(at: Band, vector: Array) -> Array:
@@ -145,74 +136,3 @@ def act(
             rubbed = hold * squared
         drag, moment = -hold * slide, -hold * swing
     return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared), bending, rubbed)
-
-
-def slopes(
-    laws: ContactLaws | LawPair, at: Band, velocity: Array, spin: Array, bristles: Array | None = None
-) -> Slopes:
-    """Derivatives of ``act`` by place and twist in the cage's axes; as ``slopes.slopes``."""
-    slide, swing, rate, squared = _slide(at, velocity, spin)
-    one = jnp.ones_like(rate)
-    normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (one,))
-    by_rate = jax.jvp(lambda r: laws.normal(at.penetration, r), (rate,), (one,))[1]
-    push = jnp.concatenate([at.mean, jnp.zeros_like(at.mean)], -1)
-    bend = jnp.concatenate([at.hessian, jnp.zeros_like(at.hessian)], -2)
-    load_place = by_depth * at.mean + by_rate * _times(at.hessian, velocity)
-    load_twist = by_rate * push
-    value = -normal * push
-    by_place = -dyad(push, load_place) - normal[..., None] * bend
-    by_twist = -dyad(push, load_twist)
-    if laws.friction is None:
-        return Slopes(value, by_place, by_twist)
-    eye, lever = jnp.eye(3), at.lever[:, None, None]
-    pull = jnp.concatenate([slide, swing], -1)
-    still = eye - dyad(at.mean, at.mean) - at.spread[:, None, None] * (eye - dyad(at.axis, at.axis))
-    turn = lever * jnp.swapaxes(jnp.cross(at.mean[:, None], eye), -1, -2)
-    moves = jnp.concatenate([jnp.concatenate([still, -turn], -1), jnp.concatenate([turn, lever**2 * still], -1)], -2)
-    slide_place = _by_mean(at, velocity) + lever * _cross(spin, at.hessian)
-    swing_place = -lever * _cross(velocity, at.hessian) + lever**2 * _by_mean(at, spin)
-    squared_place = _times(jnp.swapaxes(slide_place, -1, -2), velocity) + _times(
-        jnp.swapaxes(swing_place, -1, -2), spin
-    )
-    bond = None
-    if bristles is None:
-        mobility, slant = jax.jvp(laws.mobility, (squared,), (one,))
-    else:
-        late = bristles[..., 0]
-        (learnt, mobility), (follow, slant) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (one,))
-        forget, slant_late = jax.jvp(lambda x: laws.lag(squared, x), (late,), (one,))[1]
-        felt = -(normal * slant_late) * pull
-        learnt_place, learnt_twist = ((follow * x)[:, None, None] for x in (squared_place, 2.0 * pull))
-        bond = Bond(bristles, learnt[..., None], felt[:, None, :, None], learnt_place, learnt_twist, -forget)
-    hold, grip = normal * mobility, normal * slant
-    hold_place, hold_twist = mobility * load_place + grip * squared_place, mobility * load_twist + 2.0 * grip * pull
-    by_place = by_place - dyad(pull, hold_place) - hold[..., None] * jnp.concatenate([slide_place, swing_place], -2)
-    by_twist = by_twist - dyad(pull, hold_twist) - hold[..., None] * moves
-    return Slopes(value - hold * pull, by_place, by_twist, bond)
-
-
-def _by_mean(at: Band, vector: Array) -> Array:
-    """Derivative of A v by place, (k, 3, 3)."""
-    h = at.hessian
-    away = -dot(at.mean, vector)[:, None, None] * h - dyad(at.mean, _times(h, vector))
-    return away + dyad(_across(at, vector), _times(h, at.mean))
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return jnp.sum(matrix * vector[..., None, :], -1)
-
-
-def _cross(vector: Array, matrix: Array) -> Array:
-    """v x (each column of the matrix)."""
-    return jnp.swapaxes(jnp.cross(vector[:, None], jnp.swapaxes(matrix, -1, -2)), -1, -2)
-
-
-def depth(c: Bands, place: Array, axis: Array) -> Array:
-    """Penetration (k,) of ``band`` as one function of place (k, 3) and axis (3,), for derivatives of any order."""
-    x = place / c.width[:, None]
-    height, square = x @ axis, dot(x, x)
-    across = square - height**2
-    out, near, whole = square > 1.0, height**2 <= c.sine**2 * jnp.maximum(square, 1.0), across <= c.cosine**2
-    inner = jnp.where(out, jnp.sqrt(jnp.where(out, square, 1.0)), 0.5 * (1.0 + square))
-    rim = jnp.where(whole, 0.5 * (across + c.cosine**2), c.cosine * jnp.sqrt(jnp.where(whole, 1.0, across)))
-    return c.width * jnp.where(near, inner, jnp.abs(height) * c.sine + rim) - c.clearance

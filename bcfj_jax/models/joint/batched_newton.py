@@ -10,7 +10,8 @@ more: every instant is solved for itself.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import dataclasses
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -107,57 +108,79 @@ class _Batch(NamedTuple):
     trials: Array
 
 
-def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: Places | None = None) -> Found:
-    """Newton's method at every instant; from ``near``, a solution for other parameters, where there is one."""
-    count, n = times.size, scene.balls
-    size = 3 * n + sum(piece.stop - piece.start for piece in slices_of(scene).values())
-    width = min(_SIZE, count)
-    # All are in the batch from the start, each at its own place, and none takes another's: no queue, no order, no scatters.
-    whole = near is not None and width == count
-    alone = np.arange(count), np.full(count, -1), np.full(count, -1)
-    order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
-    order = jnp.concatenate([order, jnp.full(width, count)])
-    pitch = 2.0 * np.pi / n
-    rank, place = (slice(None), times) if whole else _neighbourhood(problem, pitch, times)
-    problem, drift = (
-        p._replace(ball=p.ball[:, :, rank], seat=p.seat[rank], torque=p.torque[rank]) for p in (problem, drift)
-    )
-    seat = problem.seat
-    span = place[right] - place[left]
-    # Clipped: between an instant placed by its time and one by its phase it has no meaning.
-    weight = jnp.clip(jnp.where(span > 0, (place - place[left]) / jnp.where(span > 0, span, 1.0), 0.5), 0.0, 1.0)
+class _Results(NamedTuple):
+    """Of T instants: places and rates (size, T), 0: not yet, 1: converged, 2: given up, and evaluations."""
 
-    def split(x: Array) -> Places:
+    known: Array
+    rates: Array
+    state: Array
+    spent: Array
+
+
+class _Carry(NamedTuple):
+    """Of the loop: the batch, where it is, how many of the queue are taken, results."""
+
+    batch: _Batch
+    x: Array
+    taken: Array
+    results: _Results
+
+
+@dataclasses.dataclass(frozen=True)
+class _Search:
+    """What does not change in a search.
+
+    Attributes:
+        scene, problem, drift: as of ``search``; instants in their order.
+        origin: where each starts (size, T); ``near``: whether that is a solution for other parameters.
+        whole: whether all are in the batch from the start, each at its own place, and none takes another's: no queue, no
+            order, no scatters.
+        order, left, right: of ``_queue``; ``weight``: where each stands between its neighbours.
+    """
+
+    scene: Joint
+    problem: Problem
+    drift: Problem
+    origin: Array
+    near: bool
+    whole: bool
+    order: Array
+    left: Array
+    right: Array
+    weight: Array
+
+    @property
+    def count(self) -> int:
+        """Of instants."""
+        return self.origin.shape[1]
+
+    def split(self, x: Array) -> Places:
+        """Places from flat ones."""
+        n = self.scene.balls
         return Places(x[: 3 * n].reshape(3, n, -1), x[3 * n :])
 
-    def instants(p: Problem, index: Array) -> Problem:
-        if whole:
-            return p
-        i = jnp.minimum(index, count - 1)
-        return p._replace(ball=p.ball[:, :, i], seat=p.seat[i], torque=p.torque[i])
+    def begin(self, width: int) -> _Carry:
+        """With a queue every place is idle in the first round: what it solves is thrown away."""
+        size, count = self.origin.shape
+        index, base = jnp.full(width, count), jnp.zeros((size, width))
+        if self.whole:
+            index, base = jnp.arange(count), self.origin
+        none, many = jnp.zeros(width), jnp.zeros((size, count))
+        batch = _Batch(index, base, jnp.zeros_like(base), none, none + 1.0, jnp.zeros(width, int))
+        results = _Results(many, many, jnp.zeros(count, int), jnp.zeros(count, int))
+        return _Carry(batch, base, jnp.asarray(count if self.whole else 0), results)
 
-    def join(at: Places) -> Array:
-        return jnp.concatenate([at.ball.reshape(3 * n, -1), at.coupling])
+    def more(self, carry: _Carry) -> Array:
+        """Whether an instant is in work; in the first round none is yet."""
+        return jnp.any(carry.batch.index < self.count) | (carry.taken == 0)
 
-    def renumbered(x: Array, i: Array, other: Array) -> Array:
-        """Places of instant ``other`` for instant ``i``: of each ball, those of the ball that was nearest to it."""
-        passed = jnp.round((seat[i] - seat[other]) / pitch).astype(int)
-        which = (jnp.arange(n)[:, None] + passed) % n
-        at = split(x)
-        return join(at._replace(ball=jnp.take_along_axis(at.ball, which[None], 1)))
-
-    origin = jnp.zeros((size, count)) if near is None else join(near)[:, rank]
-
-    def more(carry: Any) -> Array:
-        return jnp.any(carry[0].index < count) | (carry[2] == 0)
-
-    def body(carry: Any) -> Any:
-        batch, x, taken, known, rates, state, spent = carry
-        here, moving = instants(problem, batch.index), instants(drift, batch.index)
-        out, matrix = balance(scene, here, split(x))
-        step, back = solve(matrix, out, pull(scene, here, moving, matrix))
-        out, step = join(out), join(step)
-        trials = batch.trials + 1
+    def step(self, carry: _Carry) -> _Carry:
+        """One evaluation at every place of the batch; ended instants are replaced."""
+        batch, x, taken, results = carry
+        here, moving = self._instants(self.problem, batch.index), self._instants(self.drift, batch.index)
+        out, matrix = balance(self.scene, here, self.split(x))
+        step, back = solve(matrix, out, pull(self.scene, here, moving, matrix))
+        out, step, trials = _flat(out), _flat(step), batch.trials + 1
         slope = jnp.sum(out * batch.step, 0)
         turned = (slope < -_TURNED * batch.slope) & (batch.slope > 0) & (batch.part > _SHORTEST)
         longest = jnp.max(jnp.abs(step), 0)
@@ -176,36 +199,50 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
             trials,
         )
         stuck = trials == _PATIENCE
-        if near is None:
-            stuck &= left[jnp.minimum(batch.index, count - 1)] >= 0
+        if not self.near:
+            stuck &= self.left[jnp.minimum(batch.index, self.count - 1)] >= 0
         nowhere = _Batch(*(jnp.zeros_like(part) for part in batch))._replace(index=batch.index, trials=trials)
         batch = jax.tree.map(lambda new, old: jnp.where(stuck, new, old), nowhere, batch)
-        busy = batch.index < count
-        # 1: converged, 2: given up, 0: not yet.
-        news = x - step, join(displaced(scene, here, moving, back)), jnp.where(good, 1, 2), trials
-        results = noted(ended & busy, batch.index, news, (known, rates, state, spent))
+        busy = batch.index < self.count
+        rates = _flat(displaced(self.scene, here, moving, back))
+        news = _Results(x - step, rates, jnp.where(good, 1, 2), trials)
+        results = self._noted(ended & busy, batch.index, news, results)
         idle = ended | ~busy
-        candidate, guess, taken = handed_out(idle, taken, results)
-        fresh = _Batch(candidate, guess, jnp.zeros_like(x), jnp.zeros(width), jnp.ones(width), jnp.zeros(width, int))
+        candidate, guess, taken = self._handed_out(idle, taken, results)
+        none = jnp.zeros(idle.shape)
+        fresh = _Batch(candidate, guess, jnp.zeros_like(x), none, none + 1.0, none.astype(int))
         batch = jax.tree.map(lambda new, old: jnp.where(idle, new, old), fresh, batch)
-        x = batch.base - batch.part * batch.step
-        return batch, x, taken, *results
+        return _Carry(batch, batch.base - batch.part * batch.step, taken, results)
 
-    def noted(which: Array, index: Array, news: tuple, results: tuple) -> tuple:
+    def _instants(self, p: Problem, index: Array) -> Problem:
+        if self.whole:
+            return p
+        i = jnp.minimum(index, self.count - 1)
+        return p._replace(ball=p.ball[:, :, i], seat=p.seat[i], torque=p.torque[i])
+
+    def _renumbered(self, x: Array, i: Array, other: Array) -> Array:
+        """Places of instant ``other`` for instant ``i``: of each ball, those of the ball that was nearest to it."""
+        n, seat = self.scene.balls, self.problem.seat
+        passed = jnp.round((seat[i] - seat[other]) * n / (2.0 * np.pi)).astype(int)
+        which = (jnp.arange(n)[:, None] + passed) % n
+        at = self.split(x)
+        return _flat(at._replace(ball=jnp.take_along_axis(at.ball, which[None], 1)))
+
+    def _noted(self, which: Array, index: Array, news: _Results, results: _Results) -> _Results:
         """Results of all instants, with those of the batch that have ended."""
-        if whole:
+        if self.whole:
             return jax.tree.map(lambda new, old: jnp.where(which, new, old), news, results)
-        where = jnp.where(which, index, count)
+        where = jnp.where(which, index, self.count)
         return jax.tree.map(lambda new, old: old.at[..., where].set(new, mode="drop"), news, results)
 
-    def handed_out(idle: Array, taken: Array, results: tuple) -> tuple[Array, Array, Array]:
+    def _handed_out(self, idle: Array, taken: Array, results: _Results) -> tuple[Array, Array, Array]:
         """What idle places get: instants, where these start from, and how many of the queue are taken then."""
-        if whole:
-            return jnp.full(count, count), origin, taken
-        known, _, state, _ = results
+        count, left, right, state = self.count, self.left, self.right, results.state
+        if self.whole:
+            return jnp.full(count, count), self.origin, taken
         # Idle places look at the next of the queue in turn; each instant waits for its own neighbours.
         nth = taken + jnp.cumsum(idle) - 1
-        candidate = jnp.where(idle, order[jnp.minimum(nth, count)], count)
+        candidate = jnp.where(idle, self.order[jnp.minimum(nth, count)], count)
         i = jnp.minimum(candidate, count - 1)
         ready = (left[i] < 0) | ((state[left[i]] > 0) & (state[right[i]] > 0))
         # In order: what stands behind one that waits, waits.
@@ -214,16 +251,36 @@ def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: P
         taken = taken + jnp.sum(idle & (candidate < count))
         # Between the neighbours; from one where the other failed; from the origin where there is none.
         first, last = ((left[i] >= 0) & (state[s[i]] == 1) for s in (left, right))
-        share = jnp.where(first & last, weight[i], jnp.where(last, 1.0, 0.0))
-        a, b = (jnp.where(k, renumbered(known[:, s[i]], i, s[i]), 0.0) for k, s in ((first, left), (last, right)))
-        return candidate, jnp.where(left[i] < 0, origin[:, i], a + share * (b - a)), taken
+        share = jnp.where(first & last, self.weight[i], jnp.where(last, 1.0, 0.0))
+        a, b = (
+            jnp.where(k, self._renumbered(results.known[:, s[i]], i, s[i]), 0.0)
+            for k, s in ((first, left), (last, right))
+        )
+        return candidate, jnp.where(left[i] < 0, self.origin[:, i], a + share * (b - a)), taken
 
-    # With a queue, every place is idle in the first round: what it solves is thrown away.
-    index, base = (jnp.arange(count), origin) if whole else (jnp.full(width, count), jnp.zeros((size, width)))
-    none = jnp.zeros(width)
-    batch = _Batch(index, base, jnp.zeros_like(base), none, none + 1.0, jnp.zeros(width, int))
-    results = (jnp.zeros((size, count)), jnp.zeros((size, count)), jnp.zeros(count, int), jnp.zeros(count, int))
-    start = (batch, base, jnp.asarray(count if whole else 0), *results)
-    *_, known, rates, state, spent = jax.lax.while_loop(more, body, start)
+
+def _flat(at: Places) -> Array:
+    return jnp.concatenate([at.ball.reshape(-1, at.ball.shape[-1]), at.coupling])
+
+
+def search(scene: Joint, problem: Problem, drift: Problem, times: Array, near: Places | None = None) -> Found:
+    """Newton's method at every instant; from ``near``, a solution for other parameters, where there is one."""
+    count = times.size
+    width = min(_SIZE, count)
+    whole = near is not None and width == count
+    alone = np.arange(count), np.full(count, -1), np.full(count, -1)
+    order, left, right = (jnp.asarray(x) for x in (_queue(count) if near is None else alone))
+    order = jnp.concatenate([order, jnp.full(width, count)])
+    rank, place = (slice(None), times) if whole else _neighbourhood(problem, 2.0 * np.pi / scene.balls, times)
+    problem, drift = (
+        p._replace(ball=p.ball[:, :, rank], seat=p.seat[rank], torque=p.torque[rank]) for p in (problem, drift)
+    )
+    span = place[right] - place[left]
+    # Clipped: between an instant placed by its time and one by its phase it has no meaning.
+    weight = jnp.clip(jnp.where(span > 0, (place - place[left]) / jnp.where(span > 0, span, 1.0), 0.5), 0.0, 1.0)
+    start = _flat(jax.tree.map(jnp.asarray, origin(scene, count) if near is None else near))[:, rank]
+    how = _Search(scene, problem, drift, start, near is not None, whole, order, left, right, weight)
+    results = jax.lax.while_loop(how.more, how.step, how.begin(width)).results
     back = rank if isinstance(rank, slice) else jnp.argsort(rank)
-    return Found(split(known[:, back]), split(rates[:, back]), state[back] == 1, spent[back])
+    known, rates = (how.split(x[:, back]) for x in (results.known, results.rates))
+    return Found(known, rates, results.state[back] == 1, results.spent[back])

@@ -8,7 +8,7 @@ coordinates, for a wrench W on a ball from a body with arm r, relative twist h a
     body rotation:     G = K [r]x + C [h]x - [W]x  (the body's axes turn; the ball does not)
 
 and the body feels  -B' W,  whose arm also moves with p. K = dW/dplace, C = dW/dtwist, all in world axes. Where faces
-have bristles these are the slopes of a step with the bristles eliminated (``bristles``), which the chain also takes
+have bristles these are the slopes of a step with the bristles eliminated (``slopes``), which the chain also takes
 to the coordinates.
 """
 
@@ -16,20 +16,19 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.core.kept import kept
 from bcfj_jax.core.small import block_diagonal
-from bcfj_jax.models.joint import bands, system
-from bcfj_jax.models.joint.bands import Band
-from bcfj_jax.models.joint.bristles import Freed, effective, free
+from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import dot
-from bcfj_jax.models.joint.guides import BODIES, GUIDES
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.slopes import Slopes, cross_columns, slopes
+from bcfj_jax.models.joint.slopes import Freed, Slopes, effective, free, slopes
+from bcfj_jax.models.joint.system import cross_columns
 
 
 class Bristled(NamedTuple):
@@ -92,37 +91,34 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     b = scene.coupling
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
     if c.pilot_laws is not None:
-        at, motion, bent, spin = system.piloted(scene, c, state)
-        assert motion.spin is not None
-        laws, moving = c.pilot_laws, (motion.velocity, motion.spin, bent)
-        found = bands.slopes(laws, at, *moving) if isinstance(at, Band) else slopes(laws, at, *moving)
+        part, spin = system.piloted(scene, c, state), system.guided(scene, c, state)[1]
+        motion, found = part.motion, slopes(part)
         freed = None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
         value, by_place, by_twist = kept(*found[:3])
-        back = jnp.swapaxes(system.guide_maps(c, motion.arm), -1, -2)
-        moved = back @ kept(by_place - jnp.cross(by_twist[..., :3], spin[:, None, :]))
-        moved = moved + jnp.einsum("pikb,pk->pbi", c.guides.lever, value)
-        place = jnp.einsum("pbi,pic->bc", moved, c.guides.moves)
-        rate = jnp.sum(back @ by_twist @ jnp.swapaxes(back, -1, -2), 0)
+        maps = system.guide_maps(scene, c, motion.arm)
+        back = jnp.swapaxes(maps.twist, -1, -2)
+        at_inner, turned, _ = _seen(motion, spin, by_place, by_twist)
+        # Outer spheres carry their material with the inner centres.
+        moved = back @ kept(at_inner) - jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
+        place = jnp.einsum("pbi,pic->bc", moved, maps.place)
+        rate = jnp.sum(back @ by_twist @ maps.twist, 0)
         tilt = scene.slices["cage_turn"]
-        if isinstance(at, Band) and tilt is not None:
-            turned = _turned(by_place, by_twist, motion)
+        if scene.banded and tilt is not None:
             carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
             turned = turned + jnp.concatenate(carried, -2)
             place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
         if freed is not None:
-            by_place = freed.place[:, 0] - jnp.cross(freed.twist[:, 0, :, :3], spin[:, None, :])
-            by_rate = freed.twist[:, 0] @ jnp.swapaxes(back, -1, -2)
-            by_place = by_place @ c.guides.moves
+            at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
+            by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
             if scene.width == 3:
                 # An outer sphere's spin turns its bristles.
-                turns = jnp.stack([c.body_maps[BODIES.index(GUIDES[name][0]), 3:] for name in scene.pilots])
-                rate = rate + jnp.sum(back @ by_spin @ turns, 0)
-                by_rate = by_rate + freed.spin[:, 0] @ turns
-            if isinstance(at, Band) and tilt is not None:
-                by_place = by_place.at[..., tilt].add(_turned(freed.place[:, 0], freed.twist[:, 0], motion))
+                rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
+                by_rate = by_rate + freed.spin[:, 0] @ maps.turning
+            if scene.banded and tilt is not None:
+                by_place = by_place.at[..., tilt].add(turned)
             for i, name in enumerate(scene.pilots):
                 if name in scene.bristles:
                     rows.append((freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]))
@@ -133,11 +129,15 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     return place, rate, rows
 
 
-def _turned(by_place: Array, by_twist: Array, motion: system.Motion) -> Array:
-    """By turns of the cage: what a band sees turns the other way. (pilots, i, 3)."""
-    assert motion.spin is not None
-    turned = jnp.cross(by_place, motion.arm[:, None]) + jnp.cross(by_twist[..., :3], motion.velocity[:, None])
-    return turned + jnp.cross(by_twist[..., 3:], motion.spin[:, None])
+def _seen(motion: system.Motion, spins: Array, by_place: Array, by_twist: Array) -> tuple[Array, Array, Array]:
+    """A, K [r]x + C [h]x and -C B's last columns (module docstring), (..., i, 3) each, of bodies that turn at ``spins``."""
+    arm, velocity, by_velocity = motion.arm[..., None, :], motion.velocity[..., None, :], by_twist[..., :3]
+    at_ball = by_place - jnp.cross(by_velocity, spins[..., None, :])
+    turned, swung = jnp.cross(by_place, arm) + jnp.cross(by_velocity, velocity), jnp.cross(by_velocity, arm)
+    if motion.spin is None:
+        return at_ball, turned, swung
+    by_spin = by_twist[..., 3:]
+    return at_ball, turned + jnp.cross(by_spin, motion.spin[..., None, :]), swung - by_spin
 
 
 def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, bodies: Any) -> tuple[Array, ...]:
@@ -146,24 +146,19 @@ def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, 
     With m the bodies and w numbers a face, their product with the faces F:
     (n, m f, w, w); (n, k, F), (n, b, F); (n, F, 3 | k | b | b) by ball place and twist, coupling place and rate.
     """
-    motion = relative_motions.motion
-    arm, velocity, maps = motion.arm[:, bodies, None], motion.velocity[:, bodies, None], c.body_maps[bodies]
+    motion, maps = jax.tree.map(lambda x: x[:, bodies], relative_motions.motion), c.body_maps[bodies]
     n, m = freed.place.shape[:2]
     by_place, by_twist, turn, spin = (
         x.reshape(n, m, -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
     )
-    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[bodies][:, None])
-    turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity) + turn
-    swung = jnp.cross(by_twist[..., :3], arm) + spin
-    if motion.spin is not None:
-        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[:, bodies, None])
-        swung = swung - by_twist[..., 3:]
+    at_ball, turned, swung = _seen(motion, relative_motions.spins[bodies], by_place, by_twist)
+    turned, swung = turned + turn, swung + spin
     own = jnp.stack([jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)])
     # Elementwise: as tiny products of matrices these two took a quarter of what friction's states cost in a step.
     place, rate = jnp.sum(own[..., None] * maps[:, None], -2)
     pull = jnp.moveaxis(freed.pull, -2, 1)
     wrench = jnp.moveaxis(freed.pull, -2, 2).reshape(n, m, pull.shape[1], -1)
-    wrench = jnp.concatenate([wrench[..., :3, :], _moment(motion.arm[:, bodies], wrench)], -2)
+    wrench = jnp.concatenate([wrench[..., :3, :], _moment(motion.arm, wrench)], -2)
     felt = -jnp.moveaxis(jnp.sum(maps[..., None] * wrench[..., None, :], 2), 1, 2)
     merged = (x.reshape(n, -1, x.shape[-1]) for x in (at_ball, by_twist, place, rate))
     inverse = freed.inverse.reshape(n, -1, *freed.inverse.shape[-2:])
@@ -222,26 +217,16 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """
     state = system.view(scene, c, y)
     relative_motions = system.relative_motions(scene, c, state)
-    found = [
-        slopes(laws, at, motion.velocity, motion.spin, bend) for laws, at, motion, bend in relative_motions.parts()
-    ]
+    found = [slopes(part) for part in relative_motions.parts()]
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
         found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
     value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
     motion, eye = relative_motions.motion, jnp.eye(3)
-    arm, velocity = motion.arm[..., None, :], motion.velocity[..., None, :]
-
     # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
-    at_ball = by_place - jnp.cross(by_twist[..., :3], relative_motions.spins[:, None, :])
-    turned = jnp.cross(by_place, arm) + jnp.cross(by_twist[..., :3], velocity)
-    carried = jnp.cross(value[..., None, :3], eye)
-    swung = jnp.cross(by_twist[..., :3], arm)
-    if motion.spin is not None:
-        turned = turned + jnp.cross(by_twist[..., 3:], motion.spin[..., None, :])
-        carried = jnp.concatenate([carried, jnp.cross(value[..., None, 3:], eye)], -2)
-        swung = swung - by_twist[..., 3:]
-    turned = turned + carried
+    at_ball, turned, swung = _seen(motion, relative_motions.spins, by_place, by_twist)
+    carried = [jnp.cross(value[..., None, i : i + 3], eye) for i in range(0, scene.twist, 3)]
+    turned = turned + jnp.concatenate(carried, -2)
     if bent:
         turned, swung = turned + by_turn, swung + by_spin
     at_ball, turned, swung = kept(at_ball, turned, swung)

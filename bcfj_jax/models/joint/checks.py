@@ -107,7 +107,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
     (("balls", *_BALL), deflection.apart),
     (("seat_radius", "ball_radius", "pitch_radius", "offset", "contact_angle", "joint_angle"), deflection.mouth_open),
     (("seat_radius", "pitch_radius", "offset", "joint_angle"), deflection.centres_in_mouth),
-    (("seat_radius", "clearance_cage_window_end", "balls", *_BALL), deflection.webs),
+    (("seat_radius", "clearance_cage_window_end", "balls", "ball_radius"), deflection.webs),
     (("clearance_cage_window_end", "balls", *_BALL), deflection.swings),
 )
 

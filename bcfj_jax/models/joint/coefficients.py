@@ -16,7 +16,7 @@ elastic part for conformal contacts reads ``radius`` R_s (R_b on a flat) and ``r
 clearance moves its stiffness.
 
 All are formulas of ``contact.stiffness`` for contacts small against R_b; ``validity`` says where a run leaves that.
-Single balls' sizes (``unequal``) do not enter: 10 um of a radius of 8 mm change K by less than 2 %.
+Single balls' sizes (``Joint.clearance``) do not enter: 10 um of a radius of 8 mm change K by less than 2 %.
 """
 
 from __future__ import annotations

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import geometry, unequal
+from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.contacts import Groove
-from bcfj_jax.models.joint.guides import Guides, body_maps, guides
+from bcfj_jax.models.joint.guides import body_maps
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 
@@ -45,7 +47,6 @@ class Constants(eqx.Module):
     pilot_clearance: Array
     pilot_hollow: Array
     bands: Bands | None
-    guides: Guides
     body_maps: Array
     axes: Array
     radial: Array
@@ -106,63 +107,81 @@ def _bands(scene: Joint, p: Params) -> Bands:
     )
 
 
-def constants(scene: Joint, params: Params) -> Constants:
-    """Everything ``system`` reads, from the parameters [SI]."""
-    p = params
-    zero, one = jnp.zeros(()), jnp.ones(())
-    angle = p["joint_angle"]
+def _groove(scene: Joint, p: Params) -> Groove:
     gothic = scene.track == "gothic"
-    flank = p["ball_radius"] * (2.0 * p["conformity"] - 1.0) if gothic else zero
-    groove = Groove(
+    return Groove(
         radius=geometry.track_radius(p["pitch_radius"], p["offset"]),
         offset=jnp.stack([p["offset"], -p["offset"]]),
         side=jnp.array([1.0, -1.0]),
-        flank=flank,
-        sine=jnp.sin(p["contact_angle"]) if gothic else zero,
-        cosine=jnp.cos(p["contact_angle"]) if gothic else one,
-        clearance=jnp.stack([unequal.clearance(scene, p, name) for name in GROOVES], -1),
+        flank=p["ball_radius"] * (2.0 * p["conformity"] - 1.0) if gothic else jnp.zeros(()),
+        sine=jnp.sin(p["contact_angle"]) if gothic else jnp.zeros(()),
+        cosine=jnp.cos(p["contact_angle"]) if gothic else jnp.ones(()),
+        clearance=jnp.stack([scene.clearance(p, name) for name in GROOVES], -1),
         ball=p["ball_radius"],
         gothic=jnp.array([1.0, -1.0]) if gothic else jnp.array([0.0]),
     )
+
+
+def _of_balls(scene: Joint, p: Params) -> dict[str, Any]:
+    """Laws and clearances of the balls' contacts."""
+    found: dict[str, Any] = {"groove_laws": _side_by_side(scene, p, GROOVES)}
+    found |= {"window_laws": None, "ball_laws": None, "window_clearance": jnp.zeros(())}
+    found |= {"cage_laws": None, "cage_clearance": jnp.zeros(())}
+    if scene.has("cage_ball"):
+        window = scene.clearance(p, "cage_ball")
+        found["window_laws"] = laws_of(scene, p, "cage_ball")
+        found["window_clearance"] = window[:, None, None] if scene.unequal else window
+        if scene.track == "gothic":
+            found["ball_laws"] = _as_one([laws_of(scene, p, name) for name in BALLS if scene.has(name)])
+    if scene.window_ends:
+        found["cage_laws"] = _side_by_side(scene, p, BALLS[2:])
+        found["cage_clearance"] = jnp.stack([scene.clearance(p, name) for name in BALLS[2:]], -1)[..., None]
+    return found
+
+
+def _of_pilots(scene: Joint, p: Params) -> dict[str, Any]:
+    """Laws and sizes of the pilots."""
+    if not scene.pilots:
+        return {"pilot_laws": None, "pilot_clearance": jnp.zeros(0), "pilot_hollow": jnp.zeros(0), "bands": None}
     clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
-    ends = scene.has("cage_window_end")
-    window = unequal.clearance(scene, p, "cage_ball") if scene.has("cage_ball") else zero
-    window = window[:, None, None] if scene.unequal and scene.has("cage_ball") else window
-    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", zero)}
-    inverse_mass = {"head": 1.0 / p["head_mass"] * jnp.ones(3), "head_turn": 1.0 / p["head_inertia"][None]}
-    if scene.cage == "free":
-        inverse_mass |= {"cage": 1.0 / p["cage_mass"] * jnp.ones(3), "cage_turn": 1.0 / p["cage_inertia"] * jnp.ones(3)}
-    flexible = scene.drive == "flexible"
-    inverse_mass["seat_turn"] = 1.0 / p["seat_inertia"][None] if flexible else jnp.zeros(1)
-    ball = 1.0 / p["ball_mass"] * jnp.ones(3)
+    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", 0.0)}
+    return {
+        "pilot_laws": _side_by_side(scene, p, scene.pilots),
+        "pilot_clearance": jnp.stack(list(clearance.values())),
+        "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]),
+        "bands": _bands(scene, p) if scene.banded else None,
+    }
+
+
+def _inverse_masses(scene: Joint, p: Params) -> tuple[Array, Array]:
+    """Of a ball (twist,) and of the coupling coordinates (coupling,)."""
+    three = jnp.ones(3)
+    ball = three / p["ball_mass"]
     if scene.spin:
         # A solid sphere: 2/5 m r^2.
-        ball = jnp.concatenate([ball, 2.5 / (p["ball_mass"] * p["ball_radius"] ** 2) * jnp.ones(3)])
+        ball = jnp.concatenate([ball, 2.5 / (p["ball_mass"] * p["ball_radius"] ** 2) * three])
+    parts = {"head": three / p["head_mass"], "head_turn": 1.0 / p["head_inertia"][None]}
+    if scene.cage == "free":
+        parts |= {"cage": three / p["cage_mass"], "cage_turn": three / p["cage_inertia"]}
+    parts["seat_turn"] = 1.0 / p["seat_inertia"][None] if scene.drive == "flexible" else jnp.zeros(1)
+    return ball, jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
+
+
+def constants(scene: Joint, params: Params) -> Constants:
+    """Everything ``system`` reads, from the parameters [SI]."""
+    p, zero = params, jnp.zeros(())
+    angle, flexible = p["joint_angle"], scene.drive == "flexible"
     axes = jnp.stack([jnp.array([0.0, 0.0, 1.0]), geometry.head_axis(angle)])
+    ball, coupling = _inverse_masses(scene, p)
     return Constants(
-        groove=groove,
-        groove_laws=_side_by_side(scene, params, GROOVES),
-        window_laws=laws_of(scene, params, "cage_ball") if scene.has("cage_ball") else None,
-        ball_laws=_as_one([laws_of(scene, params, x) for x in BALLS if scene.has(x)])
-        if gothic and scene.has("cage_ball")
-        else None,
-        window_clearance=window if scene.has("cage_ball") else zero,
-        cage_laws=_side_by_side(scene, params, BALLS[2:]) if ends else None,
-        cage_clearance=jnp.stack([unequal.clearance(scene, p, x) for x in BALLS[2:]], -1)[..., None] if ends else zero,
-        pilot_laws=_side_by_side(scene, params, scene.pilots) if scene.pilots else None,
-        pilot_clearance=jnp.stack([clearance[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
-        pilot_hollow=jnp.stack([hollow[name] for name in scene.pilots]) if scene.pilots else jnp.zeros(0),
-        bands=_bands(scene, params) if scene.banded else None,
-        guides=guides(scene, axes),
+        groove=_groove(scene, p),
         body_maps=body_maps(scene, axes),
         axes=axes,
         radial=jnp.stack([jnp.array([1.0, 0.0, 0.0]), jnp.stack([jnp.cos(angle), zero, -jnp.sin(angle)])]),
         tangent=jnp.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]),
         bisector=geometry.bisector(angle),
         ball_inverse_mass=ball,
-        coupling_inverse_mass=jnp.concatenate(
-            [inverse_mass[name] for name, piece in scene.slices.items() if piece is not None]
-        ),
+        coupling_inverse_mass=coupling,
         drive_speed=p["drive_speed"],
         drive_stiffness=p["drive_stiffness"] if flexible else zero,
         drive_damping=p["drive_damping"] if flexible else zero,
@@ -170,4 +189,6 @@ def constants(scene: Joint, params: Params) -> Constants:
         load_ramp=p.get("load_ramp", zero),
         axial_load=p["axial_load"],
         programmes=_programmes(scene, p),
+        **_of_balls(scene, p),
+        **_of_pilots(scene, p),
     )

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -39,18 +38,12 @@ class Geometry(NamedTuple):
         normal: (..., f, 3).
         lever: (..., f) l [m].
         gate: (..., f) 1 where the face is there, 0 beyond its edge; None for a face without edges.
-        bends: [(unit vector (..., f, 3), 1/m)] the Hessian of d as a sum of dyads  e e' / R.
-        gate_slope: (..., f, 3) derivative of ``gate`` by p; None without gate.
-        lever_slope: dl/dd: -1 between spheres, whose lever shortens as they part; 0 elsewhere.
     """
 
     penetration: Array
     normal: Array
     lever: Array
-    gate: Array | None
-    bends: tuple[tuple[Array, Array], ...]
-    gate_slope: Array | None = None
-    lever_slope: float = 0.0
+    gate: Array | None = None
 
 
 class ContactForce(NamedTuple):
@@ -126,15 +119,9 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
     length = jnp.sqrt(y_t * y_t + y_a * y_a + 1e-24)
     n_t, n_a = y_t / length, y_a / length
     normal = n_t[..., None] * across + n_a[..., None] * radial
-    upward = n_a[..., None] * across - n_t[..., None] * radial
-    along = jnp.cross(radial, across)
-    bends = ((upward, 1.0 / length), (along, n_a / distance[..., None]))
-    gate = slope = None
-    if shape.gothic.size == 2:
-        gate, gate_rate = jax.jvp(sector, (shape.gothic * n_t,), (shape.gothic * n_a / length,))
-        slope = gate_rate[..., None] * upward
+    gate = sector(shape.gothic * n_t) if shape.gothic.size == 2 else None
     penetration = length - (shape.flank + shape.clearance[..., None])
-    return Geometry(penetration, normal, jnp.broadcast_to(shape.ball, t.shape + (1,)), gate, bends, slope)
+    return Geometry(penetration, normal, jnp.broadcast_to(shape.ball, penetration.shape), gate)
 
 
 def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
@@ -150,7 +137,7 @@ def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometr
     sides = jnp.array([1.0, -1.0])
     penetration = sides * dot(place, axis)[..., None] - clearance
     normal = jnp.broadcast_to(sides[:, None] * axis[..., None, :], penetration.shape + (3,))
-    return Geometry(penetration, normal, jnp.broadcast_to(ball, penetration.shape), None, ())
+    return Geometry(penetration, normal, jnp.broadcast_to(ball, penetration.shape))
 
 
 def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
@@ -165,39 +152,14 @@ def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
     """
     distance = jnp.sqrt(dot(place, place) + 1e-24)[:, None]
     normal = (place / distance)[:, None, :]
-    across = jnp.eye(3) - normal * jnp.swapaxes(normal, -1, -2)
-    # I - n n' is the sum of its own columns' dyads.
-    bends = tuple((across[:, None, :, i], 1.0 / distance) for i in range(3))
-    return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance, None, bends, None, -1.0)
+    return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance)
 
 
 def join(first: Geometry, second: Geometry) -> Geometry:
-    """Contacts with two groups of bodies side by side, (n, m, f) and (n, k, f), as one (n, m + k, f).
-
-    The second is without edges, curvature or change of lever, as a window is.
-    """
-    flat = second.normal
-    bends = tuple(
-        (
-            jnp.concatenate([jnp.broadcast_to(unit, first.normal.shape), flat], 1),
-            jnp.concatenate([jnp.broadcast_to(curve, first.normal.shape[:-1]), jnp.zeros_like(second.lever)], 1),
-        )
-        for unit, curve in first.bends
-    )
-    gate = slope = None
-    if first.gate is not None:
-        assert first.gate_slope is not None
-        gate = jnp.concatenate([first.gate, jnp.ones_like(second.lever)], 1)
-        slope = jnp.concatenate([first.gate_slope, jnp.zeros_like(flat)], 1)
-    lever = jnp.broadcast_to(first.lever, first.normal.shape[:-1])
-    return Geometry(
-        jnp.concatenate([first.penetration, second.penetration], 1),
-        jnp.concatenate([first.normal, flat], 1),
-        jnp.concatenate([lever, second.lever], 1),
-        gate,
-        bends,
-        slope,
-    )
+    """Contacts with two groups of bodies side by side, (n, m, f) and (n, k, f), as one (n, m + k, f); the second has no edges."""
+    gate = None if first.gate is None else jnp.concatenate([first.gate, jnp.ones_like(second.lever)], 1)
+    joined = (jnp.concatenate(x, 1) for x in zip(first[:3], second[:3], strict=True))
+    return Geometry(*joined, gate=gate)
 
 
 def act(

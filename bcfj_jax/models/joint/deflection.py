@@ -87,11 +87,8 @@ def on_window(
     return Fault("pitch_radius", found, f"give about {shown(pitch + cage - pole)} or less, or a larger seat_radius")
 
 
-def webs(
-    seat_radius: float, end: float, balls: float, ball_radius: float, pitch: float, offset: float, angle: float
-) -> Fault | None:
+def webs(seat_radius: float, end: float, balls: float, ball_radius: float) -> Fault | None:
     """Something is left of the cage between windows: their ends, ball_radius + clearance off their middles, meet inside."""
-    del pitch, offset, angle
     most = seat_radius * math.sin(math.pi / balls) - ball_radius
     if end < most:
         return None

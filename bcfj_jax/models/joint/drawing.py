@@ -16,11 +16,10 @@ from bcfj_jax.contact.gaps.balls import groove
 from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Mesh, Shape
 from bcfj_jax.mechanism.model import Arrow, Params, Pose, Reading, Scenery
-from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint
 from bcfj_jax.models.joint.start import nominal
-from bcfj_jax.models.joint.system import State, view
+from bcfj_jax.models.joint.system import State, cage_frame, shaft_frames, view
 
 # Bodies that carry the arrow of a contact: the second, on which the force acts.
 CARRIERS = {"seat_cage": "cage", "head_cage": "head"}
@@ -174,19 +173,12 @@ def scenery(scene: Joint, readings: Mapping[str, Reading], y: Array, params: Par
 
 
 def _poses(scene: Joint, c: Constants, state: State) -> dict[str, Pose]:
-    found = {}
-    places = (jnp.zeros(3), state.head_place)
-    turns = (state.seat_turn, state.head_turn)
-    for i, name in enumerate(("seat", "head")):
-        cosine, sine = jnp.cos(turns[i]), jnp.sin(turns[i])
-        x = cosine * c.radial[i] + sine * c.tangent[i]
-        axes = jnp.stack([x, cosine * c.tangent[i] - sine * c.radial[i], c.axes[i]], -1)
-        found[name] = Pose(places[i], axes)
+    seat, head = shaft_frames(c, state)
+    found = {"seat": Pose(jnp.zeros(3), seat), "head": Pose(state.head_place, head)}
     found["ball"] = Pose(state.ball_place, jnp.broadcast_to(jnp.eye(3), (scene.balls, 3, 3)))
-    axis = state.cage_axis
     if state.cage_azimuth is not None:
-        found["cage"] = Pose(state.cage_place, cage_axes(axis, state.cage_azimuth))
-        return found
+        return found | {"cage": Pose(state.cage_place, cage_frame(state))}
+    axis = state.cage_axis
     first = c.radial[0] - (c.radial[0] @ axis) * axis
     first = first / jnp.sqrt(first @ first)
     second = jnp.cross(axis, first)

@@ -11,25 +11,20 @@ and takes in  g N d' = d(g E)/dt + damping + edge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.numerics import positive, smooth_ramp
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import Band, act
-from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
-from bcfj_jax.models.joint.guides import GUIDES
+from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.contacts import ContactForce, Geometry
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
-
-# Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every elastic part with its
-# power n >= 1 or its root.
-_NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
 
 class Power(NamedTuple):
@@ -87,38 +82,25 @@ class Stored(NamedTuple):
 
 
 class _Acting(NamedTuple):
-    """One kind of contact in one state: its laws, where it is, the relative motion, what it does."""
+    """One group of contacts in one state: its names, its laws, where it is, the relative motion, what it does."""
 
+    names: tuple[str, ...]
     laws: ContactLaws | LawPair
+    geometry: Callable[[Array], Geometry | Band]
     at: Geometry | Band
     motion: system.Motion
     touch: ContactForce
 
 
-def _acting(scene: Joint, c: Constants, state: system.State) -> dict[str, _Acting]:
-    """Every group of contacts that is evaluated together."""
+def _acting(scene: Joint, c: Constants, state: system.State) -> list[_Acting]:
+    """Every group of contacts that is evaluated together, along the last axis but one."""
     parts = system.relative_motions(scene, c, state).parts()
-    found: dict[str, tuple] = dict(zip(("balls", "windows"), parts, strict=False))
-    if c.pilot_laws is not None:
-        at, motion, bent, _ = system.piloted(scene, c, state)
-        found["pilots"] = c.pilot_laws, at, motion, bent
-    return {
-        name: _Acting(laws, at, motion, act(laws, at, motion.velocity, motion.spin, bent))
-        for name, (laws, at, motion, bent) in found.items()
-    }
-
-
-def _elastic(laws: ContactLaws | LawPair, penetration: Array) -> Array:
-    """Elastic energy E(d) [J] of each face: integral of the law's force at rest from 0 to r(d)."""
-    if isinstance(laws, LawPair):
-        halves = (jnp.take(penetration, jnp.array([i]), laws.axis) for i in (0, 1))
-        parts = [_elastic(one, half) for one, half in zip((laws.first, laws.second), halves, strict=True)]
-        return jnp.concatenate(parts, laws.axis)
-    depth = positive(penetration) if laws.smoothing is None else smooth_ramp(penetration, laws.smoothing)[0]
-    s = _NODES.reshape(-1, *[1] * penetration.ndim)
-    weight = (2.0 * _NODES * _WEIGHTS).reshape(s.shape)
-    force = laws.law.force(depth * s * s, jnp.zeros_like(depth * s), laws.coefficients)
-    return depth * jnp.sum(weight * force, 0)
+    parts += [system.piloted(scene, c, state)] if c.pilot_laws is not None else []
+    found = []
+    for names, laws, geometry, motion, bent in parts:
+        at = geometry(motion.arm)
+        found.append(_Acting(names, laws, geometry, at, motion, act(laws, at, motion.velocity, motion.spin, bent)))
+    return found
 
 
 def _friction(part: _Acting) -> Array:
@@ -134,13 +116,10 @@ def _friction(part: _Acting) -> Array:
 def rubbed(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Power [W] that friction takes by contact, all members', in one flat state; their sum is ``Power.friction``."""
     found: dict[str, Array] = {}
-    for name, part in _acting(scene, c, system.view(scene, c, y)).items():
-        faces = _friction(part)
-        if name == "pilots":
-            found |= dict(zip(scene.pilots, jnp.sum(faces, -1), strict=True))
-        else:
-            first = BALLS.index("cage_ball") if name == "windows" else 0
-            found |= dict(zip(BALLS[first : first + faces.shape[1]], jnp.sum(faces, (0, 2)), strict=True))
+    for part in _acting(scene, c, system.view(scene, c, y)):
+        faces = jnp.sum(_friction(part), -1)
+        # Of pilots each is one; of balls all are.
+        found |= dict(zip(part.names, jnp.sum(faces, 0) if faces.ndim == 2 else faces, strict=True))
     return {contact.name: found[contact.name] for contact in scene.contacts}
 
 
@@ -153,62 +132,31 @@ def _damping(part: _Acting) -> Array:
 
 def _edge(part: _Acting) -> Array:
     """Sum of  -E dg/dt  [W] over all faces."""
-    if part.at.gate_slope is None:
+    if part.at.gate is None:
         return jnp.zeros(())
-    gate_rate = dot(part.at.gate_slope, part.motion.velocity[..., None, :])
-    return -jnp.sum(_elastic(part.laws, part.at.penetration) * gate_rate)
-
-
-def _hold(scene: Joint, c: Constants, state: system.State) -> Array:
-    """Power [W] that turns a fixed cage against its contacts."""
-    hold = jnp.zeros(())
-    if scene.cage != "fixed":
-        return hold
-    found = system.contact_forces(scene, c, state)
-    arms = {"windows": state.ball_place - state.cage_place}
-    if found.pilots is not None:
-        arms["pilots"] = system.guided(scene, c, state)[0].arm
-    for name, arm in arms.items():
-        touch = getattr(found, name)
-        if touch is not None:
-            # Minus the moment about its centre of all forces on the cage, the outer body in all of its contacts.
-            twist = jnp.cross(arm, touch.force) + (0.0 if touch.moment is None else touch.moment)
-            hold = hold + jnp.sum(twist, 0) @ state.cage_spin
-    return hold
-
-
-def _contact_torque(scene: Joint, c: Constants, state: system.State) -> Array:
-    """Contacts' generalised force on the seat's turn [N m]."""
-    piece = scene.slices["seat_turn"]
-    assert piece is not None
-    return system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))[1][piece][0]
-
-
-def torque_in(scene: Joint, c: Constants, t: Array, y: Array) -> Array:
-    """Torque on the seat [N m]: a flexible drive's; else minus the contacts', to hold the speed."""
-    state = system.view(scene, c, y)
-    if scene.drive == "flexible":
-        return system.drive_torque(scene, c, t, state)
-    return -_contact_torque(scene, c, state)
+    rate = jax.jvp(lambda arm: part.geometry(arm).gate, (part.motion.arm,), (part.motion.velocity,))[1]
+    return -jnp.sum(part.laws.energy(part.at.penetration) * rate)
 
 
 def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
     """Every flow of energy in one flat state y at time t [s]."""
     state = system.view(scene, c, y)
-    found = _acting(scene, c, state)
-    flexible = scene.drive == "flexible"
+    found, on = _acting(scene, c, state), system.on_parts(scene, c, state)
     prescribed = system.drive_motion(scene, c, t)[1]
-    speed = prescribed if flexible else state.seat_spin
-    slip = prescribed - state.seat_spin
+    speed, driving = state.seat_spin, system.drive_torque(scene, c, t, state)
+    if scene.drive == "flexible":
+        speed = prescribed
     torque, axial = system.loads(scene, c, t, state)
+    # A fixed cage is turned against its contacts.
+    held = [-loads.moment @ state.cage_spin for loads in on["cage"].values()] if scene.cage == "fixed" else []
     return Power(
-        drive=torque_in(scene, c, t, y) * speed,
-        hold=_hold(scene, c, state),
+        drive=driving * speed,
+        hold=sum(held, jnp.zeros(())),
         load=torque * state.head_spin,
         axial=axial * (state.head_velocity @ c.axes[1]),
-        friction=sum((jnp.sum(_friction(part)) for part in found.values()), jnp.zeros(())),
-        damping=sum((_damping(part) for part in found.values()), c.drive_damping * slip**2),
-        edge=sum((_edge(part) for part in found.values()), jnp.zeros(())),
+        friction=sum((jnp.sum(_friction(part)) for part in found), jnp.zeros(())),
+        damping=sum((_damping(part) for part in found), c.drive_damping * (prescribed - state.seat_spin) ** 2),
+        edge=sum((_edge(part) for part in found), jnp.zeros(())),
     )
 
 
@@ -221,8 +169,8 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
     moved = c.coupling_inverse_mass > 0
     coupling = jnp.where(moved, rates**2 / jnp.where(moved, c.coupling_inverse_mass, 1.0), 0.0)
     elastic = jnp.zeros(())
-    for part in _acting(scene, c, state).values():
-        energy = _elastic(part.laws, part.at.penetration)
+    for part in _acting(scene, c, state):
+        energy = part.laws.energy(part.at.penetration)
         elastic = elastic + jnp.sum(energy if part.at.gate is None else energy * part.at.gate)
     lag = system.drive_motion(scene, c, t)[0] - state.seat_turn
     return Stored(
@@ -234,17 +182,7 @@ def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
 
 def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Resultants on the cage of each kind of contact it has, (3,) [N] in world axes, by the contacts' names."""
-    found = system.contact_forces(scene, c, system.view(scene, c, y))
-    forces: dict[str, Array] = {}
-    if found.pilots is not None:
-        pilots = system.on_inner(scene, found.pilots)
-        for i, name in enumerate(scene.pilots):
-            forces[name] = pilots.force[i] * (1.0 if GUIDES[name][1] == "cage" else -1.0)
-    if found.windows is not None:
-        forces["cage_ball"] = -jnp.sum(found.windows.force, 0)
-    if found.ends is not None:
-        forces["cage_window_end"] = -jnp.sum(found.ends.force, 0)
-    return forces
+    return {name: loads.force for name, loads in system.on_parts(scene, c, system.view(scene, c, y))["cage"].items()}
 
 
 def cage_equilibrium(scene: Joint, c: Constants, y: Array, t: Array) -> Array:

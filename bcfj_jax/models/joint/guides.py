@@ -1,11 +1,8 @@
-"""The sphere-in-sphere contacts as constant maps from coupling velocities to relative twists."""
+"""Which sphere is in which, and how the bodies that balls touch move by the coupling's velocities."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint.scene import Joint
@@ -23,45 +20,6 @@ def pairs(scene: Joint) -> list[tuple[str, str]]:
     """
     found = [GUIDES[name] for name in scene.pilots]
     return [("cage", first if second == "cage" else second) for first, second in found] if scene.banded else found
-
-
-class Guides(NamedTuple):
-    """Twist of an inner sphere relative to the outer one's material there:  (still + sum_i arm_i lever_i) u.
-
-    "Inner" is the second body of ``pairs``, "outer" the first.
-
-    Attributes:
-        still: (pilots, 6, coupling); lever: (pilots, 3, 6, coupling); u the coupling's velocities, arm (pilots, 3) from the
-            outer centre to the inner one.
-        moves: (pilots, 3, coupling) how far the inner centre moves from the outer one, by coupling displacements.
-    """
-
-    still: Array
-    lever: Array
-    moves: Array
-
-
-def guides(scene: Joint, axes: Array) -> Guides:
-    """The maps of a scene whose seat and head turn about ``axes`` (2, 3)."""
-    count, size = len(scene.pilots), scene.coupling
-    still, lever = jnp.zeros((count, 6, size)), jnp.zeros((count, 3, 6, size))
-    moves = np.zeros((count, 3, size))
-    eye = jnp.eye(3)
-    for index, pair in enumerate(pairs(scene)):
-        for sign, body in zip((-1.0, 1.0), pair, strict=True):
-            place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
-            if place is not None:
-                moves[index, :, place] += sign * np.eye(3)
-                still = still.at[index, :3, place].add(sign * eye)
-            if turn is None:
-                continue
-            ways = eye if body == "cage" else axes[0 if body == "seat" else 1][:, None]
-            still = still.at[index, 3:, turn].add(sign * ways)
-            if sign < 0:
-                # The outer body carries its material at the inner centre:  w x arm.
-                swept = jnp.cross(ways.T[None], eye[:, None])
-                lever = lever.at[index, :, :3, turn].add(sign * jnp.swapaxes(swept, 1, 2))
-    return Guides(still, lever, jnp.asarray(moves))
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:

@@ -6,16 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_force
-from bcfj_jax.core.numerics import smooth_step
+from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
 
 # A bristle that touches nothing springs back: over this gap [m], with this time constant [s].
 GAP, RELAX = 1e-6, 1e-5
+# Gauss-Legendre on (0, 1) in s, x = r s^2: exact for d^1.5, and to rounding for every elastic part with its
+# power n >= 1 or its root.
+_NODES, _WEIGHTS = (0.5 * (x + shift) for x, shift in zip(np.polynomial.legendre.leggauss(24), (1.0, 0.0), strict=True))
 
 
 class ContactLaws(eqx.Module):
@@ -37,8 +43,9 @@ class ContactLaws(eqx.Module):
         return regularised_force(self.law, penetration, rate, self.coefficients, self.smoothing)
 
     def mobility(self, slip_squared: Array) -> Array:
-        """mu(|v|)/|v| [s/m]: the traction is  -N mobility v."""
-        assert self.friction is not None
+        """mu(|v|)/|v| [s/m], zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(slip_squared)
         return self.friction.mobility(slip_squared, self.coefficients)
 
     def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
@@ -58,6 +65,13 @@ class ContactLaws(eqx.Module):
         """0 wherever there may be a normal force, 1 from a gap of ``GAP`` beyond; C1."""
         return smooth_step((-penetration - (0.0 if self.smoothing is None else self.smoothing)) / GAP)
 
+    def energy(self, penetration: Array) -> Array:
+        """Elastic energy E(d) [J]: integral of the law's force at rest from 0 to r(d), the regularised penetration."""
+        depth = positive(penetration) if self.smoothing is None else smooth_ramp(penetration, self.smoothing)[0]
+        s = _NODES.reshape(-1, *[1] * penetration.ndim)
+        force = self.law.force(depth * s * s, jnp.zeros_like(depth * s), self.coefficients)
+        return depth * jnp.sum((2.0 * _NODES * _WEIGHTS).reshape(s.shape) * force, 0)
+
 
 class LawPair(eqx.Module):
     """Two unlike ``ContactLaws`` side by side: the first along index 0 of axis ``axis``, the second along index 1."""
@@ -71,36 +85,32 @@ class LawPair(eqx.Module):
         """A friction law where either has one."""
         return self.first.friction or self.second.friction
 
+    def _each(self, answer: str, *given: Array) -> Any:
+        """What both answer to their halves, side by side."""
+        halves = [[jnp.take(x, jnp.array([i]), self.axis) for x in given] for i in (0, 1)]
+        parts = [getattr(laws, answer)(*half) for laws, half in zip((self.first, self.second), halves, strict=True)]
+        return jax.tree.map(lambda *x: jnp.concatenate(x, self.axis), *parts)
+
     def normal(self, penetration: Array, rate: Array) -> Array:
-        """As ``ContactLaws.normal``."""
-        a, b = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
-        p, q = (jnp.take(rate, jnp.array([i]), self.axis) for i in (0, 1))
-        return jnp.concatenate([self.first.normal(a, p), self.second.normal(b, q)], self.axis)
+        """As ``ContactLaws.normal``; what follows likewise."""
+        return self._each("normal", penetration, rate)
 
     def mobility(self, slip_squared: Array) -> Array:
-        """As ``ContactLaws.mobility``; 0 for the one without friction."""
-        parts = []
-        for index, laws in enumerate((self.first, self.second)):
-            slip = jnp.take(slip_squared, jnp.array([index]), self.axis)
-            parts.append(laws.mobility(slip) if laws.friction is not None else jnp.zeros_like(slip))
-        return jnp.concatenate(parts, self.axis)
+        """0 for the one without friction."""
+        return self._each("mobility", slip_squared)
 
     def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
         """As ``ContactLaws.bond``."""
-        slips = (jnp.take(slip_squared, jnp.array([i]), self.axis) for i in (0, 1))
-        parts = (laws.bond(slip) for laws, slip in zip((self.first, self.second), slips, strict=True))
-        first, second, third = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
-        return first, second, third
+        return self._each("bond", slip_squared)
 
     def lag(self, slip_squared: Array, late: Array) -> tuple[Array, Array]:
         """As ``ContactLaws.lag``."""
-        slips, lates = ([jnp.take(x, jnp.array([i]), self.axis) for i in (0, 1)] for x in (slip_squared, late))
-        parts = [laws.lag(*each) for laws, *each in zip((self.first, self.second), slips, lates, strict=True)]
-        rate, mobility = (jnp.concatenate(x, self.axis) for x in zip(*parts, strict=True))
-        return rate, mobility
+        return self._each("lag", slip_squared, late)
 
     def apart(self, penetration: Array) -> Array:
         """As ``ContactLaws.apart``."""
-        depths = (jnp.take(penetration, jnp.array([i]), self.axis) for i in (0, 1))
-        parts = [laws.apart(depth) for laws, depth in zip((self.first, self.second), depths, strict=True)]
-        return jnp.concatenate(parts, self.axis)
+        return self._each("apart", penetration)
+
+    def energy(self, penetration: Array) -> Array:
+        """As ``ContactLaws.energy``."""
+        return self._each("energy", penetration)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -16,9 +17,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact import laws as normal_laws
-from bcfj_jax.core import limits, quantities
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
@@ -41,7 +40,6 @@ from bcfj_jax.models.joint import (
     engineering,
     envelope,
     moments,
-    programmes,
     summary,
     system,
     validity,
@@ -49,6 +47,7 @@ from bcfj_jax.models.joint import (
 )
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
+from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.checks import check_joint, suspects
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
@@ -56,28 +55,22 @@ from bcfj_jax.models.joint.fidelity import adaptive, resolved
 from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
+from bcfj_jax.models.joint.options import (
+    GROUPS,
+    JointCage,
+    JointDrive,
+    JointGeometry,
+    JointLoads,
+    JointMaterials,
+    JointOptions,
+    instead,
+    keyed,
+    with_keys,
+)
 from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import scales, tolerance
-from bcfj_jax.models.joint.scene import (
-    AUTO,
-    CAGES,
-    CONTACTS,
-    DRIVES,
-    FIDELITIES,
-    GEOMETRY,
-    GIVEN,
-    GROOVES,
-    HEADS,
-    OF_A_BALL,
-    PILOTS,
-    STIFFNESSES,
-    TRACKS,
-    USUAL,
-    WINDOW_END,
-    Joint,
-    JointContact,
-)
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
 from bcfj_jax.models.joint.start import nominal
 
 # What the levels without inertia leave out.
@@ -381,166 +374,44 @@ class JointModel(Joint):
 
 
 def joint(
-    law: str = "memory_free",
-    elastic: str | None = None,
-    smoothing: bool = True,
-    friction: bool | str = True,
-    laws: Mapping[str, str] | None = None,
-    frictions: Mapping[str, bool | str] | None = None,
-    elastics: Mapping[str, str] | None = None,
-    stiffness: str = GIVEN,
-    stiffnesses: Mapping[str, str] | None = None,
-    contacts: Sequence[str] | None = None,
-    track: str = "gothic",
-    spin: bool | None = None,
-    unequal: bool = False,
-    cage: str = "free",
-    window_ends: bool | None = None,
-    bands: bool | None = None,
-    head: str = "free",
-    drive: str = "prescribed",
+    geometry: JointGeometry | None = None,
+    cage: JointCage | str | None = None,
+    materials: JointMaterials | None = None,
+    drive: JointDrive | str | None = None,
+    loads: JointLoads | None = None,
     fidelity: str = "dynamic",
-    balls: int = 6,
-    drive_profile: str = "constant",
-    drive_table: list[list[Any]] | str | None = None,
-    load_profile: str = "smooth",
-    load_table: list[list[Any]] | str | None = None,
-    axial_profile: str = "constant",
-    axial_table: list[list[Any]] | str | None = None,
-    fluctuating: Sequence[str] | None = None,
-    torque_reversal: bool = False,
-    stick_slip: bool = False,
+    **old: Any,
 ) -> JointModel:
     """The ball-cage flexible joint: a driven seat, a loaded head, a cage and balls (physics sheet 5).
 
     What an option takes out is not in the program. Force components: ``joint.observe``.
 
     Args:
-        law, elastic, smoothing: as ``impact``, for every contact. A law stated by restitution takes the parameter
-            ``approach_speed`` for all impacts, as the paper does.
-        friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
-        laws, frictions: other normal-force and friction laws for single contacts, by name.
-        elastics: other elastic parts for single contacts, by name, such as seat_cage = "liu_sphere". The radii of one
-            that reads them are the joint's own, so that clearance moves it.
-        stiffness: one of given, geometry. given: a parameter. geometry: of Hertz contacts of the joint's own radii,
-            conformity and clearances, and of effective_modulus.
-        stiffnesses: as stiffness for single contacts, by name, such as seat_cage = "geometry".
-        contacts: those there are; by default all, but seat_cage and cage_window_end where the cage is fixed. Balls need
-            both of theirs.
-        track: one of gothic, circular: two flanks at the contact angle, or one, of the ball's radius and clearance.
-        spin: true lets the balls turn, and so roll; false makes each a particle at its centre. By default true where
-            friction turns them, but not where it keeps a state (memory, frictional_lag, lugre): they then roll and slip
-            by turns, in many times the steps.
-        unequal: true gives each ball an oversize of its radius and each of its contacts an extra clearance, by default
-            0: ball_2.oversize, seat_ball_2.extra_clearance and so on.
-        cage: one of free, fixed: to the bisecting plane, turning with the drive.
-        window_ends: true gives a free cage's windows ends: the contact cage_window_end of every ball, and the cage's
-            azimuth as a state. By default true where contacts are not listed. Without, friction lets the cage slip
-            through its own windows.
-        bands: true lets the cage's pilots, seat_cage and head_cage, bear up to the latitude pilot_band alone, where a cage
-            ends, and on its edges; false makes them full spheres. By default true unless they have bristles (lugre), which
-            a band has not.
-        head: one of free, fixed: at the centre; it turns about its own axis either way.
-        drive: one of prescribed, flexible: adds seat_inertia, drive_stiffness and drive_damping.
-        fidelity: one of kinematic, quasistatic, dynamic, auto. kinematic: closed-form load sharing. quasistatic:
-            equilibrium at each instant, without friction. dynamic: motion. auto: the cheapest that keeps the accuracy
-            asked for, and motion of the last pitch repeated where it repeats itself. A scene file that gives none:
-            dynamic, and at the level fast auto.
-        balls: 3 or more, each in a track of its own.
-        drive_profile: one of constant, smooth, step, linear, table. The speed rises from start_speed, 0 by default, to
-            drive_speed over drive_ramp; step is the ADAMS STEP.
-        drive_table: [[times], [speeds]] of the profile table, or a CSV file with two columns; drive_speed scales it.
-        load_profile: one of smooth, step, linear, table. How the torque rises over load_ramp.
-        load_table: [[times], [torques]] of the profile table, or a CSV file; load_torque scales it.
-        axial_profile: one of constant, smooth, step, linear, table. The axial load, there from the start or raised over
-            axial_ramp.
-        axial_table: [[times], [forces]] of the profile table, or a CSV file; axial_load scales it.
-        fluctuating: of torque, axial. Which loads swing about their size, by load_amplitude at load_frequency, and by
-            axial_amplitude at axial_frequency.
-        torque_reversal: true lets the torque change its sign, from reversal_time on, over reversal_ramp.
-        stick_slip: true lets the torque fall with the head's speed as a bit's does: joint.programmes.falling.
+        geometry: bodies and tracks; defaults where this or another group is left out.
+        cage: how it is held, and where it bears.
+        materials: contacts and their laws.
+        drive, loads: what turns the seat, and what the head bears.
+        fidelity: one of kinematic, quasistatic, dynamic, auto, as ``JointOptions``.
+        old: single options as keywords, by the names of the groups' fields; deprecated.
 
     Raises:
         InputError: for a name that is not known, and for contacts that do not make a joint.
     """
-    where = "scene 'joint'"
-    choices = {"track": TRACKS, "cage": CAGES, "head": HEADS}
-    choices |= {"drive": DRIVES, "fidelity": (*FIDELITIES, AUTO), "stiffness": STIFFNESSES}
-    given = {"track": track, "cage": cage, "head": head, "drive": drive, "fidelity": fidelity, "stiffness": stiffness}
-    for name, value in given.items():
-        if value not in choices[name]:
-            raise InputError(f"{where} {name}", f"no {name} '{value}'", nearest(value, choices[name]))
-    balls = quantities.whole(f"{where} balls", balls, least=0)
-    if not 3 <= balls <= limits.MEMBERS:
-        raise InputError(
-            f"{where} balls", f"{balls} balls", f"give a whole number from 3 to {limits.MEMBERS}: a joint has 3 or more"
-        )
-    names = tuple(contacts) if contacts is not None else USUAL[1:] if cage == "fixed" else USUAL
-    # Who lists contacts has listed those of the windows.
-    ends = contacts is None if window_ends is None else window_ends
-    if ends and cage == "free" and "cage_ball" in names and WINDOW_END not in names:
-        names = (*names, WINDOW_END)
-    own = {"laws": laws, "frictions": frictions, "elastics": elastics, "stiffnesses": stiffnesses}
-    for what, group in {"contacts": names, **own}.items():
-        for name in group or ():
-            if name not in CONTACTS:
-                raise InputError(f"{where} {what}", f"no contact '{name}'", nearest(name, CONTACTS))
-            if name not in names:
-                found = f"'{name}' is not among the contacts"
-                raise InputError(f"{where} {what}", found, f"there are {', '.join(names)}")
-    for what, (one, known) in {
-        "laws": ("law", normal_laws.LAWS), "elastics": ("elastic part", normal_laws.ELASTIC),
-        "stiffnesses": ("stiffness", STIFFNESSES),
-    }.items():  # fmt: skip
-        for name, value in (own[what] or {}).items():
-            if value not in known:
-                raise InputError(f"{where} {what}", f"{name}: no {one} {quoted(value)}", nearest(value, known))
-    missing = [name for name in GROOVES if name not in names]
-    if missing:
-        raise InputError(
-            f"{where} contacts", f"without {missing[0]}", "give it: balls need both tracks to carry torque"
-        )
-    if cage == "fixed" and "seat_cage" in names:
-        raise InputError(
-            f"{where} contacts", "seat_cage with a fixed cage", "remove it: seat and fixed cage never touch"
-        )
-    if WINDOW_END in names and cage == "fixed":
-        remedy = f"remove {WINDOW_END}: a fixed cage turns as the drive does"
-        raise InputError(f"{where} contacts", f"{WINDOW_END} with a fixed cage", remedy)
-    if WINDOW_END in names and "cage_ball" not in names:
-        remedy = "add cage_ball: a window that has ends has faces"
-        raise InputError(f"{where} contacts", f"{WINDOW_END} without cage_ball", remedy)
-    if cage == "free" and fidelity == "quasistatic" and not set(PILOTS) & set(names):
-        found = "only the windows hold the free cage, so it has no equilibrium"
-        raise InputError(f"{where} contacts", found, f"add {' or '.join(PILOTS)}, or give cage = 'fixed'")
-    over_time = programmes.made(
-        where, drive_profile, drive_table, load_profile, load_table, axial_profile, axial_table, fluctuating,
-        torque_reversal, stick_slip,
-    )  # fmt: skip
-    if not over_time.usual and fidelity != "dynamic":
-        remedy = "give fidelity = 'dynamic'"
-        raise InputError(f"{where} fidelity", f"'{fidelity}' with a drive or a load over time", remedy)
-    if over_time.drive is not None and cage == "fixed":
-        raise InputError(
-            f"{where} drive_profile", f"'{drive_profile}' with a fixed cage, which turns evenly", "give cage = 'free'"
-        )
-    ordered = [name for name in CONTACTS if name in names]
-    made = tuple(
-        JointContact(
-            name,
-            normal_laws.make((laws or {}).get(name, law), (elastics or {}).get(name, elastic)),
-            normal_laws.make_friction((frictions or {}).get(name, friction)),
-            (stiffnesses or {}).get(name, stiffness) == GEOMETRY,
-        )
-        for name in ordered
-    )
-    rubs = {contact.name: contact.friction for contact in made if contact.friction}
-    balls_rub = [rubs[name] for name in OF_A_BALL if name in rubs]
-    if spin is None:
-        spin = bool(balls_rub) and not any(law.bristles or law.lags for law in balls_rub)
-    if bands is None:
-        bands = not any(rubs[name].bristles for name in PILOTS if name in rubs)
-    return JointModel(
-        contacts=made, balls=balls, track=track, spin=spin, unequal=unequal, cage=cage, bands=bands, head=head,
-        drive=drive, smoothing=smoothing, fidelity=fidelity, programmes=over_time,
-    )  # fmt: skip
+    given = {"geometry": geometry, "cage": cage, "materials": materials, "drive": drive, "loads": loads}
+    # Of the old keywords two have the name of a group.
+    old |= {name: given.pop(name) for name in ("cage", "drive") if isinstance(given[name], str)}
+    for name, group in given.items():
+        if not (group is None or isinstance(group, GROUPS[name])):
+            found, kind = f"{name} = {quoted(group)}", GROUPS[name].__name__
+            raise InputError("scene 'joint'", found, f"give {name} = bj.scenes.{kind}(...)")
+    options = JointOptions(fidelity=fidelity, **{name: group for name, group in given.items() if group is not None})
+    if old:
+        options = with_keys(options, old, "scene 'joint'")
+        warnings.warn(f"joint({', '.join(old)}): {instead(old)}", DeprecationWarning, stacklevel=2)
+    return JointModel(**structure(options))
+
+
+@keyed
+def joint_of_keys(**given: Any) -> JointModel:
+    """The ball-cage flexible joint from the keys of [scene] of a scene file."""
+    return JointModel(**structure(with_keys(JointOptions(), given, "scene 'joint'")))

@@ -56,8 +56,8 @@ def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, couplin
     if "cage" in slices:
         parts["cage"] = coupling[:, where["cage"]].T
         torque = coupling[:, where["cage_turn"]].T
-        axis, first, _ = tilted_axis(problem.c, at.coupling[slices["tilt"]] / lever)
-        parts["tilt"] = jnp.stack([jnp.sum(torque * jnp.cross(axis, way, axis=0), 0) for way in first]) / lever
+        axis, ways = jax.vmap(partial(tilted_axis, problem.c), 1, (1, 2))(at.coupling[slices["tilt"]] / lever)
+        parts["tilt"] = jnp.sum(torque[:, None] * jnp.cross(axis[:, None], ways, axis=0), 0) / lever
     return Places(jnp.transpose(ball[..., :3], (2, 1, 0)), jnp.concatenate([parts[name] for name in slices]))
 
 

@@ -1,7 +1,7 @@
 """Moments of the contacts on cage, seat and head, and what the bearings of both shafts take.
 
 Of every body the moments are about its own centre (of the seat: about the joint's), those of the contacts alone. The
-cage's are in its own axes (``attitude.cage_axes``). Axes of a shaft: z along it, y across the plane of both shafts
+cage's are in its own axes (``system.cage_frame``). Axes of a shaft: z along it, y across the plane of both shafts
 (world y), x in that plane, so that those of the seat are the world's.
 
 The bearings of a shaft hold it against all but its turning:
@@ -24,20 +24,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import ContactForce
-from bcfj_jax.models.joint.guides import pairs
-from bcfj_jax.models.joint.scene import CONTACTS, GROOVES, WINDOW_END, Joint
+from bcfj_jax.models.joint.scene import CONTACTS, Joint
+from bcfj_jax.models.joint.system import Loads
 
 SHAFTS = ("seat", "head")
-
-
-class Loads(NamedTuple):
-    """Force (..., 3) [N] and moment (..., 3) [N m] about a body's centre."""
-
-    force: Array
-    moment: Array
 
 
 class Moments(NamedTuple):
@@ -54,40 +45,11 @@ class Moments(NamedTuple):
     secondary: dict[str, Array]
 
 
-def on_parts(scene: Joint, c: Constants, state: system.State) -> dict[str, dict[str, Loads]]:
-    """By body and contact what the contact exerts on the body, in world axes."""
-    found = system.contact_forces(scene, c, state)
-    places = {"seat": jnp.zeros(3), "head": state.head_place, "cage": state.cage_place}
-    exerted: dict[str, dict[str, Loads]] = {body: {} for body in places}
-
-    def by_balls(name: str, body: str, touch: ContactForce) -> None:
-        turning = jnp.cross(state.ball_place - places[body], touch.force)
-        turning = turning if touch.moment is None else turning + touch.moment
-        exerted[body][name] = Loads(-jnp.sum(touch.force, 0), -jnp.sum(turning, 0))
-
-    for i, name in enumerate(GROOVES):
-        groove = found.grooves
-        moment = None if groove.moment is None else groove.moment[:, i]
-        by_balls(name, name.removesuffix("_ball"), groove._replace(force=groove.force[:, i], moment=moment))
-    for name, touch in (("cage_ball", found.windows), (WINDOW_END, found.ends)):
-        if touch is not None:
-            by_balls(name, "cage", touch)
-    if found.pilots is not None:
-        arms = system.guided(scene, c, state)[0].arm
-        assert found.pilots.moment is not None
-        for i, (name, (outer, inner)) in enumerate(zip(scene.pilots, pairs(scene), strict=True)):
-            force, moment = found.pilots.force[i], found.pilots.moment[i]
-            exerted[inner][name] = Loads(force, moment)
-            exerted[outer][name] = Loads(-force, -moment - jnp.cross(arms[i], force))
-    return exerted
-
-
 def moments(scene: Joint, c: Constants, t: Array, y: Array) -> Moments:
     """Everything in ``Moments`` of one flat state at time t [s]."""
     state = system.view(scene, c, y)
-    exerted = on_parts(scene, c, state)
-    azimuth = state.seat_turn if state.cage_azimuth is None else state.cage_azimuth
-    turned = cage_axes(state.cage_axis, azimuth)
+    exerted = system.on_parts(scene, c, state)
+    turned = system.cage_frame(state)
     bearings, secondary = {}, {}
     normal = jnp.array([0.0, 1.0, 0.0])
     for i, shaft in enumerate(SHAFTS):

@@ -24,19 +24,20 @@ from jax import Array
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
 from bcfj_jax.models.joint import energy
-from bcfj_jax.models.joint.attitude import cage_axes
 from bcfj_jax.models.joint.constants import Constants, constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
 from bcfj_jax.models.joint.moments import Moments, moments
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 from bcfj_jax.models.joint.system import (
     State,
+    cage_frame,
     contact_forces,
     drive_torque,
     field,
-    on_bodies,
     on_inner,
+    on_parts,
     relative_motions,
+    shaft_frames,
     view,
 )
 
@@ -99,15 +100,11 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     World axes: z the seat's axis, x in the plane of both axes, the head's axis leaning to +x. Forces are those on the
     second body: on the cage of seat_cage, on the head of head_cage, on the balls of all others.
     """
-    found = contact_forces(scene, c, view(scene, c, y))
-    sums = {name: jnp.sum(found.grooves.force[:, i], 0) for i, name in enumerate(GROOVES)}
-    if found.windows is not None:
-        sums["cage_ball"] = jnp.sum(found.windows.force, 0)
-    if found.ends is not None:
-        sums["cage_window_end"] = jnp.sum(found.ends.force, 0)
-    if found.pilots is not None:
-        pilots = on_inner(scene, found.pilots)
-        sums |= {name: pilots.force[i] for i, name in enumerate(scene.pilots)}
+    exerted = on_parts(scene, c, view(scene, c, y))
+    first = {"seat_ball": "seat", "head_ball": "head", "cage_ball": "cage", "cage_window_end": "cage"}
+    second = {"seat_cage": "cage", "head_cage": "head"}
+    of_balls = {name: -exerted[body][name].force for name, body in first.items() if name in exerted[body]}
+    sums = of_balls | {name: exerted[second[name]][name].force for name in scene.pilots}
     return {contact.name: sums[contact.name] for contact in scene.contacts}
 
 
@@ -141,36 +138,28 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
         piece = scene.slices[name]
         return zero if piece is None else rates[piece]
 
-    _, loads = on_bodies(scene, c, state, contact_forces(scene, c, state))
-    seat = scene.slices["seat_turn"]
-    assert seat is not None
-    flexible = scene.drive == "flexible"
-    drive = drive_torque(scene, c, t, state) if flexible else -loads[seat][0]
     found = {"ball": BodyMotion(state.ball_place, state.ball_velocity, ball[:, :3])}
     if scene.spin:
         found["ball"] = found["ball"]._replace(spin=state.ball_spin, spin_rate=ball[:, 3:])
+    frames = shaft_frames(c, state)
+    places, velocities = (zero, state.head_place), (zero, state.head_velocity)
     for i, (name, turn, spin) in enumerate(
         (("seat", state.seat_turn, state.seat_spin), ("head", state.head_turn, state.head_spin))
     ):
-        cosine, sine = jnp.cos(turn), jnp.sin(turn)
-        x = cosine * c.radial[i] + sine * c.tangent[i]
         found[name] = BodyMotion(
-            place=state.head_place if i else zero,
-            velocity=state.head_velocity if i else zero,
+            place=places[i],
+            velocity=velocities[i],
             acceleration=of("head") if i else zero,
-            axes=jnp.stack([x, cosine * c.tangent[i] - sine * c.radial[i], c.axes[i]], -1),
+            axes=frames[i],
             spin=spin * c.axes[i],
             spin_rate=of(f"{name}_turn")[0] * c.axes[i],
             angle=turn,
-            drive=None if i else drive,
+            drive=None if i else drive_torque(scene, c, t, state),
         )
     found["cage"] = BodyMotion(
-        state.cage_place, state.cage_velocity, of("cage"), spin=state.cage_spin, spin_rate=of("cage_turn")
-    )
-    if state.cage_azimuth is not None:
-        found["cage"] = found["cage"]._replace(angle=state.cage_azimuth)
-    azimuth = state.seat_turn if state.cage_azimuth is None else state.cage_azimuth
-    found["cage"] = found["cage"]._replace(axes=cage_axes(state.cage_axis, azimuth))
+        state.cage_place, state.cage_velocity, of("cage"), cage_frame(state), state.cage_spin, of("cage_turn"),
+        angle=state.cage_azimuth,
+    )  # fmt: skip
     return found
 
 

@@ -34,7 +34,6 @@ from bcfj_jax.mechanism.sizes import Params, Size
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint, JointContact
 from bcfj_jax.models.joint.start import nominal
-from bcfj_jax.models.joint.unequal import clearance
 
 
 def as_mechanism(joint: Joint) -> Mechanism:
@@ -213,7 +212,7 @@ class _OfEachBall(eqx.Module):
     contact: str = eqx.field(static=True)
 
     def __call__(self, p: Params) -> Array:
-        return clearance(self.joint, p, self.contact)
+        return self.joint.clearance(p, self.contact)
 
 
 class _Derived(eqx.Module):

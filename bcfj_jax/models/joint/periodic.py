@@ -85,8 +85,7 @@ def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: boo
 
 def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.ndarray, axis: int = 1) -> np.ndarray:
     """Values (T, balls, ...) of instants that many pitches later: ball j does what ball j + pitches did."""
-    turned = (0 if scene.unequal else np.sign(float(params["drive_speed"])).astype(int)) * pitches
-    which = (np.arange(scene.balls) + turned[:, None]) % scene.balls
+    which = (np.arange(scene.balls) + (_ways(scene, params) * pitches)[:, None]) % scene.balls
     return np.take_along_axis(values, which.reshape(*which.shape, *[1] * (values.ndim - 2)), axis)
 
 
@@ -101,32 +100,37 @@ def unfolded(
     return found
 
 
+def _orders(scene: Joint) -> np.ndarray:
+    """Where the flat state of a joint whose balls are renumbered by so many stands in the state itself, (balls, n)."""
+    n, width = scene.balls, scene.width * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
+    orders = np.tile(np.arange(scene.states), (n, 1))
+    for first, size in ((0, 3), (3 * n + scene.coupling, scene.twist), (scene.moving, width)):
+        balls = np.arange(first, first + n * size).reshape(n, size)
+        for shift in range(n):
+            orders[shift, first : first + n * size] = np.roll(balls, -shift, 0).ravel()
+    return orders
+
+
 def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.ndarray) -> np.ndarray:
     """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
-    n, k, wanted = scene.balls, scene.twist, states[folded.index].copy()
-    width = scene.width * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
-    velocities = 3 * n + scene.coupling
-    for first, size in ((0, 3), (velocities, k), (scene.moving, width)):
-        part = wanted[:, first : first + n * size]
-        balls = _renumbered(scene, params, part.reshape(len(part), n, size), folded.pitches)
-        wanted[:, first : first + n * size] = balls.reshape(part.shape)
-    turned = _angle(scene, params) * folded.pitches
-    wanted[:, _turning(scene)] += turned[:, None]
+    which = _ways(scene, params) * folded.pitches % scene.balls
+    wanted = np.take_along_axis(states[folded.index], _orders(scene)[which], 1)
+    wanted[:, _turning(scene)] += (_angle(scene, params) * folded.pitches)[:, None]
     return wanted
 
 
 def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
     """Flat state (n,) that a joint in steady motion had a pitch ago. JAX, pure."""
-    n, k = scene.balls, scene.twist
-    width = scene.width * sum(faces for name, faces in scene.bristles.items() if name in OF_A_BALL)
-    forward = jnp.asarray(params["drive_speed"]) > 0.0
-    parts = () if scene.unequal else ((0, 3), (3 * n + scene.coupling, k), (scene.moving, width))
-    for first, size in parts:
-        balls = state[first : first + n * size].reshape(n, size)
-        balls = jnp.where(forward, jnp.roll(balls, 1, 0), jnp.roll(balls, -1, 0))
-        state = state.at[first : first + n * size].set(balls.ravel())
-    turned = 2.0 * jnp.pi * scene.pitches / n * jnp.sign(params["drive_speed"])
-    return state.at[np.array(_turning(scene))].add(-turned)
+    way = jnp.sign(jnp.asarray(params["drive_speed"]))
+    if not scene.unequal:
+        orders = _orders(scene)
+        state = jnp.where(way > 0.0, state[orders[-1]], state[orders[1]])
+    return state.at[np.array(_turning(scene))].add(-2.0 * jnp.pi * scene.pitches / scene.balls * way)
+
+
+def _ways(scene: Joint, params: Params) -> int:
+    """By how many a pitch renumbers the balls."""
+    return 0 if scene.unequal else int(np.sign(float(params["drive_speed"])))
 
 
 def _angle(scene: Joint, params: Params) -> float:

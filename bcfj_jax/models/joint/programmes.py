@@ -14,7 +14,6 @@ Without any the torque rises smoothly, axial load and speed are constant, and no
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -30,6 +29,7 @@ from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.programmes import SHAPES, Programme, Table, checked_table
+from bcfj_jax.models.joint.options import JointDrive, JointLoads
 
 # A torque that rises over ``load_ramp``, C2.
 RISE = Programme("load_torque", "load_ramp")
@@ -141,65 +141,64 @@ def drive_at(programmes: Programmes, t: Array, p: Params) -> tuple[Array, Array,
     return programmes.drive.motion(t, "seat", p)
 
 
-def made(
-    where: str, drive_profile: str, drive_table: Any, load_profile: str, load_table: Any, axial_profile: str,
-    axial_table: Any, fluctuating: Sequence[str] | None, torque_reversal: bool, stick_slip: bool,
-) -> Programmes:  # fmt: skip
-    """Programmes from the options of ``model.joint``.
+def made(where: str, drive: JointDrive, loads: JointLoads) -> Programmes:
+    """Programmes from options.
 
     Raises:
         InputError: for a profile that is not known, a table without its profile or the other way round, and what does
             not go together.
     """
-    given = {"drive_profile": drive_profile, "load_profile": load_profile, "axial_profile": axial_profile}
-    tables: dict[str, Any] = {"drive_profile": drive_table, "load_profile": load_table, "axial_profile": axial_table}
+    tables: dict[str, Table | None] = {}
     greatest: dict[str, float] = {}
-    scaled = {"drive_profile": "drive_speed", "load_profile": "load_torque", "axial_profile": "axial_load"}
-    for name, profile in given.items():
-        if profile not in PROFILES[name]:
-            raise InputError(f"{where} {name}", f"no profile {quoted(profile)}", nearest(str(profile), PROFILES[name]))
-        key = name.replace("profile", "table")
-        if profile != "table" and tables[name] is not None:
-            found = f"a table beside {name} = '{profile}'"
-            raise InputError(f"{where} {key}", found, f"say {name} = 'table', or leave the table out")
-        if profile == "table":
-            if tables[name] is None:
-                raise InputError(f"{where} {key}", "is missing", "give [[times], [values]], or the name of a CSV file")
-            if isinstance(tables[name], str):
-                tables[name] = upward("programme")(tables[name], CATALOGUE[scaled[name]].unit, f"{where} {key}")
-            tables[name], greatest[scaled[name]] = _shares(checked_table(f"{where} {key}", tables[name]))
-    swings = [fluctuating] if isinstance(fluctuating, str) else list(fluctuating or ())
+    for load, (group, scaled) in {
+        "drive": (drive, "drive_speed"), "load": (loads, "load_torque"), "axial": (loads, "axial_load"),
+    }.items():  # fmt: skip
+        tables[load], top = _table(where, load, group, scaled)
+        greatest |= {} if top is None else {scaled: top}
+    swings = [loads.fluctuating] if isinstance(loads.fluctuating, str) else list(loads.fluctuating or ())
     for name in swings:
         if name not in FLUCTUATING:
             raise InputError(f"{where} fluctuating", f"no load {quoted(name)}", nearest(str(name), FLUCTUATING))
-    if load_profile == "table" and ("torque" in swings or torque_reversal):
+    if tables["load"] and ("torque" in swings or loads.torque_reversal):
         raise InputError(f"{where} load_profile", "a table that fluctuates or reverses", "put that into the table")
-    if axial_profile == "table" and "axial" in swings:
+    if tables["axial"] and "axial" in swings:
         raise InputError(f"{where} axial_profile", "a table that fluctuates", "put that into the table")
     swing = ("load_amplitude", "load_frequency") if "torque" in swings else (None, None)
-    back = ("reversal_time", "reversal_ramp") if torque_reversal else (None, None)
-    if load_profile == "table":
-        torque = Programme("load_torque", table=tables["load_profile"])
-    else:
-        torque = Programme("load_torque", "load_ramp", load_profile, None, *swing, *back)
+    back = ("reversal_time", "reversal_ramp") if loads.torque_reversal else (None, None)
+    torque = Programme("load_torque", "load_ramp", loads.load_profile, None, *swing, *back)
+    if tables["load"]:
+        torque = Programme("load_torque", table=tables["load"])
     axial: Programme | None = None
-    if axial_profile == "table":
-        axial = Programme("axial_load", table=tables["axial_profile"])
-    elif axial_profile != "constant" or "axial" in swings:
-        ramp, shape = ("axial_ramp", axial_profile) if axial_profile != "constant" else (None, "smooth")
-        axial = Programme(
-            "axial_load", ramp, shape, None, *(("axial_amplitude", "axial_frequency") if "axial" in swings else ())
-        )
-    drive: Drive | None = None
-    if drive_profile == "table":
-        drive = Drive("speeds", speed="drive_speed", table=tables["drive_profile"])
-    elif drive_profile != "constant":
-        drive = Drive("ramp", speed="drive_speed", over="drive_ramp", shape=drive_profile, first="start_speed")
-    return Programmes(torque, axial, drive, bool(stick_slip), tuple(sorted(greatest.items())))
+    if tables["axial"]:
+        axial = Programme("axial_load", table=tables["axial"])
+    elif loads.axial_profile != "constant" or "axial" in swings:
+        ramp, shape = ("axial_ramp", loads.axial_profile) if loads.axial_profile != "constant" else (None, "smooth")
+        swing = ("axial_amplitude", "axial_frequency") if "axial" in swings else ()
+        axial = Programme("axial_load", ramp, shape, None, *swing)
+    motion: Drive | None = None
+    if tables["drive"]:
+        motion = Drive("speeds", speed="drive_speed", table=tables["drive"])
+    elif drive.drive_profile != "constant":
+        motion = Drive("ramp", speed="drive_speed", over="drive_ramp", shape=drive.drive_profile, first="start_speed")
+    return Programmes(torque, axial, motion, bool(loads.stick_slip), tuple(sorted(greatest.items())))
 
 
-def _shares(table: Table) -> tuple[Table, float]:
-    """A table as shares of its greatest value, and that value with its sign."""
-    values = np.asarray(table[1])
+def _table(where: str, load: str, group: JointDrive | JointLoads, scaled: str) -> tuple[Table | None, float | None]:
+    """A profile's table as shares of its greatest value, and that value with its sign; None, None for another profile."""
+    name, key = f"{load}_profile", f"{load}_table"
+    profile, table = getattr(group, name), getattr(group, key)
+    if profile not in PROFILES[name]:
+        raise InputError(f"{where} {name}", f"no profile {quoted(profile)}", nearest(str(profile), PROFILES[name]))
+    if profile != "table":
+        if table is None:
+            return None, None
+        found = f"a table beside {name} = '{profile}'"
+        raise InputError(f"{where} {key}", found, f"say {name} = 'table', or leave the table out")
+    if table is None:
+        raise InputError(f"{where} {key}", "is missing", "give [[times], [values]], or the name of a CSV file")
+    if isinstance(table, str):
+        table = upward("programme")(table, CATALOGUE[scaled].unit, f"{where} {key}")
+    times, given = checked_table(f"{where} {key}", table)
+    values = np.asarray(given)
     top = float(values[np.argmax(np.abs(values))])
-    return (table[0], tuple((values / top).tolist() if top else values.tolist())), top
+    return (times, tuple((values / top).tolist() if top else values.tolist())), top

@@ -140,7 +140,9 @@ def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
         parts["head"] = at.coupling[slices["head"]]
     if "cage" in slices:
         parts["cage"] = at.coupling[slices["cage"]]
-        parts["cage_turn"] = tilted_axis(problem.c, at.coupling[slices["tilt"]] / problem.lever)[0]
+        parts["cage_turn"] = jax.vmap(partial(tilted_axis, problem.c), 1, 1)(
+            at.coupling[slices["tilt"]] / problem.lever
+        )[0]
     ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
     coupling = [parts[name] for name, piece in scene.slices.items() if piece is not None]
     return jnp.concatenate([ball, jnp.concatenate(coupling).T], 1)

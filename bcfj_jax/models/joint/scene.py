@@ -96,7 +96,7 @@ class Joint(AbstractModel):
         balls: their number, evenly spaced; a track in either race for each.
         track: "gothic" (two flanks at the contact angle) or "circular" (one, of ball radius plus clearance).
         spin: whether balls turn (and so roll).
-        unequal: whether each ball has sizes of its own (``unequal``).
+        unequal: whether each ball has sizes of its own (``clearance``).
         cage: "free", or "fixed" at the centre, its axis on the bisector, turning at the drive's speed.
         bands: whether pilots bear between two latitudes of the cage alone (``bands``), or all round.
         head: "free" to shift, or "fixed" at the centre; it always turns about its own axis.
@@ -196,6 +196,23 @@ class Joint(AbstractModel):
     def contact(self, name: str) -> JointContact:
         """A contact by name."""
         return next(contact for contact in self.contacts if contact.name == name)
+
+    def clearance(self, params: Params, name: str) -> Array:
+        """Clearance of every ball in one of its contacts, (balls,) [m] of unequal balls, else a scalar.
+
+        Ball i, counted from 1 as in ``seat_ball_2``, has in a contact of its own the clearance
+
+            clearance_<contact> + <contact>_<i>.extra_clearance - ball_<i>.oversize
+
+        which may be negative: such a ball is pressed in. The oversize d counts in full in grooves, whose flanks are where
+        they were, and at both planes of a window. Masses, levers and stiffnesses remain those of ``ball_radius``: of
+        d/ball_radius.
+        """
+        shared = params[f"clearance_{name}"]
+        if not self.unequal:
+            return shared
+        oversize, extra = (jnp.stack([params[key] for key in keys]) for keys in ball_sizes(self.balls, name))
+        return shared + extra - oversize
 
     @property
     def azimuths(self) -> np.ndarray:

@@ -1,16 +1,24 @@
-"""What a contact's wrench and its bristles change by: derivatives by relative place, relative twist and deflection."""
+"""What a contact's wrench and its friction's states change by: derivatives by relative place, relative twist and state.
+
+Friction's states (``bristles``) are eliminated face by face. A face's row of  (I/s - J) x = r  is, with a body that turns
+at W and is displaced by a rotation t (``contacts.act``),
+
+    M dz = r + Z_p dp + Z_h dh - (a [z]x + [Z]x) t - [z]x dW,        M = (1/s + a) I - [W]x
+
+where dp and dh are changes as the body sees them. So dz is known once the bodies are, and what a wrench changes by dz
+goes into its slopes: an effective friction slope of the step. A slip speed of late does not turn: [.]x and t fall out.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.kept import kept
-from bcfj_jax.models.joint.contacts import Geometry, dot
-from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
+from bcfj_jax.models.joint.bands import act
+from bcfj_jax.models.joint.system import Part
 
 
 class Bond(NamedTuple):
@@ -42,139 +50,81 @@ class Slopes(NamedTuple):
     bond: Bond | None = None
 
 
-def slopes(
-    laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
-) -> Slopes:
-    """Derivatives of ``act``, whose arguments these are; k = 3 or 6.
+def slopes(part: Part) -> Slopes:
+    """Derivatives of ``act`` for contacts by relative place and twist; k = 3 or 6.
 
-    With H the Hessian of d, g = H v and the laws' slopes N_d, N_r, D_2 = N d(mu/|u|)/d(u.u):
-
-        dN = (N_d n + N_r g) . dp + N_r n . dv        du = (I - nn') dv - (n g' + d' H) dp    (no spin)
-        df = -n dN - N H dp - u dD - D du             dD = (mu/|u|) dN + 2 D_2 u . du
-
-    and with spin the lever's sweep  w x d(l n) + dw x l n  in du, and the moment  l n x (-D u).
-    Bristles have D = N m, and  -N s b  beside  -D u,  with  db = (I - nn') dz - (H dp) (n . z) - n (z . H dp).
-    Friction that lags has  dD = (mu/|u|) dN + 2 D_2 u . du + N d(mu/|u|)/dw dw.
+    Contacts are independent: one tangent serves all of them at once.
     """
-    v, n = velocity[..., None, :], at.normal
-    rate = dot(n, v)
-    normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (jnp.ones_like(at.penetration),))
-    by_rate = jax.jvp(lambda r: laws.normal(at.penetration, r), (rate,), (jnp.ones_like(rate),))[1]
-    hessian = sum(((e * curve[..., None])[..., :, None] * e[..., None, :] for e, curve in at.bends), jnp.zeros(()))
-    curved = len(at.bends) > 0
-    drift = sum(((e * (curve * dot(e, v))[..., None]) for e, curve in at.bends), jnp.zeros(3))
-    load_place = by_depth[..., None] * n + by_rate[..., None] * drift
-    if at.gate is not None:
-        load_place = at.gate[..., None] * load_place + normal[..., None] * at.gate_slope
-        normal, by_rate = normal * at.gate, by_rate * at.gate
-    normal, by_rate, load_place = kept(normal, by_rate, load_place)
-    load_twist = by_rate[..., None] * n
-    by_place = -dyad(n, load_place) - (normal[..., None, None] * hessian if curved else 0.0)
-    by_twist = -dyad(n, load_twist)
-    force = -normal[..., None] * n
-    if laws.friction is None:
-        k = 3 if spin is None else 6
-        wide = [(0, 0)] * (by_place.ndim - 3)
-        value, by_place, by_twist = jnp.sum(force, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3)
-        value = jnp.pad(value, [*wide, (0, k - 3)])
-        by_place = jnp.pad(by_place, [*wide, (0, k - 3), (0, 0)])
-        return Slopes(value, by_place, jnp.pad(by_twist, [*wide, *[(0, k - 3)] * 2]))
-    slide = v - rate[..., None] * n
-    plane = jnp.eye(3) - dyad(n, n)
-    slide_place = -(dyad(n, drift) + rate[..., None, None] * hessian) if curved else jnp.zeros_like(plane)
-    lever = at.lever[..., None]
-    if spin is not None:
-        w = spin[..., None, :]
-        slide = slide + jnp.cross(w, lever * n)
-        sweep = lever[..., None] * hessian + at.lever_slope * dyad(n, n) if curved else jnp.zeros_like(plane)
-        slide_place = slide_place + cross_columns(w, sweep)
-    slide, slide_place = kept(slide, slide_place)
-    squared = dot(slide, slide)
-    lags = bristles is not None and bristles.shape[-1] == 1
-    late = bend_late = rate_late = learnt = rate_bend = jnp.zeros(())
-    if lags:
-        assert bristles is not None
-        late = bristles[..., 0]
-        ones = jnp.ones_like(late)
-        (learnt, mobility), (rate_bend, bend) = jax.jvp(lambda x: laws.lag(x, late), (squared,), (ones,))
-        rate_late, bend_late = jax.jvp(lambda x: laws.lag(squared, x), (late,), (ones,))[1]
-    elif bristles is None:
-        mobility, bend = jax.jvp(laws.mobility, (squared,), (jnp.ones_like(squared),))
-    else:
-        found, slants = jax.jvp(laws.bond, (squared,), (jnp.ones_like(squared),))
-        (forget, stick, mobility), (forget_bend, stick_bend, bend) = found, slants
-    drag, pull = normal * mobility, (2.0 * normal * bend)[..., None] * slide
-    drag, pull = kept(drag, pull)
-    drag_place = mobility[..., None] * load_place + _row(pull, slide_place)
-    # By the velocity of the point of contact, v + w x l n; ``_with_spin`` adds what follows by w. ``pull`` is in the plane.
-    drag_twist = mobility[..., None] * load_twist + pull
-    rub = -drag[..., None] * slide
-    rub_place = -dyad(slide, drag_place) - drag[..., None, None] * slide_place
-    rub_twist = -dyad(slide, drag_twist) - drag[..., None, None] * plane
-    bond = None
-    if lags:
-        assert bristles is not None
-        swing = (2.0 * rate_bend)[..., None] * slide
-        pull = (-(normal * bend_late)[..., None] * slide)[..., None]
-        bond = Bond(
-            bristles,
-            learnt[..., None],
-            pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
-            _row(swing, slide_place)[..., None, :],
-            _with_spin(swing[..., None, :], spin, lever * n),
-            -rate_late,
-        )
-    elif bristles is not None:
-        # Twice the slopes by u.u times u: changes of k and s by the sliding u.
-        forget_slide, stick_slide = (2.0 * x[..., None] * slide for x in (forget_bend, stick_bend))
-        out = dot(n, bristles)[..., None]
-        bent, hold = bristles - out * n, normal * stick
-        bent_place = -(out[..., None] * hessian + dyad(n, dot(hessian, bristles[..., None, :]))) if curved else 0.0
-        grip = normal[..., None] * stick_slide
-        rub = rub - hold[..., None] * bent
-        rub_place = rub_place - dyad(bent, stick[..., None] * load_place + _row(grip, slide_place))
-        rub_place = rub_place - hold[..., None, None] * bent_place
-        rub_twist = rub_twist - dyad(bent, stick[..., None] * load_twist + grip)
-        pull = -hold[..., None, None] * plane
-        apart, opening = jax.jvp(laws.apart, (at.penetration,), (jnp.ones_like(at.penetration),))
-        close, lost = (1.0 - apart)[..., None, None], slide - forget[..., None] * bristles + bristles / RELAX
-        bond = Bond(
-            bristles,
-            (1.0 - apart)[..., None] * lost - bristles / RELAX,
-            pull if spin is None else jnp.concatenate([pull, cross_columns(lever * n, pull)], -2),
-            close * (slide_place - dyad(bristles, _row(forget_slide, slide_place)))
-            - dyad(lost, opening[..., None] * n),
-            _with_spin(close * (plane - dyad(bristles, forget_slide)), spin, lever * n),
-            (1.0 - apart) * forget + apart / RELAX,
-        )
-    rub, rub_place, rub_twist = kept(rub, rub_place, rub_twist)
-    value, by_place, by_twist = force + rub, by_place + rub_place, by_twist + rub_twist
-    if spin is not None:
-        arm = lever * n
-        value = jnp.concatenate([value, jnp.cross(arm, rub)], -1)
-        moment_place = cross_columns(arm, rub_place) - cross_columns(rub, sweep)
-        by_place = jnp.concatenate([by_place, moment_place], -2)
-        by_twist = _with_spin(jnp.concatenate([by_twist, cross_columns(arm, rub_twist)], -2), spin, arm)
-    return Slopes(jnp.sum(value, -2), jnp.sum(by_place, -3), jnp.sum(by_twist, -3), bond)
+    laws, geometry, bristles = part.laws, part.geometry, part.bristles
+    place, velocity, spin = part.motion
+    parts = (place, velocity) if spin is None else (place, velocity, spin)
+
+    def wrench(*parts: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
+        touch = act(laws, geometry(parts[0]), parts[1], parts[2] if len(parts) > 2 else None, bristles)
+        force = touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
+        return force, touch.bending
+
+    def along(way: Array) -> Any:
+        tangents = tuple(jnp.broadcast_to(way[i], place.shape) for i in range(len(parts)))
+        return jax.jvp(wrench, parts, tangents)
+
+    ways = jnp.eye(3 * len(parts)).reshape(-1, len(parts), 3)
+    (value, bending), (by, bent) = jax.vmap(along, out_axes=(None, -1))(ways)
+    if bending is None or bristles is None:
+        return Slopes(value, by[..., :3], by[..., 3:])
+    shape = bristles.shape[-2:]
+
+    def by_state(way: Array) -> Any:
+        return jax.jvp(lambda z: wrench(*parts, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
+
+    pull, felt = jax.vmap(by_state, out_axes=-1)(jnp.eye(shape[0] * shape[1]).reshape(-1, *shape))
+    pull = jnp.moveaxis(pull.reshape(*pull.shape[:-1], *shape), -2, -3)
+    decay = -jnp.stack([felt[..., i, 0, i * shape[1]] for i in range(shape[0])], -1)
+    bond = Bond(bristles, bending, pull, bent[..., :3], bent[..., 3:], decay)
+    return Slopes(value, by[..., :3], by[..., 3:], bond)
 
 
-def dyad(a: Array, b: Array) -> Array:
-    """a b' of vectors along the last axis."""
-    return a[..., :, None] * b[..., None, :]
+class Freed(NamedTuple):
+    """A face's dz = inverse r + place dp + twist dh + turn t + spin dW, and ``Bond``'s pull; (..., f, 3 | k, .)."""
+
+    inverse: Array
+    place: Array
+    twist: Array
+    turn: Array
+    spin: Array
+    pull: Array
 
 
-def _with_spin(rows: Array, spin: Array | None, arm: Array) -> Array:
-    """Derivatives by the relative twist (v, w) from rows r by the velocity v + w x a of the point of contact.
+def free(bond: Bond, outer: Array, scale: Array) -> Freed:
+    """Bristles in terms of everything else (module docstring).
 
-    r . (dw x a) = dw . (a x r), for a ball that spins; others have no w.
+    Args:
+        bond: of the faces.
+        outer: (..., 3) angular velocity W of the body they turn with [1/s].
+        scale: s [s].
     """
-    return rows if spin is None else jnp.concatenate([rows, jnp.cross(arm[..., None, :], rows)], -1)
+    share = (scale / (1.0 + scale * bond.decay))[..., None, None]
+    if bond.bristles.shape[-1] == 1:
+        still = jnp.zeros((*bond.bristles.shape, 3))
+        return Freed(share, share * bond.by_place, share * bond.by_twist, still, still, bond.pull)
+    eye = jnp.eye(3)
+    bristles, bending = bond.bristles[..., None, :], bond.bending[..., None, :]
+    # (I - [w]x)^-1 = (I + [w]x + w w')/(1 + w.w), w = W/(1/s + a).
+    w = share * outer[..., None, None, :]
+    inverse = share * (eye + jnp.cross(eye, w) + w.swapaxes(-1, -2) * w) / (1.0 + jnp.sum(w * w, -1, keepdims=True))
+    spin = -jnp.cross(inverse, bristles)
+    turn = bond.decay[..., None, None] * spin - jnp.cross(inverse, bending)
+    return Freed(inverse, inverse @ bond.by_place, inverse @ bond.by_twist, turn, spin, bond.pull)
 
 
-def _row(a: Array, matrix: Array) -> Array:
-    return jnp.sum(a[..., :, None] * matrix, -2)
-
-
-def cross_columns(a: Array, matrix: Array) -> Array:
-    """a x (each column of the matrix)."""
-    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)
+def effective(found: Slopes, freed: Freed) -> tuple[Slopes, Array, Array]:
+    """Slopes with the bristles' part, and what a wrench changes by t and dW besides, (..., k, 3) both."""
+    assert found.bond is not None
+    if found.bond.bristles.shape[-1] == 1:
+        # Column times row: elementwise, as tiny products of matrices are slow.
+        place, twist = (jnp.sum(freed.pull * x, -3) for x in (freed.place, freed.twist))
+        still = jnp.zeros_like(place)
+        return Slopes(found.value, found.by_place + place, found.by_twist + twist), still, still
+    turn = freed.turn + jnp.cross(jnp.eye(3), found.bond.bristles[..., None, :])
+    place, twist, turn, spin = (jnp.sum(freed.pull @ x, -3) for x in (freed.place, freed.twist, turn, freed.spin))
+    return Slopes(found.value, found.by_place + place, found.by_twist + twist), turn, spin

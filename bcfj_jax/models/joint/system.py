@@ -15,25 +15,25 @@ but the load, and the drive where its speed is not constant (``programmes``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.core.kept import kept
 from bcfj_jax.core.numerics import smooth_rise
-from bcfj_jax.models.joint.attitude import azimuth_rate, windows_around
+from bcfj_jax.models.joint.attitude import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.bands import Band, act, band
 from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, grooves, join, pilots, windows
-from bcfj_jax.models.joint.guides import GUIDES, pairs
+from bcfj_jax.models.joint.guides import BODIES, GUIDES, pairs
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
-from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
+from bcfj_jax.models.joint.scene import GROOVES, PILOTS, WINDOW_END, Joint
 
 
 class State(NamedTuple):
@@ -109,6 +109,16 @@ def relative(state: State, place: Array, velocity: Array, spin: Array) -> Motion
     return Motion(arm, rate, None if state.ball_spin is None else state.ball_spin[shape] - spin)
 
 
+class Part(NamedTuple):
+    """Contacts that are evaluated together: names, laws, geometry by relative place, relative motion, bristles."""
+
+    names: tuple[str, ...]
+    laws: ContactLaws | LawPair
+    geometry: Callable[[Array], Any]
+    motion: Motion
+    bristles: Array | None
+
+
 class RelativeMotions(NamedTuple):
     """The bodies around the balls, m of them: seat, head, cage where there are windows, and again where these have ends.
 
@@ -122,18 +132,43 @@ class RelativeMotions(NamedTuple):
     motion: Motion
     spins: Array
     across: Array
-    contacts: tuple[tuple[ContactLaws | LawPair, Geometry], ...]
+    contacts: tuple[tuple[ContactLaws | LawPair, Any, int], ...]
     bristles: dict[str, Array]
 
-    def parts(self) -> list[tuple[ContactLaws | LawPair, Geometry, Motion, Array | None]]:
-        """Laws and geometry of each contact with the motion and the bristles that go with it."""
+    def parts(self) -> list[Part]:
+        """Contacts that are evaluated together."""
         found, first = [], 0
-        for laws, at in self.contacts:
-            last = first + at.penetration.shape[1]
+        for laws, at, count in self.contacts:
+            last = first + count
             motion = jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)
-            found.append((laws, at, motion, beside(self.bristles, BALLS[first:last])))
+            names = BALLS[first:last]
+            found.append(Part(names, laws, at, motion, beside(self.bristles, names)))
             first = last
         return found
+
+
+def shaft_axes(c: Constants, turns: Array) -> tuple[Array, Array]:
+    """Where track 0 of seat and head lies, and its plane's normal, (2, 3) each, at their turns (2,)."""
+    cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
+    return kept(cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial)
+
+
+def shaft_frames(c: Constants, state: State) -> Array:
+    """Axes of seat and head as columns (2, 3, 3): through the middle of track 0, around, their own."""
+    radial, tangent = shaft_axes(c, jnp.stack([state.seat_turn, state.head_turn]))
+    return jnp.stack([radial, tangent, c.axes], -1)
+
+
+def cage_frame(state: State) -> Array:
+    """The cage's axes as columns (3, 3); without an azimuth they turn as the seat does."""
+    return cage_axes(state.cage_axis, state.seat_turn if state.cage_azimuth is None else state.cage_azimuth)
+
+
+def track_normals(scene: Joint, c: Constants, turns: Array) -> Array:
+    """Unit normals of the planes of all tracks (balls, 2, 3) at the turns (2,) of seat and head."""
+    radial, tangent = shaft_axes(c, turns)
+    angle = scene.azimuths[:, None, None]
+    return jnp.cos(angle) * tangent - jnp.sin(angle) * radial
 
 
 def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotions:
@@ -144,30 +179,43 @@ def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotion
     races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
     spins = jnp.stack([*races, *[state.cage_spin] * planes])
     motion = relative(state, place, velocity, spins)
-    turns = jnp.stack([state.seat_turn, state.head_turn])
-    cosine, sine = jnp.cos(turns)[:, None], jnp.sin(turns)[:, None]
-    radial, tangent = kept(cosine * c.radial + sine * c.tangent, cosine * c.tangent - sine * c.radial)
-    angle = scene.azimuths[:, None, None]
-    across = np.cos(angle) * tangent - np.sin(angle) * radial
-    at = grooves(c.groove, motion.arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
+    across = track_normals(scene, c, jnp.stack([state.seat_turn, state.head_turn]))
+
+    def in_grooves(arm: Array) -> Geometry:
+        return grooves(c.groove, arm - c.groove.offset[:, None] * c.axes, across)
+
     if c.window_laws is None:
-        return RelativeMotions(motion, spins, across, ((c.groove_laws, at),), state.bristles)
+        return RelativeMotions(motion, spins, across, ((c.groove_laws, in_grooves, 2),), state.bristles)
     laws, clearance, axis = c.window_laws, c.window_clearance, state.cage_axis
     if c.cage_laws is not None:
         around = windows_around(axis, state.cage_azimuth + scene.azimuths)
         laws, clearance = c.cage_laws, c.cage_clearance
         axis = jnp.stack([jnp.broadcast_to(axis, around.shape), around], 1)
-    window = windows(clearance, c.groove.ball, motion.arm[:, 2:], axis)
+
+    def in_windows(arm: Array) -> Geometry:
+        return windows(clearance, c.groove.ball, arm, axis)
+
     if c.ball_laws is not None:
-        return RelativeMotions(motion, spins, across, ((c.ball_laws, join(at, window)),), state.bristles)
-    return RelativeMotions(motion, spins, across, ((c.groove_laws, at), (laws, window)), state.bristles)
+
+        def both(arm: Array) -> Geometry:
+            return join(in_grooves(arm[:, :2]), in_windows(arm[:, 2:]))
+
+        return RelativeMotions(motion, spins, across, ((c.ball_laws, both, 2 + planes),), state.bristles)
+    return RelativeMotions(
+        motion, spins, across, ((c.groove_laws, in_grooves, 2), (laws, in_windows, planes)), state.bristles
+    )
+
+
+def _acted(part: Part) -> ContactForce:
+    motion = part.motion
+    return act(part.laws, part.geometry(motion.arm), motion.velocity, motion.spin, part.bristles)
 
 
 @partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
 def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
     """Every contact of the scene in one state."""
     parts = relative_motions(scene, c, state).parts()
-    acted = [act(laws, at, motion.velocity, motion.spin, bent) for laws, at, motion, bent in parts]
+    acted = [_acted(part) for part in parts]
     groove = jax.tree.map(lambda x: x[:, :2], acted[0])
     pilot = window = end = None
     if c.cage_laws is not None:
@@ -175,8 +223,7 @@ def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
     elif c.window_laws is not None:
         window = jax.tree.map(lambda x: x[:, -1], acted[-1])
     if c.pilot_laws is not None:
-        at, motion, bent, _ = piloted(scene, c, state)
-        pilot = act(c.pilot_laws, at, motion.velocity, motion.spin, bent)
+        pilot = _acted(piloted(scene, c, state))
     return ContactForces(groove, window, pilot, end)
 
 
@@ -195,13 +242,17 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
 
-def piloted(scene: Joint, c: Constants, state: State) -> tuple[Geometry | Band, Motion, Array | None, Array]:
-    """The pilots' geometry, ``guided``'s motion, bristles, and the outer spheres' angular velocities."""
-    motion, spin = guided(scene, c, state)
-    bent = beside(state.bristles, scene.pilots)
-    if c.bands is not None:
-        return band(c.bands, motion.arm, state.cage_axis), motion, bent, spin
-    return pilots(c.pilot_clearance, c.pilot_hollow, motion.arm), motion, bent, spin
+def piloted(scene: Joint, c: Constants, state: State) -> Part:
+    """The pilots, of a scene that has them."""
+    assert c.pilot_laws is not None
+
+    def geometry(arm: Array) -> Geometry | Band:
+        if c.bands is not None:
+            return band(c.bands, arm, state.cage_axis)
+        return pilots(c.pilot_clearance, c.pilot_hollow, arm)
+
+    motion = guided(scene, c, state)[0]
+    return Part(scene.pilots, c.pilot_laws, geometry, motion, beside(state.bristles, scene.pilots))
 
 
 def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
@@ -214,10 +265,30 @@ def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
     return pilots._replace(force=sign[:, None] * pilots.force, drag=sign[:, None] * pilots.drag)
 
 
-def guide_maps(c: Constants, arm: Array) -> Array:
-    """Twists of the inner spheres relative to the outer ones' material, by coupling velocities, (pilots, 6, coupling)."""
-    # Elementwise, here and below: a call of a library keeps a loop from being one kernel.
-    return c.guides.still + jnp.sum(arm[..., None, None] * c.guides.lever, 1)
+class GuideMaps(NamedTuple):
+    """Motion of the inner spheres relative to the outer ones, by the coupling (``guides.pairs``).
+
+    Attributes:
+        twist: (pilots, 6, coupling) relative to the outer one's material at the inner centre, by velocities.
+        place: (pilots, 3, coupling) by displacements.
+        turning: (pilots, 3, coupling) angular velocity of the outer sphere, which carries its material by  w x arm.
+    """
+
+    twist: Array
+    place: Array
+    turning: Array
+
+
+def guide_maps(scene: Joint, c: Constants, arm: Array) -> GuideMaps:
+    """The maps where the inner centres are at ``arm`` (pilots, 3) from the outer ones."""
+    outer, inner = (jnp.array([BODIES.index(pair[k]) for pair in pairs(scene)]) for k in (0, 1))
+    apart, turning = c.body_maps[inner] - c.body_maps[outer], c.body_maps[outer, 3:]
+    return GuideMaps(apart.at[:, :3].add(cross_columns(arm, turning)), apart[:, :3], turning)
+
+
+def cross_columns(a: Array, matrix: Array) -> Array:
+    """a x (each column of the matrix)."""
+    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)
 
 
 def load_torque(c: Constants, t: Array) -> Array:
@@ -254,14 +325,15 @@ def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
     """Generalised forces of loads and drive on the coupling coordinates, (coupling,)."""
     torque, axial = loads(scene, c, t, state)
     parts = {"head": -axial * c.axes[1], "head_turn": -torque[None]}
-    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": drive_torque(scene, c, t, state)[None]}
+    driven = drive_torque(scene, c, t, state)[None] if scene.drive == "flexible" else jnp.zeros(1)
+    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": driven}
     return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
 
 
 def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
-    """Torque of a flexible drive on the seat [N m]; 0 where the speed is prescribed."""
+    """Torque on the seat [N m]: a flexible drive's; of a prescribed speed what holds it against the contacts."""
     if scene.drive != "flexible":
-        return jnp.zeros(())
+        return -sum((loads.moment @ c.axes[0] for loads in on_parts(scene, c, state)["seat"].values()), jnp.zeros(()))
     turn, speed = drive_motion(scene, c, t)
     return c.drive_stiffness * (turn - state.seat_turn) + c.drive_damping * (speed - state.seat_spin)
 
@@ -288,9 +360,44 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
     coupling = jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
     if found.pilots is not None:
-        maps = guide_maps(c, guided(scene, c, state)[0].arm)
+        maps = guide_maps(scene, c, guided(scene, c, state)[0].arm).twist
         coupling = coupling + jnp.sum(maps * wrench(found.pilots)[..., None], (0, 1))
     return jnp.sum(wrenches, 1), coupling
+
+
+class Loads(NamedTuple):
+    """Force (..., 3) [N] and moment (..., 3) [N m] about a body's centre."""
+
+    force: Array
+    moment: Array
+
+
+def on_parts(scene: Joint, c: Constants, state: State) -> dict[str, dict[str, Loads]]:
+    """By body and contact what the contact exerts on the body, in world axes."""
+    found = contact_forces(scene, c, state)
+    places = {"seat": jnp.zeros(3), "head": state.head_place, "cage": state.cage_place}
+    exerted: dict[str, dict[str, Loads]] = {body: {} for body in places}
+
+    def by_balls(name: str, body: str, touch: ContactForce) -> None:
+        turning = jnp.cross(state.ball_place - places[body], touch.force)
+        turning = turning if touch.moment is None else turning + touch.moment
+        exerted[body][name] = Loads(-jnp.sum(touch.force, 0), -jnp.sum(turning, 0))
+
+    for i, name in enumerate(GROOVES):
+        groove = found.grooves
+        moment = None if groove.moment is None else groove.moment[:, i]
+        by_balls(name, name.removesuffix("_ball"), groove._replace(force=groove.force[:, i], moment=moment))
+    for name, touch in (("cage_ball", found.windows), (WINDOW_END, found.ends)):
+        if touch is not None:
+            by_balls(name, "cage", touch)
+    if found.pilots is not None:
+        arms = guided(scene, c, state)[0].arm
+        assert found.pilots.moment is not None
+        for i, (name, (outer, inner)) in enumerate(zip(scene.pilots, pairs(scene), strict=True)):
+            force, moment = found.pilots.force[i], found.pilots.moment[i]
+            exerted[inner][name] = Loads(force, moment)
+            exerted[outer][name] = Loads(-force, -moment - jnp.cross(arms[i], force))
+    return exerted
 
 
 def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> Array:

@@ -217,7 +217,9 @@ def test_sector_gate():
     assert np.all(normal[shares < -1, 0] == 0.0) and np.all(normal[shares > 0.9, 0] > 0.0)
     # Its slope, where it is between 0 and 1.
     # (Its second derivative jumps at either end: samples whose step straddles one are left out.)
-    slope, step = np.asarray(at.gate_slope), 1e-9
+    gate_of = jax.jit(lambda x: grooves(g, x, lines).gate)
+    moved = (jnp.broadcast_to(e, both.shape) for e in jnp.eye(3))
+    slope, step = np.stack([jax.jvp(gate_of, (jnp.asarray(both),), (e,))[1] for e in moved], -1), 1e-9
     for k in range(3):
         shift = step * np.eye(3)[k]
         up, down = (np.asarray(grooves(g, jnp.asarray(both + s * shift), lines).gate) for s in (1, -1))

@@ -39,9 +39,24 @@ REFUSED = [
 @pytest.mark.parametrize(("options", "parts"), REFUSED, ids=[",".join(o) + str(i) for i, (o, _) in enumerate(REFUSED)])
 def test_options_that_are_refused(options, parts):
     with pytest.raises(InputError) as caught:
-        scenes.joint(**options)
+        scenes.make("joint", **options)
     for part in parts:
         assert part in str(caught.value)
+
+
+def test_single_options_are_still_taken_with_a_warning_that_names_their_group():
+    old = {"spin": False, "cage": "fixed", "friction": False, "drive": "flexible", "load_profile": "step"}
+    with pytest.warns(DeprecationWarning, match=r"cage=bj.scenes.JointCage\(cage=...\), drive=bj.scenes.JointDrive"):
+        found = scenes.joint(**old)
+    assert found == scenes.make("joint", **old)
+    assert found == scenes.joint(
+        scenes.JointGeometry(spin=False), scenes.JointCage("fixed"), scenes.JointMaterials(friction=False),
+        scenes.JointDrive("flexible"), scenes.JointLoads("step"),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="no option 'spn'"):
+        scenes.joint(spn=False)
+    with pytest.raises(InputError, match=r"geometry = 'hertz'.*give geometry = bj.scenes.JointGeometry"):
+        scenes.joint("hertz")
 
 
 def test_parameters_that_are_refused():

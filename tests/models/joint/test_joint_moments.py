@@ -28,7 +28,7 @@ VARIANTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VARIANTS)
 def test_moments_are_the_rates_of_angular_momentum(name):
-    scene = scenes.joint(**VARIANTS[name])
+    scene = scenes.make("joint", **VARIANTS[name])
     params = scene.parameters(axial_load=2e3, load_torque=1800.0)
     y, t, c = jnp.asarray(noisy(scene, params, 5, places=1.5e-4)), jnp.asarray(1.0), constants(scene, params)
 
@@ -38,7 +38,7 @@ def test_moments_are_the_rates_of_angular_momentum(name):
         # What the equations of motion read: mass times acceleration, inertia times angular acceleration.
         pushed = system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))
         more = energy.rubbed(scene, c, y), energy.power(scene, c, t, y).friction
-        return state, pushed, moments.on_parts(scene, c, state), moments.moments(scene, c, t, y), more
+        return state, pushed, system.on_parts(scene, c, state), moments.moments(scene, c, t, y), more
 
     state, (on_balls, coupling), exerted, found, more = jax.device_get(look(t, y))
     total = {

@@ -105,7 +105,10 @@ def test_a_scene_file_says_the_same():
         "parameters": {"ball_2": {"oversize": "10 um"}, "seat_ball_3": {"extra_clearance": "5 um"}},
     }  # fmt: skip
     given = from_table(table, None)
-    same = scenes.joint(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}, unequal=True)
+    same = scenes.joint(
+        geometry=scenes.JointGeometry(unequal=True),
+        materials=scenes.JointMaterials(elastics={"seat_cage": "liu_sphere"}, stiffnesses={"seat_ball": "geometry"}),
+    )
     assert given.scene == same
     assert (
         float(given.params["ball_2.oversize"]) == 10e-6 and float(given.params["seat_ball_3.extra_clearance"]) == 5e-6

@@ -107,7 +107,7 @@ def test_secondary_couple_of_a_bent_joint():
 
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(y):
-        return moments.moments(LINEAR, c, jnp.ones(()), y), moments.on_parts(LINEAR, c, system.view(LINEAR, c, y))
+        return moments.moments(LINEAR, c, jnp.ones(()), y), system.on_parts(LINEAR, c, system.view(LINEAR, c, y))
 
     found, parts = look(still)
     couple = 1800.0 * math.tan(math.radians(5.0))
