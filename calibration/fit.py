@@ -35,7 +35,7 @@ from calibration.noise.noise_model import Estimate
 from calibration.problem import NUISANCES, Experiment, Problem
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
-from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
+from calibration.search.starts import Screen, batch_size, by_cost, referred, screen, search
 from calibration.solver_budget import budget
 from calibration.uncertainty import notes, unstated_filter
 from calibration.uncertainty.estimates import REFERENCE, estimates, placed, widened
@@ -63,7 +63,6 @@ class Optimum:
     Attributes:
         model: with the weights of the noise as it was found.
         end: the best end on it: unit-box point, white residuals and their Jacobian.
-        log_depth: ln of the reference penetration [m].
         spread: covariance of the coordinates.
         noise: what was found of it.
         series: white residuals by record and channel.
@@ -71,7 +70,6 @@ class Optimum:
 
     model: Model
     end: End
-    log_depth: float
     spread: fit_tests.Spread
     noise: Estimate
     series: list[Series] = field(default_factory=list)
@@ -176,18 +174,16 @@ def fit(
     given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
     screened = screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
-        why = commonest_failure(model, screened.design[:_ASKED], 0.0)
+        why = commonest_failure(model, screened.design[:_ASKED])
         raise AllStartsFailed(f"none of {len(screened.costs)} starting points simulates: {why}")
     checked = _checked(problem, model, labels, fitted, screened, given)
-    found = search(model, screened, given, starts, journal)
-    ends = tuple(
-        replace(end, failure=failure(model, end.point, found.log_depth)) if end.failure else end for end in found.ends
-    )
+    model, ends = search(model, screened, given, starts, journal)
+    ends = tuple(replace(end, failure=failure(model, end.point)) if end.failure else end for end in ends)
     if ends[0].failure:
-        why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]), found.log_depth)
+        why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]))
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
-    model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
-    assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    model, ends, noise = settle(model, fitted, ends, problem.accuracy)
+    assessed = _assess(problem, fitted, labels, model, ends, noise, seed, checked, intervals)
     return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
 
 
@@ -243,7 +239,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
-    slopes = placed(model, at.end, at.log_depth)[1]
+    slopes = placed(model, at.end)[1]
     shown = [found.parameters[name].ci95 for name in found.labels]
     halves = [
         half(ends, axis.log) if ends else at.spread.half_width(slope)
@@ -252,15 +248,15 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     reference = found.reference
     if reference:
         k = model.pair()[0]
-        own = at.spread.half_width(np.diag(model.box(at.log_depth)[1])[k])
+        own = at.spread.half_width(np.diag(model.box[1])[k])
         halves.append(half(reference.ci95, True) if reference.ci95 else own)
     with stage("filters"):
-        open_ = unstated_filter.ambiguity(model, fitted, at.series, at.end, at.log_depth, np.array(halves))
+        open_ = unstated_filter.ambiguity(model, fitted, at.series, at.end, np.array(halves))
     if open_ is None:
         return found
     kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
     if open_.decisive:
-        values, moved, there = model.values(open_.best.point, at.log_depth), [], {}
+        values, moved, there = model.values(open_.best.point), [], {}
         for k in kept:
             name, p = found.labels[k], found.parameters[found.labels[k]]
             ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
@@ -322,14 +318,12 @@ def _checked(
     given: list[np.ndarray],
 ) -> dict[str, Any]:
     """The check at the start that was given, or at the best of the design."""
-    point, depth = screened.design[int(np.nanargmin(screened.costs))], 0.0
-    if model.referenced:
-        depth = reference_depth(model, by_cost(screened.design, screened.costs), 0.0)
-        point = model.point(model.values(point, 0.0), depth)
-    if given:
-        point = model.point(given[0], depth)
-    told = influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
-    told["scales"] = untold(model, labels, point, depth)
+    point = screened.design[int(np.nanargmin(screened.costs))]
+    values = given[0] if given else model.values(point)
+    model = referred(model, by_cost(screened.design, screened.costs))
+    point = model.point(values)
+    told = influence.at_start(problem, model, labels, point, screened.reach, influence.noise_floor(fitted))
+    told["scales"] = untold(model, labels, point)
     for scale in told["scales"]:
         log.info("before the fit: %s. What helps: %s", scale["text"], scale["remedy"])
     return told
@@ -341,7 +335,6 @@ def _assess(
     labels: tuple[str, ...],
     model: Model,
     ends: tuple[End, ...],
-    log_depth: float,
     noise: Estimate,
     seed: int,
     checked: dict[str, Any],
@@ -353,29 +346,29 @@ def _assess(
     if budget(model.scene).rough and spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
         rotations = budget(model.scene).rotations
-        best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance, rotations)
-        best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
+        best = averaged(evaluator(loosened(model)), best, spread.covariance, rotations)
+        best = stepped(evaluator(model), best) if model.loss == "linear" else best
         spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    errors = integration.errors(model, best.point, log_depth, best.residuals)
+    errors = integration.errors(model, best.point, best.residuals)
     # Starts ended as loosely as was asked for, and are compared as such.
     agreement, rivals = fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough)
-    model, best, errors, said = corrected(model, best, log_depth, errors)
+    model, best, errors, said = corrected(model, best, errors)
     spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    records = records_of(model, fitted, best.point, log_depth, False)
-    seen = contacts(model, best.point, log_depth)
+    records = records_of(model, fitted, best.point, False)
+    seen = contacts(model, best.point)
     converged = [agreement, fit_tests.integration_test(errors, best.jacobian), contacts_met(records)]
     series = series_of(model, fitted, seen, noise, best.residuals, errors, problem.accuracy)
     quality = residual_tests(series, best.residuals, best.jacobian, model.loss != "linear")
     held_out, held_records = None, []
     if any(e.hold_out for e in problem.experiments):
-        held_out, held_records, test = hold_out(problem, model, best, log_depth, spread, noise)
+        held_out, held_records, test = hold_out(problem, model, best, spread, noise)
         quality.append(test)
     if series and all(overstated(s, best.residuals) for s in series) and not model.data.features.size:
         spread = fit_tests.shown(spread, best)
     of_search = answers.search(converged)
     missed, loud = answers.missed(series, best.residuals), answers.louder(series, best.residuals)
     of_law = answers.law(quality, missed, held_out, problem.adequate, loud)
-    parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
+    parameters, reference, identification = estimates(model, labels, best, spread, bool(noise.integrator))
     evidence = Evidence()
     others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))
     sound = of_search.answer == "converged" and of_law.answer == "consistent" and rivals.passed
@@ -383,7 +376,7 @@ def _assess(
     # headline.
     if intervals != "covariance" or (sound and all(t.passed for t in others)):
         parameters, reference, identification, evidence = revised(
-            intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
+            intervals, model, labels, best.point, spread, parameters, reference, identification,
             estimated=list(noise.sigma), batch=batch_size(len(ends)), seed=seed,
         )  # fmt: skip
     bent = [] if intervals != "covariance" or of_law.answer == "consistent" else fit_tests.bent(identification)
@@ -401,17 +394,15 @@ def _assess(
     given = (
         given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
     )
-    parameters, reference = headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    parameters, reference = headlined(model, labels, best, misses, parameters, reference, given)
     conditional = None
     # Without a whole contact, or a clearance that is crossed, no value means anything.
     if verdict == "not_identified" and all(t.passed for t in others) and not any(p.ci95 for p in parameters.values()):
-        conditional = _with_some_held(
-            model, labels, best, log_depth, series, parameters, noise, samples, exact, rivals.passed
-        )
+        conditional = _with_some_held(model, labels, best, series, parameters, noise, samples, exact, rivals.passed)
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
-    scales = untold(model, labels, best.point, log_depth) if checked.get("scales") else []
+    scales = untold(model, labels, best.point) if checked.get("scales") else []
     values = {name: float(v[0]) for name, v in model.data.fixed.items()}
     values |= {
         s.name: parameters[name].value
@@ -429,7 +420,7 @@ def _assess(
         parameters=parameters,
         reference=reference,
         tests=tests,
-        starts=_start_rows(model, labels, ends, log_depth),
+        starts=_start_rows(model, labels, ends),
         residual={
             "chi2": float(np.sum(best.residuals**2)),
             "degrees_of_freedom": spread.freedom,
@@ -449,7 +440,7 @@ def _assess(
         seed=seed,
         noise=_by_channel(noise),
         check=checked,
-        optimum=Optimum(model, best, log_depth, spread, noise, series),
+        optimum=Optimum(model, best, spread, noise, series),
         notes=said
         + [f"{s['text']}. What helps: {s['remedy']}" for s in scales]
         + notes.of_integrator(noise)
@@ -462,13 +453,13 @@ def _assess(
 
 
 def _with_some_held(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, series: list[Series],
+    model: Model, labels: tuple[str, ...], best: End, series: list[Series],
     parameters: dict[str, Parameter], noise: Estimate, samples: int, exact: bool, alone: bool,
 ) -> Conditional | None:  # fmt: skip
     """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
 
     Args:
-        model, labels, best, log_depth, series: of the optimum.
+        model, labels, best, series: of the optimum.
         parameters: its estimates, none with an interval.
         noise, samples: what was found of it, from so many samples.
         exact: whether residuals are the noise.
@@ -486,8 +477,8 @@ def _with_some_held(
             if not (exact or misses):
                 return None
             kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
-            found, reference, _ = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
-            found, reference = headlined(model, labels, best, log_depth, kinds, found, reference, True)
+            found, reference, _ = estimates(model, labels, best, spread, bool(noise.integrator))
+            found, reference = headlined(model, labels, best, kinds, found, reference, True)
             for name in np.array(labels)[fixed]:
                 found[name] = replace(found[name], ci95=None, headline="", intervals={})
             if any(found[name].ci95 for name in np.array(labels)[own & ~fixed]):
@@ -516,13 +507,13 @@ def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spr
 
 def _systematic(problem: Problem, found: Fit) -> Budget:
     """The budget of errors."""
-    best, log_depth, spread = found.optimum.end, found.optimum.log_depth, found.optimum.spread
+    best, spread = found.optimum.end, found.optimum.spread
     model, labels = found.optimum.model, found.labels
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
-    seen = contacts(model, best.point, log_depth)
+    seen = contacts(model, best.point)
     deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
     longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
-    law = law_errors.signatures(model, best.point, log_depth, deepest, peak, longest)
+    law = law_errors.signatures(model, best.point, deepest, peak, longest)
     names = dict.fromkeys((*problem.tolerances, *(name for e in fitted for name in e.tolerances)))
     common = problem.tolerances
     tolerances = {
@@ -530,15 +521,15 @@ def _systematic(problem: Problem, found: Fit) -> Budget:
     }
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in fitted))
     errors = [
-        *systematic.of_sensor(model, predictions(model, best.point, log_depth), found.optimum.series, stated),
+        *systematic.of_sensor(model, predictions(model, best.point), found.optimum.series, stated),
         *systematic.of_law(law),
-        *systematic.of_fixed(model, best, log_depth, tolerances, stated),
-        *systematic.of_weight(model, best, log_depth, found.optimum.series),
+        *systematic.of_fixed(model, best, tolerances, stated),
+        *systematic.of_weight(model, best, found.optimum.series),
     ]
-    slopes, values = placed(model, best, log_depth)[1], model.values(best.point, log_depth)
+    slopes, values = placed(model, best)[1], model.values(best.point)
     sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]
     if model.referenced:
-        slopes = np.vstack([slopes, np.diag(model.box(log_depth)[1])[model.pair()[0]]])
+        slopes = np.vstack([slopes, np.diag(model.box[1])[model.pair()[0]]])
         labels, sizes = (*labels, REFERENCE), [*sizes, 1.0]
     return systematic.budget_of(model, labels, best, spread, errors, slopes, np.array(sizes), list(law.values()))
 
@@ -566,8 +557,8 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
     return found
 
 
-def _start_rows(model: Model, labels: tuple[str, ...], ends: tuple[End, ...], log_depth: float) -> list[dict[str, Any]]:
-    begin, finish = (model.values(np.array(u), log_depth) for u in ([e.start for e in ends], [e.point for e in ends]))
+def _start_rows(model: Model, labels: tuple[str, ...], ends: tuple[End, ...]) -> list[dict[str, Any]]:
+    begin, finish = (model.values(np.array(u)) for u in ([e.start for e in ends], [e.point for e in ends]))
     return [
         {
             "chi2": end.cost if not end.failure else float("nan"),

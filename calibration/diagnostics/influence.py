@@ -111,7 +111,6 @@ def at_start(
     model: Model,
     labels: tuple[str, ...],
     point: np.ndarray,
-    log_depth: float,
     reach: np.ndarray,
     factor: float,
 ) -> dict[str, Any]:
@@ -119,7 +118,7 @@ def at_start(
 
     Args:
         problem, model, labels: what is fitted.
-        point, log_depth: the start: the one given, or the best of the screened design.
+        point: the start: the one given, or the best of the screened design.
         reach: of the screened design.
         factor: ``noise_floor``.
 
@@ -130,11 +129,11 @@ def at_start(
     Raises:
         InputError: as ``refuse_idle``.
     """
-    jacobian = residuals_and_jacobian(model, point, log_depth)[1]
+    jacobian = residuals_and_jacobian(model, point)[1]
     jacobian = np.where(np.isfinite(jacobian), jacobian, 0.0)
     refuse_idle(problem, labels, reach, jacobian, factor)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    values = model.values(point, log_depth).tolist()
+    values = model.values(point).tolist()
     names = list(labels)
     if model.referenced:
         names[model.pair()[0]] = "reference_force"

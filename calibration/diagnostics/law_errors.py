@@ -26,7 +26,7 @@ _STEP = 1e-3
 
 
 def signatures(
-    model: Model, point: np.ndarray, log_depth: float, deepest: float, peak: float, duration: float
+    model: Model, point: np.ndarray, deepest: float, peak: float, duration: float
 ) -> dict[str, dict[str, np.ndarray]]:
     """Changes of the residuals (N,) by kind of error and name, a unit being one as large as the peak force.
 
@@ -34,7 +34,7 @@ def signatures(
     most in a contact.
 
     Args:
-        model, point, log_depth: of the optimum.
+        model, point: of the optimum.
         deepest: greatest depth of its contacts [m].
         peak: greatest contact force [N].
         duration: of its longest contact [s].
@@ -43,7 +43,7 @@ def signatures(
     if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):
         return {}
 
-    records = runs.clocks(model, point, log_depth)
+    records = runs.clocks(model, point)
 
     def seen(
         stiffness: float = 0.0, place: float = deepest, relaxing: float = 0.0, time: float = duration

@@ -38,7 +38,7 @@ class Record:
 
 
 def hold_out(
-    problem: Problem, model: Model, best: End, log_depth: float, quality: fit_tests.Spread, noise: Estimate
+    problem: Problem, model: Model, best: End, quality: fit_tests.Spread, noise: Estimate
 ) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
@@ -55,8 +55,8 @@ def hold_out(
     other = build(problem, held)
     shared = sum(s.experiment is None for s in model.coordinates)
     own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
-    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared, log_depth)
-    records = records_of(other, held, point, log_depth, True)
+    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared)
+    records = records_of(other, held, point, True)
     report = {}
     for record in records:
         for channel, data in record.data.items():
@@ -66,7 +66,7 @@ def hold_out(
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error[rated] ** 2)) / peak),
             }
-    residuals, jacobian = residuals_and_jacobian(other, point, log_depth)
+    residuals, jacobian = residuals_and_jacobian(other, point)
     if other.loss != "linear":  # outliers were allowed for
         residuals, jacobian = (np.where(np.abs(residuals) < OUTLYING, a.T, 0.0).T for a in (residuals, jacobian))
     basis = np.linalg.qr(jacobian[:, shared:])[0]
@@ -100,13 +100,13 @@ def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
     return float(np.mean([u for s, u in zip(model.coordinates, point, strict=True) if s.name == name]))
 
 
-def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) -> np.ndarray:
+def _own_fitted(model: Model, point: np.ndarray, shared: int) -> np.ndarray:
     """The point with the coordinates beyond the shared ones fitted to the data."""
     if shared == point.size:
         return point
 
     def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]), log_depth)
+        residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]))
         jacobian = jacobian[:, shared:]
         if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
             return residuals, jacobian
@@ -123,11 +123,9 @@ def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) 
     return np.concatenate([point[:shared], result.x])
 
 
-def records_of(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
-) -> list[Record]:
+def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, held_out: bool) -> list[Record]:
     """Every experiment beside the prediction made at a point."""
-    predicted, values = predictions(model, point, log_depth), model.values(point, log_depth).tolist()
+    predicted, values = predictions(model, point), model.values(point).tolist()
     weights = np.asarray(model.data.weights)
     records = []
     for i, experiment in enumerate(experiments):

@@ -178,9 +178,7 @@ def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: 
     ]
 
 
-def of_fixed(
-    model: Model, best: End, log_depth: float, tolerances: dict[str, np.ndarray], stated: frozenset[str]
-) -> list[Error]:
+def of_fixed(model: Model, best: End, tolerances: dict[str, np.ndarray], stated: frozenset[str]) -> list[Error]:
     """Errors of scene parameters that were held fixed, and of nuisances that were ``stated``, by runs with a little of each.
 
     Of a rough cost only those with a stated tolerance: a motion of the joint costs seconds each.
@@ -190,7 +188,7 @@ def of_fixed(
     """
     point, found = np.asarray(best.point)[None], []
     free = {axis.name for axis in model.coordinates}
-    plain = evaluation(model)(point, log_depth).residuals[0]
+    plain = evaluation(model)(point).residuals[0]
     every = [("fixed", name) for name in model.data.fixed] + [
         ("chain", name) for name in model.data.chain if name in stated
     ]
@@ -202,7 +200,7 @@ def of_fixed(
         if not np.any(tolerance):
             continue
         moved = eqx.tree_at(lambda m, t=table, n=name: getattr(m.data, t)[n], model, own + _STEP * tolerance)
-        change = (evaluation(moved)(point, log_depth).residuals[0] - plain) / _STEP
+        change = (evaluation(moved)(point).residuals[0] - plain) / _STEP
         if np.isfinite(change).all():
             share = float(np.max(tolerance / np.where(own != 0.0, np.abs(own), np.inf)))
             unit, most = ("of itself", share) if share else ("of its tolerance", 1.0)
@@ -210,12 +208,12 @@ def of_fixed(
     return found
 
 
-def of_weight(model: Model, best: End, log_depth: float, series: list[Series]) -> list[Error]:
+def of_weight(model: Model, best: End, series: list[Series]) -> list[Error]:
     """The weight of a body that strikes at a speed, of a scene that knows no gravity: as much of it as may act."""
     known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
     if "approach_speed" not in known or "gravity" in known or budget(model.scene).rough:
         return []
-    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, log_depth, GRAVITY))]
+    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, GRAVITY))]
 
 
 def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:

@@ -94,9 +94,9 @@ def _run(
     return solution, found, read
 
 
-def params_at(model: Model, point: np.ndarray, log_depth: float) -> list[dict[str, float]]:
+def params_at(model: Model, point: np.ndarray) -> list[dict[str, float]]:
     """Parameters and nuisances of each experiment, by name, at a point."""
-    table, chain = model.settings(np.asarray(point), log_depth)
+    table, chain = model.settings(np.asarray(point))
     return [
         {name: float(values[i]) for known in (chain, table) for name, values in known.items()}
         for i in range(len(model.data.times))
@@ -113,19 +113,19 @@ def _spans(model: Model) -> np.ndarray:
     return spans
 
 
-def clocks(model: Model, point: np.ndarray, log_depth: float) -> list[tuple[dict[str, float], np.ndarray]]:
+def clocks(model: Model, point: np.ndarray) -> list[tuple[dict[str, float], np.ndarray]]:
     """Of each experiment its parameters at a point, and SAMPLES times of the model's clock within its record [s]."""
     found = []
-    for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
+    for i, (params, span) in enumerate(zip(params_at(model, point), _spans(model), strict=True)):
         first, last = np.maximum(span - params["time_offset"], 0.0)
         found.append((params, instants(model, i, params["time_offset"], first, max(last, first + 1e-9))))
     return found
 
 
-def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]:
+def contacts(model: Model, point: np.ndarray) -> list[Contact]:
     """When each channel of contact touches within each record, as the model has it at a point."""
     names, found = channel_names(model.scene.members), []
-    for i, (params, times) in enumerate(clocks(model, point, log_depth)):
+    for i, (params, times) in enumerate(clocks(model, point)):
         # Not by the force: the regularisation bears a little across a gap.
         run = ran(model, params, times)
         inside = depths(run)
@@ -177,9 +177,9 @@ def _normal(run: Run) -> np.ndarray:
     return np.concatenate([empty, *(f[..., 0].reshape(len(run.times), -1) for f in run.force.values())], axis=1)
 
 
-def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
+def refusal(model: Model, point: np.ndarray) -> str:
     """Why the values at a point are no parameters of the scene, as one that contradicts another; "" if they are."""
-    for params in params_at(model, point, log_depth):
+    for params in params_at(model, point):
         try:
             model.scene.check(model.scene.parameters({name: params[name] for name in model.data.fixed}))
         except InputError as error:
@@ -187,19 +187,19 @@ def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
     return ""
 
 
-def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
+def failure(model: Model, point: np.ndarray) -> str:
     """Why the simulations at a point do not count, in words."""
-    if refused := refusal(model, point, log_depth):
+    if refused := refusal(model, point):
         return refused
-    for params, (first, last) in zip(params_at(model, point, log_depth), _spans(model), strict=True):
+    for params, (first, last) in zip(params_at(model, point), _spans(model), strict=True):
         run = ran(model, params, np.linspace(min(first, 0.0), max(last, 1e-9), SAMPLES))
         if run.status != "ok":
             return run.reason
     return _NOT_DIFFERENTIABLE
 
 
-def commonest_failure(model: Model, points: np.ndarray, log_depth: float) -> str:
+def commonest_failure(model: Model, points: np.ndarray) -> str:
     """The reason that most of some points share, and how many of them."""
-    found = Counter(failure(model, point, log_depth) for point in points)
+    found = Counter(failure(model, point) for point in points)
     text, count = found.most_common(1)[0]
     return f"{text} ({count} of {len(points)})" if len(found) > 1 else text

@@ -77,17 +77,16 @@ def estimate(
     model: Model,
     experiments: tuple[Experiment, ...],
     point: np.ndarray,
-    log_depth: float,
     limits: dict[str, Limit] | None = None,
 ) -> tuple[Model, Estimate]:
     """The noise about a point, and the model with weights and memory that follow from it.
 
     Args:
-        model, experiments, point, log_depth: where.
+        model, experiments, point: where.
         limits: of the channels, below which a deviation is the integrator's; none where not given.
     """
     limits = limits or {}
-    series, rest = _series(model, experiments, point, log_depth)
+    series, rest = _series(model, experiments, point)
     sigma = {s.channel.observes: 0.0 for s in series if s.channel.sigma is None}
     for name in sigma:
         own = np.concatenate([s.error for s in series if s.channel.sigma is None and s.channel.observes == name])
@@ -115,7 +114,7 @@ def estimate(
 
 
 def _series(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray
 ) -> tuple[list[_Series], tuple[np.ndarray, np.ndarray]]:
     """Series of plain errors, and the weighted residuals of features with their Jacobian."""
     d = model.data
@@ -124,7 +123,7 @@ def _series(
         model,
         (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory)),
     )
-    errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None], log_depth))
+    errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None]))
     shape = read.shape
     shaped, slopes = errors[: read.size].reshape(shape), jacobian[: read.size].reshape(*shape, -1)
     found = []

@@ -43,7 +43,7 @@ class End:
     failure: str = ""
 
 
-def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float) -> tuple[End, ...]:
+def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...]:
     """Ends, best first; those that matter brought to their optimum by the trust region."""
     samples = max(int(np.count_nonzero(model.data.weights)), 1)
     ends: list[End] = []
@@ -53,7 +53,7 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
     if budget(model.scene).apart:  # Side by side: each is a run after the other.
         first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
         with ThreadPoolExecutor(len(first) or 1) as pool:
-            done = pool.map(lambda k: finish(model, starts[k], found.points[k], log_depth), first)
+            done = pool.map(lambda k: finish(model, starts[k], found.points[k]), first)
             early = dict(zip(first, done, strict=True))
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
@@ -61,7 +61,7 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
         near = any(np.abs(end.point - point).max() < budget(model.scene).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
-            ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
+            ends.append(early.get(int(k)) or finish(model, start, point))
             best.append(ends[-1])
             log.info("refined start %d: chi2 %.6g", k + 1, ends[-1].cost)
         else:
@@ -73,7 +73,7 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
     return tuple(sorted(ends, key=lambda end: (end is not first, bool(end.failure), end.cost)))
 
 
-def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float) -> End:
+def finish(model: Model, start: np.ndarray, point: np.ndarray) -> End:
     """Bounded trust region (SciPy TRF) on residuals and forward-mode Jacobian from one point."""
     at = evaluation(model)
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -82,7 +82,7 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
         key = u.tobytes()
         if key not in seen:
             seen.clear()
-            residuals, jacobian = (part[0] for part in at(u[None], log_depth)[:2])
+            residuals, jacobian = (part[0] for part in at(u[None])[:2])
             if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                 residuals, jacobian = np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
             seen[key] = residuals, jacobian
@@ -102,5 +102,5 @@ def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float)
     )
     residuals, jacobian = evaluate(result.x)
     failed = np.all(residuals == FAILED_RESIDUAL)
-    failure = "the simulation failed" if failed else refusal(model, result.x, log_depth)
+    failure = "the simulation failed" if failed else refusal(model, result.x)
     return End(start, result.x, float(model.cost(residuals)), residuals, jacobian, result.status > 0, failure)

@@ -84,7 +84,7 @@ def of_signatures(plain: Fit, law: str, found: Sequence[Found]) -> Agreement | N
         step = np.linalg.lstsq(columns / scale, -at.end.residuals, rcond=1e-9)[0] / scale
         left = at.end.residuals + columns @ step
         moved = np.clip(at.end.point + step[: at.end.point.size], 0.0, 1.0)
-        found_values = model.values(moved, at.log_depth)
+        found_values = model.values(moved)
         shared = {
             a.name: float(v) for a, v in zip(model.coordinates, found_values, strict=True) if a.experiment is None
         }
@@ -112,7 +112,7 @@ def _elastic(fit: Fit, values: Mapping[str, float], depths: np.ndarray) -> np.nd
 
 def _deepest(fit: Fit) -> float:
     at = fit.optimum
-    return max((c.deepest for c in contacts(at.model, at.end.point, at.log_depth)), default=0.0)
+    return max((c.deepest for c in contacts(at.model, at.end.point)), default=0.0)
 
 
 def heading(found: Agreement) -> str:

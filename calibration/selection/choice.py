@@ -124,7 +124,7 @@ def rival(name: str, problem: Problem, found: Fit) -> Rival:
     likelihood = None if problem.loss != "linear" else likelihood_of(fitted, at.model, at.end.residuals, at.noise)
     errors = [e["rms_error_of_peak"] for e in (found.held_out or {}).values()]
     score = float(np.sqrt(np.mean(np.square(errors)))) if errors else None
-    return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point, at.log_depth))
+    return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point))
 
 
 def likelihood_of(
@@ -270,10 +270,10 @@ def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
     return said
 
 
-def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
+def _seconds(model: Model, point: np.ndarray) -> float:
     """Shortest of three predictions of all records, compiled before."""
     frame, numbers = divided(model)
-    arguments = numbers, np.asarray(point), float(log_depth)
+    arguments = numbers, np.asarray(point)
     predict, _ = program("calibration prediction", _predicted, (frame,), arguments)
     predict(*arguments)
     taken = []
@@ -284,5 +284,5 @@ def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
     return min(taken)
 
 
-def _predicted(frame: Model, numbers: tuple[Any, ...], point: Array, log_depth: Array) -> Array:
-    return whole(frame, numbers).predictions(point, log_depth)
+def _predicted(frame: Model, numbers: tuple[Any, ...], point: Array) -> Array:
+    return whole(frame, numbers).predictions(point)

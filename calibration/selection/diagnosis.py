@@ -154,8 +154,8 @@ def _scene(problem: Problem, result: Fit) -> Scene | None:
         return None
     if at.spread.covariance is None or min(s.rows.size for s in at.series) < _FEWEST:
         return None
-    readings = predictions(at.model, at.end.point, at.log_depth)
-    return scene_of(at.model, at.series, readings, at.end.point, at.log_depth)
+    readings = predictions(at.model, at.end.point)
+    return scene_of(at.model, at.series, readings, at.end.point)
 
 
 def _ranked(problem: Problem, result: Fit, scene: Scene, first: Found | None = None) -> Diagnosis:

@@ -91,9 +91,9 @@ def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequenc
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     own = np.array([values[axis.label(fitted)] for axis in model.coordinates])
-    point = model.point(own, 0.0)
+    point = model.point(own)
     if not noise_model.known(fitted):
-        model, _ = noise_model.estimate(model, fitted, point, 0.0)
+        model, _ = noise_model.estimate(model, fitted, point)
     shared = [i for i, axis in enumerate(model.coordinates) if axis.experiment is None]
     if not shared:
         raise InputError(problem.where, "no parameter is shared by the experiments", "free one without each = true")
@@ -147,10 +147,10 @@ def _gain(
     if any("time_offset" in e.bounds for e in problem.experiments):  # Of clocks of their own there is no usual one.
         usual["time_offset"] = 0.0
     nominal = {**usual, **candidate.fixed}
-    point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]), 0.0)
+    point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]))
     if candidate.share:
         other = _absolute(other, planned, point)
-    residuals, jacobian = residuals_and_jacobian(other, point, 0.0)
+    residuals, jacobian = residuals_and_jacobian(other, point)
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
     mine = [k for k, axis in enumerate(other.coordinates) if axis.experiment is None]
@@ -171,7 +171,7 @@ def _gain(
 
 def _information(model: Model, point: np.ndarray) -> np.ndarray:
     """Fisher information of all coordinates, that of their bounds included."""
-    _, slopes = residuals_and_jacobian(model, point, 0.0)
+    _, slopes = residuals_and_jacobian(model, point)
     return slopes.T @ slopes + _UNIFORM * np.eye(point.size)
 
 
@@ -200,7 +200,7 @@ def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) ->
 
 def _absolute(model: Model, planned: Experiment, point: np.ndarray) -> Model:
     """The model with noise that is a share of each channel's predicted peak."""
-    read = predictions(model, point, 0.0)[0]
+    read = predictions(model, point)[0]
     shares = np.array([channel.sigma for channel in planned.channels], dtype=float)
     sigma = shares * np.maximum(np.max(np.abs(read), axis=1), 1e-300)
     weights = np.broadcast_to(1.0 / sigma[None, :, None], model.data.weights.shape)

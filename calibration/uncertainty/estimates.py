@@ -74,16 +74,16 @@ class Reference:
 
 
 def estimates(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: fit_tests.Spread, rough: bool = False
+    model: Model, labels: tuple[str, ...], best: End, spread: fit_tests.Spread, rough: bool = False
 ) -> tuple[dict[str, Parameter], Reference | None, list[fit_tests.Test]]:
     """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three.
 
     ``rough``: whether the integrator's error is what the cost is made of; a joint's always counts.
     """
-    values = model.values(best.point, log_depth).tolist()
+    values = model.values(best.point).tolist()
     pair = model.pair() if model.referenced else None
-    z, slopes = placed(model, best, log_depth)
-    reference = _reference(model, best, log_depth, spread)
+    z, slopes = placed(model, best)
+    reference = _reference(model, best, spread)
     parameters: dict[str, Parameter] = {}
     tests: list[fit_tests.Test] = []
     reaches: list[float] = []
@@ -109,7 +109,7 @@ def estimates(
         for slope, label, reach in zip(slopes, labels, reaches, strict=True):
             if not spread.half_width(slope) > 0.0:  # It is held where it is.
                 continue
-            ratio = _curvature(model, best, log_depth, spread, slope, (-reach, 1.0), rough)
+            ratio = _curvature(model, best, spread, slope, (-reach, 1.0), rough)
             tests.append(fit_tests.curvature_test(label, ratio))
     tests.append(fit_tests.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
@@ -120,18 +120,18 @@ def estimates(
     return parameters, reference, tests
 
 
-def placed(model: Model, best: End, log_depth: float) -> tuple[np.ndarray, np.ndarray]:
+def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates (P,) on their scales, and how they move with the unit box (P, P).
 
     A stiffness that is searched as a reference force goes from ln F_ref to ln K = ln F_ref - n ln d_ref.
     """
-    values = model.values(best.point, log_depth)
-    lower, width = model.box(log_depth)
+    values = model.values(best.point)
+    lower, width = model.box
     slopes, z, pair = np.diag(width), lower + best.point * width, model.pair() if model.referenced else None
     if pair:
         k, n = pair
-        z[k] -= values[n] * log_depth
-        slopes[k, n] = -log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
+        z[k] -= values[n] * model.log_depth
+        slopes[k, n] = -model.log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
     return z, slopes
 
 
@@ -147,15 +147,15 @@ def _edges(
 
 
 def ends_of(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: fit_tests.Spread
+    model: Model, labels: tuple[str, ...], best: End, spread: fit_tests.Spread
 ) -> tuple[dict[str, tuple[float, float] | None], tuple[float, float] | None]:
     """Intervals by name for another spread of the same estimate, and that of the reference force, however wide."""
-    z, slopes = placed(model, best, log_depth)
-    values, found = model.values(best.point, log_depth).tolist(), {}
+    z, slopes = placed(model, best)
+    values, found = model.values(best.point).tolist(), {}
     for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
         half, quantity = spread.half_width(slopes[i]), _quantity(model, axis)
         found[label] = _edges(axis, quantity, values[i], z[i], half)[0] if np.isfinite(half) else None
-    reference = _reference(model, best, log_depth, spread)
+    reference = _reference(model, best, spread)
     return found, reference and reference.ci95
 
 
@@ -173,21 +173,20 @@ def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
 
-def _reference(model: Model, best: End, log_depth: float, spread: fit_tests.Spread) -> Reference | None:
+def _reference(model: Model, best: End, spread: fit_tests.Spread) -> Reference | None:
     """F_ref, a coordinate of its own, where stiffness and exponent are both searched."""
     if not model.referenced:
         return None
-    (lower, width), k = model.box(log_depth), model.pair()[0]
+    (lower, width), k = model.box, model.pair()[0]
     centre, half = float(lower[k] + best.point[k] * width[k]), spread.half_width(np.diag(width)[k])
     interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
     known = half < np.log(fit_tests.WIDEST_FACTOR)
-    return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)
+    return Reference(float(np.exp(model.log_depth)), float(np.exp(centre)), interval if known else None)
 
 
 def _curvature(
     model: Model,
     best: End,
-    log_depth: float,
     spread: fit_tests.Spread,
     slope: np.ndarray,
     reaches: tuple[float, float],
@@ -203,7 +202,7 @@ def _curvature(
     expected = quantile**2 * spread.rise * shares**2
     steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
     ends = best.point + steps
-    residuals, jacobians = evaluator(model, log_depth)(ends)
+    residuals, jacobians = evaluator(model)(ends)
     if rough or budget(model.scene).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all

@@ -76,7 +76,6 @@ def revised(
     model: Model,
     labels: Sequence[str],
     place: np.ndarray,
-    log_depth: float,
     quality: fit_tests.Spread,
     parameters: dict[str, Parameter],
     reference: Reference | None,
@@ -93,7 +92,7 @@ def revised(
 
     Args:
         kind: one of ``KINDS``.
-        model, labels, place, log_depth, quality: of the optimum.
+        model, labels, place, quality: of the optimum.
         parameters, reference, tests: as the covariance has them, from ``estimates``.
         estimated: channels whose noise has an estimated deviation.
         batch: points evaluated together.
@@ -102,9 +101,7 @@ def revised(
     if kind == "posterior":
         if quality.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
             return parameters, reference, tests, Evidence()
-        drawn = posterior.of_model(
-            model, place, log_depth, quality.covariance, labels, estimated=estimated, chains=Chains(seed)
-        )
+        drawn = posterior.of_model(model, place, quality.covariance, labels, estimated=estimated, chains=Chains(seed))
         ends, why = drawn.intervals, dict.fromkeys(labels, drawn.refusal)
         content = f"posterior: {drawn.refusal}"
         mixed = fit_tests.Test(
@@ -121,7 +118,7 @@ def revised(
     if not names:
         return parameters, reference, tests, Evidence()
     allowed = profile.rise_allowed(quality)
-    found = profile.of_model(model, place, log_depth, allowed, labels, only=names, batch=batch)
+    found = profile.of_model(model, place, allowed, labels, only=names, batch=batch)
     ends = {name: p.interval for name, p in found.items()}
     why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in found.items()}
     parameters, reference = _replaced("profile", model, labels, parameters, reference, ends)
@@ -182,7 +179,6 @@ def headlined(
     model: Model,
     labels: tuple[str, ...],
     best: End,
-    log_depth: float,
     misses: dict[str, fit_tests.Spread],
     parameters: dict[str, Parameter],
     reference: Reference | None,
@@ -194,7 +190,7 @@ def headlined(
         misses: spreads beside the noise's; none where the law is the noise.
         given: whether there is one: not after a search that failed, nor where the data allow another answer.
     """
-    kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
+    kinds = {kind: ends_of(model, labels, best, spread) for kind, spread in misses.items()}
 
     def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
         if not given or any(ends is None for ends in by_kind.values()):

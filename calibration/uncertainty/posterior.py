@@ -67,7 +67,6 @@ class Posterior:
 def of_model(
     model: Model,
     place: np.ndarray,
-    log_depth: float,
     covariance: np.ndarray,
     labels: Sequence[str],
     *,
@@ -79,21 +78,22 @@ def of_model(
     Args:
         model: residual function.
         place: the optimum, unit-box coordinates (P,).
-        log_depth: ln of the reference penetration [m].
         covariance: of the coordinates at the optimum (P, P): the first guess of the sampler's metric.
         labels: of the model's coordinates.
         estimated: names of the channels whose noise has an estimated deviation.
         chains: what the sampler does.
     """
     found = sample(
-        lambda u: model.residuals(u, jnp.asarray(log_depth)), place, covariance, labels,
+        model.residuals, place, covariance, labels,
         owners=_owners(model, estimated), loss=model.loss, chains=chains,
     )  # fmt: skip
-    values = model.values(found.draws, log_depth)
+    values = model.values(found.draws)
     names = tuple(labels)
     if model.referenced:
         k, n = model.pair()
-        values = np.concatenate([values, (values[..., k] * np.exp(values[..., n] * log_depth))[..., None]], axis=-1)
+        values = np.concatenate(
+            [values, (values[..., k] * np.exp(values[..., n] * model.log_depth))[..., None]], axis=-1
+        )
         names = (*names, "reference_force")
     return _summary(names, values, found.divergences)
 

@@ -53,7 +53,6 @@ class Profile:
 def of_model(
     model: Model,
     place: np.ndarray,
-    log_depth: float,
     allowed: Callable[[np.ndarray], float],
     labels: Sequence[str],
     only: Sequence[str] | None = None,
@@ -67,16 +66,15 @@ def of_model(
     Args:
         model: residual function.
         place: the optimum, unit-box coordinates (P,).
-        log_depth: ln of the reference penetration [m].
         allowed: rise of the cost at the ends of the interval of a combination of coordinates (P,); ``rise_allowed``.
         labels: of the model's coordinates.
         only: labels wanted; by default all.
         batch: points evaluated together; by default one a walk.
     """
-    targets = [t for t in _targets(model, log_depth, labels) if only is None or t.name in only]
+    targets = [t for t in _targets(model, labels) if only is None or t.name in only]
     at = np.asarray(place, float)
     thresholds = [allowed(np.eye(at.size)[t.index] - t.shift(at)[1]) for t in targets]
-    found = profiles(evaluator(model, log_depth), targets, at, thresholds, labels=labels, batch=batch)
+    found = profiles(evaluator(model), targets, at, thresholds, labels=labels, batch=batch)
     return {p.name: p for p in found}
 
 
@@ -94,22 +92,22 @@ def rise_allowed(quality: Spread) -> Callable[[np.ndarray], float]:
     return allowed
 
 
-def _targets(model: Model, log_depth: float, labels: Sequence[str]) -> list[Target]:
-    lower, width = model.box(log_depth)
+def _targets(model: Model, labels: Sequence[str]) -> list[Target]:
+    lower, width = model.box
     pair = model.pair() if model.referenced else None
     targets = []
     for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
         name = "reference_force" if pair and i == pair[0] else label
         targets.append(coordinate(name, i, lower=lower[i], width=width[i], log=axis.log))
     if pair:
-        k, n = pair
+        (k, n), depth = pair, model.log_depth
         exponent_is_log = model.coordinates[n].log
 
         def shift(u: np.ndarray) -> tuple[float, np.ndarray]:
             z = lower[n] + u[n] * width[n]
             exponent = np.exp(z) if exponent_is_log else z
             rate = exponent * width[n] if exponent_is_log else width[n]
-            return exponent * log_depth / width[k], np.eye(u.size)[n] * rate * log_depth / width[k]
+            return exponent * depth / width[k], np.eye(u.size)[n] * rate * depth / width[k]
 
         # The box of F_ref is wider than that of K: K keeps its own.
         low, high = ((b - lower[k]) / width[k] for b in (model.coordinates[k].lower, model.coordinates[k].upper))

@@ -28,7 +28,7 @@ def built(request):
     params = {k: float(v) for k, v in scene.parameters(mass=0.1, approach_speed=1.0, stiffness=1e8).items()}
     one = Experiment("a", np.linspace(0.0, 1e-3, 20), (Channel("contact.normal", np.ones(20), 1.0),))
     free = (FREE[0], Free("exponent", 1.0, 2.5, scale=request.param), FREE[2])
-    found = model.build(Problem(scene, params, (one,), free), (one,))
+    found = model.build(Problem(scene, params, (one,), free), (one,)).at_depth(float(np.log(DEPTH)))
     assert found.referenced
     return found
 
@@ -46,10 +46,10 @@ def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
     point = np.array([0.4, 0.6, 0.3])
 
     def scaled(u):
-        values = built.values(u, np.log(DEPTH))
+        values = built.values(u)
         return np.array([np.log(v) if a.log else v for v, a in zip(values, built.coordinates, strict=True)])
 
-    z, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
+    z, slopes = estimates.placed(built, optimum(point))
     assert z == pytest.approx(scaled(point), rel=1e-12)
     steps = 1e-6 * np.eye(3)
     wanted = np.stack([(scaled(point + step) - scaled(point - step)) / 2e-6 for step in steps], axis=1)
@@ -59,9 +59,9 @@ def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
 def test_intervals_are_about_the_estimates_on_their_scales(built):
     """By a linear propagation of the covariance; the reference force at its penetration, K d^n."""
     point, known = np.array([0.4, 0.6, 0.3]), spread(1)
-    values = built.values(point, np.log(DEPTH))
-    _, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
-    found, force = estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), known)
+    values = built.values(point)
+    _, slopes = estimates.placed(built, optimum(point))
+    found, force = estimates.ends_of(built, NAMES, optimum(point), known)
     halves = 1.959964 * np.sqrt(np.diag(slopes @ known.covariance @ slopes.T))
     for name, axis, value, half in zip(NAMES, built.coordinates, values, halves, strict=True):
         ends = value * np.exp([-half, half]) if axis.log else value + np.array([-half, half])
@@ -73,7 +73,7 @@ def test_intervals_are_about_the_estimates_on_their_scales(built):
     assert force == pytest.approx(tuple(values[0] * DEPTH ** values[1] * np.exp([-half, half])), rel=1e-6)
     # What is not determined to a factor of two has none.
     wide = known._replace(covariance=1e6 * known.covariance)
-    assert estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), wide)[1] is None
+    assert estimates.ends_of(built, NAMES, optimum(point), wide)[1] is None
 
 
 def test_ends_stay_where_the_quantity_can_be_and_within_the_bounds():
@@ -124,11 +124,11 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
     """Of the estimates and, last, of the logarithm of the reference force; of residuals of variance 1."""
     point, jacobian = np.array([0.4, 0.6, 0.3]), np.random.default_rng(2).standard_normal((9, 3)) * [1.0, 1e3, 1e-2]
     one = unstated_filter.Tried(None, np.inf, point, 0.0, np.zeros(9), jacobian)
-    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)), np.log(DEPTH))
-    where, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
-    values = built.values(point, np.log(DEPTH))
+    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)))
+    where, slopes = estimates.placed(built, optimum(point))
+    values = built.values(point)
     assert z == pytest.approx([*where, np.log(values[0] * DEPTH ** values[1])], rel=1e-9)
-    covariance, width = np.linalg.inv(jacobian.T @ jacobian), built.box(np.log(DEPTH))[1]
+    covariance, width = np.linalg.inv(jacobian.T @ jacobian), built.box[1]
     wanted = np.sqrt([*np.diag(slopes @ covariance @ slopes.T), width[0] ** 2 * covariance[0, 0]])
     np.testing.assert_allclose(deviations, wanted, rtol=1e-6)
 
@@ -136,10 +136,10 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
 def test_what_a_profile_holds_is_the_value_of_its_name(built):
     """The stiffness by a combination of reference force and exponent, between its own bounds; slopes by differences."""
     rng, values = np.random.default_rng(3), {}
-    targets = profile._targets(built, np.log(DEPTH), NAMES)
+    targets = profile._targets(built, NAMES)
     assert [t.name for t in targets] == ["stiffness", "reference_force", "exponent", "mass"]
     for point in rng.uniform(0.1, 0.9, (3, 3)):
-        values = dict(zip(NAMES, built.values(point, np.log(DEPTH)), strict=True))
+        values = dict(zip(NAMES, built.values(point), strict=True))
         values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
         for t in targets:
             shift, slope = t.shift(point)

@@ -25,13 +25,11 @@ def test_estimates_and_profiles_equal_pypestos():
 
     free = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.2, 1.8))
     problem = impact(free)
-    built = model.build(problem, problem.experiments)
-    log_depth = float(np.log(2e-4))
-    depth = jnp.asarray(log_depth)
+    built = model.build(problem, problem.experiments).at_depth(float(np.log(2e-4)))
     labels = tuple(axis.label(problem.experiments) for axis in built.coordinates)
 
     def both(u):
-        return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u), depth))
+        return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u)))
 
     def cost(u):
         residuals, _ = both(u)
@@ -42,8 +40,8 @@ def test_estimates_and_profiles_equal_pypestos():
         return jacobian.T @ residuals
 
     middle = np.full(2, 0.5)
-    best = finish(built, middle, middle, log_depth)
-    ours = profile.of_model(built, best.point, log_depth, lambda slope: NORMAL**2, labels)
+    best = finish(built, middle, middle)
+    ours = profile.of_model(built, best.point, lambda slope: NORMAL**2, labels)
 
     theirs = pypesto.Problem(
         pypesto.Objective(fun=cost, grad=gradient),
@@ -57,7 +55,7 @@ def test_estimates_and_profiles_equal_pypestos():
     )
     sigma = np.sqrt(np.diag(np.linalg.inv(best.jacobian.T @ best.jacobian)))
     assert result.optimize_result[0].x == pytest.approx(best.point, abs=1e-3 * sigma.min())
-    lower, width = (np.asarray(a) for a in built.box(depth))
+    lower, width = (np.asarray(a) for a in built.box)
     for i, name in enumerate(("reference_force", "exponent")):
         steps = {f"{kind}_step_size_absolute": 0.4 * sigma[i] for kind in ("default", "min", "max")}
         steps |= {f"{kind}_step_size_relative": 0.0 for kind in ("default", "min", "max")}
