@@ -249,6 +249,12 @@ def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
     return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
 
 
+def determined_test(label: str, half: float, axis: Coordinate, why: str = "") -> Test:
+    """Whether half the length of an interval, on its scale, is below a factor of two or half of the range."""
+    reason = why or f"the data do not determine {label}: they allow a factor or share beyond the limit"
+    return Test(f"{label} determined", half, widest(axis), half < widest(axis), reason)
+
+
 def curvature_test(label: str, ratio: float) -> Test:
     """Whether the cost rises as the covariance says at an interval's ends: ratio of true to quadratic rise."""
     reason = f"the cost at the ends of the interval of {label} is {ratio:.3g} times what the covariance predicts"

@@ -9,13 +9,14 @@ from scipy.optimize import least_squares
 
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem, size, units_of
-from calibration.search.refinement import FAILED_RESIDUAL, End
+from calibration.search.refinement import FAILED_RESIDUAL
 
 # Share of a record's peak from which on a force is said to act.
 _ACTING = 0.05
@@ -37,9 +38,7 @@ class Record:
     params: dict[str, float]
 
 
-def hold_out(
-    problem: Problem, model: Model, best: End, quality: fit_tests.Spread, noise: Estimate
-) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
+def hold_out(problem: Problem, at: Optimum) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
     The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
@@ -51,7 +50,8 @@ def hold_out(
         Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts (a long
         rest must not make it small); the records; and the test.
     """
-    held = tuple(with_noise(e, noise) for e in problem.experiments if e.hold_out)
+    model, best, quality = at.model, at.end, at.spread
+    held = tuple(with_noise(e, at.noise) for e in problem.experiments if e.hold_out)
     other = build(problem, held)
     shared = sum(s.experiment is None for s in model.coordinates)
     own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
@@ -152,27 +152,19 @@ def _sigma(weights: np.ndarray) -> float:
     return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
 
 
-def series_of(
-    model: Model,
-    experiments: tuple[Experiment, ...],
-    seen: list[Contact],
-    noise: Estimate,
-    residuals: np.ndarray,
-    errors: np.ndarray,
-    accuracy: float,
-) -> list[Series]:
+def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: float) -> list[Series]:
     """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
 
     Args:
-        model, experiments, noise: as settled.
+        at: the optimum.
         seen: ``runs.contacts`` of the model.
-        residuals, errors: (N,) white, and the integrator's part in them.
+        errors: (N,) the integrator's part in the residuals.
         accuracy: error of the simulated forces as a share of their peak.
     """
-    weights, shape = np.asarray(model.data.weights), model.data.weights.shape
-    values = np.asarray(model.data.values)
+    model, noise, residuals = at.model, at.noise, at.end.residuals
+    weights, values, shape = np.asarray(model.data.weights), np.asarray(model.data.values), model.data.weights.shape
     series = []
-    for i, experiment in enumerate(experiments):
+    for i, experiment in enumerate(at.experiments):
         for channel in experiment.channels:
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)

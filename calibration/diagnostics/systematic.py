@@ -21,7 +21,7 @@ import equinox as eqx
 import numpy as np
 
 from bcfj_jax.core.quantities import GRAVITY
-from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import weight
 from calibration.forward.losses import influence
@@ -115,24 +115,30 @@ class Error(NamedTuple):
     signature: np.ndarray
 
 
-def budget_of(
-    model: Model, names: tuple[str, ...], best: End, spread: Spread, errors: list[Error], slopes: np.ndarray,
-    sizes: np.ndarray, alone: Sequence[Collection[str]] = (),
-) -> Budget:  # fmt: skip
+class Moving(NamedTuple):
+    """What errors move: names, how each moves with the unit box (K, P), and what a move is a share of (K,)."""
+
+    names: tuple[str, ...]
+    slopes: np.ndarray
+    sizes: np.ndarray
+
+
+def budget_of(at: Optimum, errors: list[Error], moving: Moving, alone: Sequence[Collection[str]] = ()) -> Budget:
     """Every line, and all together.
 
     Args:
-        model, best, spread: of the optimum, whose covariance is known.
-        names, slopes, sizes: (K,) of what moves, (K, P) how it moves with the unit box, and what a move is a share of.
+        at: the optimum, whose covariance is known.
         errors: that may be.
+        moving: the estimates.
         alone: groups of names of which there is one error at most; for each estimate those that move it most.
     """
-    psi, bend = influence(model.loss, best.residuals)
+    (names, slopes, sizes), best = moving, at.end
+    psi, bend = influence(at.model.loss, best.residuals)
     # Least squares over these rows is a step of the robust loss.
     root = np.sqrt(np.maximum(bend, 1e-3))
     residuals = psi / root
     basis, triangle = np.linalg.qr(root[:, None] * best.jacobian)
-    variance = max(1.0, float(residuals @ residuals) / max(spread.freedom, 1))
+    variance = max(1.0, float(residuals @ residuals) / max(at.spread.freedom, 1))
     lines: dict[str, Line] = {}
     columns: dict[str, np.ndarray] = {}
     for error in errors:

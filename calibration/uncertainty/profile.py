@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward.model import Model
-from calibration.search.starts import evaluator
+from calibration.search.evaluate import evaluator
 from calibration.uncertainty.walk import Residuals, Side, Target, together, walk
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
@@ -50,31 +51,21 @@ class Profile:
         return None if low is None or high is None else (low, high)
 
 
-def of_model(
-    model: Model,
-    place: np.ndarray,
-    allowed: Callable[[np.ndarray], float],
-    labels: Sequence[str],
-    only: Sequence[str] | None = None,
-    batch: int | None = None,
-) -> dict[str, Profile]:
+def of_optimum(at: Optimum, only: Sequence[str] | None = None, batch: int | None = None) -> dict[str, Profile]:
     """Profiles of a problem's parameters around its optimum, by label.
 
     With a reference force, "reference_force" is its profile and "stiffness" that of K = F_ref / d_ref^n, for which
     K is held and F_ref follows n.
 
     Args:
-        model: residual function.
-        place: the optimum, unit-box coordinates (P,).
-        allowed: rise of the cost at the ends of the interval of a combination of coordinates (P,); ``rise_allowed``.
-        labels: of the model's coordinates.
+        at: the optimum.
         only: labels wanted; by default all.
         batch: points evaluated together; by default one a walk.
     """
-    targets = [t for t in _targets(model, labels) if only is None or t.name in only]
-    at = np.asarray(place, float)
-    thresholds = [allowed(np.eye(at.size)[t.index] - t.shift(at)[1]) for t in targets]
-    found = profiles(evaluator(model), targets, at, thresholds, labels=labels, batch=batch)
+    targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
+    place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
+    asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
+    found = profiles(evaluator(at.model), asked, place, labels=at.labels, batch=batch)
     return {p.name: p for p in found}
 
 
@@ -123,27 +114,19 @@ def coordinate(name: str, index: int, *, lower: float = 0.0, width: float = 1.0,
 
 
 def profiles(
-    residuals: Residuals,
-    targets: Sequence[Target],
-    place: np.ndarray,
-    thresholds: Sequence[float],
-    *,
-    labels: Sequence[str],
-    batch: int | None = None,
-    scouts: int = 3,
-) -> tuple[Profile, ...]:
+    residuals: Residuals, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
+    batch: int | None = None, scouts: int = 3,
+) -> tuple[Profile, ...]:  # fmt: skip
     """Profile likelihood of every target around an optimum.
 
     Args:
         residuals: batched residual function on the unit box; NaN where a simulation fails.
-        targets: what to hold fixed.
+        asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
         place: the optimum (P,).
-        thresholds: rise of the sum of squares that bounds each target's interval.
         labels: names of the P coordinates, for the notes.
         batch: points in a call of ``residuals``; by default one a walk.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
-    asked = list(zip(targets, thresholds, strict=True))
     walks = [walk(target, sign, place, threshold, scouts) for target, threshold in asked for sign in (-1.0, 1.0)]
     sides = together(walks, residuals, batch or len(walks))
     pairs = zip(asked, sides[::2], sides[1::2], strict=True)

@@ -11,9 +11,11 @@ from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import fit_tests, influence
 from calibration.diagnostics.clearance import clearance_tests, gap_of, whole_contact_test
+from calibration.diagnostics.optimum import Optimum
 from calibration.fit import AllStartsFailed
 from calibration.forward import model
 from calibration.forward.runs import contacts, failure, refusal
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import End
 from calibration.search.starts import referred
 from calibration.uncertainty.estimates import estimates
@@ -56,7 +58,7 @@ def test_directions_that_trade_are_named_with_what_separates_them():
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "mass": MASS, "approach_speed": SPEED}, TIMES)
     built = jax.tree_util.tree_map(lambda x: x, built)
     built.data.fixed["clearance_contact"] = jnp.zeros(1)
-    told = influence.at_start(made, built, labels, point, np.zeros(3), 1.0)
+    told = influence.at_start(made, built, labels, point, np.zeros(3))
     assert told["singular_values"][-1] < 1e-2 < 1.0 < told["singular_values"][1]
     (weak,) = told["weak"]
     assert set(weak["parameters"]) == set(labels)
@@ -74,11 +76,11 @@ def test_what_moves_nothing_by_the_noise_is_refused():
     free = (Free("stiffness", 0.9995 * STIFFNESS, 1.0005 * STIFFNESS), LAW[1])
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": GAP})
     with pytest.raises(InputError, match=r"\[free.stiffness\].*moves no residual by more than"):
-        influence.at_start(made, built, labels, point, np.zeros(2), 1.0)
+        influence.at_start(made, built, labels, point, np.zeros(2))
     # Ten times the range and it is not.
     free = (Free("stiffness", 0.995 * STIFFNESS, 1.005 * STIFFNESS), LAW[1])
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": GAP})
-    assert influence.at_start(made, built, labels, point, np.zeros(2), 1.0)["reach"]["stiffness"] > 1.0
+    assert influence.at_start(made, built, labels, point, np.zeros(2))["reach"]["stiffness"] > 1.0
 
 
 def test_data_that_no_model_explains_are_refused():
@@ -123,14 +125,15 @@ def test_how_well_a_clearance_is_known_does_not_depend_on_how_large_it_comes_out
     known = 0.5e-3
     free = (LAW[0], Free("clearance_contact", 1e-4, 3e-3))
     assert free[1].log and not free[1].as_share and free[0].as_share
-    _, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap})
+    made, built, point, _ = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap})
     assert built.coordinates[1].drawn(np.array([0.0, 0.5, 1.0])) == pytest.approx(
         [0.0, (3e-7**0.5 - 1e-4) / 2.9e-3, 1.0]
     )
     width = np.array([np.log(100.0), 2.9e-3])
     jacobian = np.diag(width / [0.1, known])
     best = End(point, point, 0.0, np.zeros(2), jacobian, True)
-    found, _, _ = estimates(built, labels, best, fit_tests.spread(best, 50, [], "linear"))
+    spread = fit_tests.spread(best, 50, [], "linear")
+    found = estimates(Optimum(built, made.experiments, best, Estimate({}, {}, []), spread)).parameters
     gap_found, half = found["clearance_contact"], 1.96 * known
     assert gap_found.identifiable
     # Not beyond the bounds that were given.

@@ -12,6 +12,7 @@ from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import fit_tests
 from calibration.report import plots_uncertainty
 from calibration.uncertainty import intervals, posterior, profile
+from calibration.uncertainty.estimates import Estimates
 
 NORMAL = 1.959963984540054
 THRESHOLD = NORMAL**2
@@ -44,7 +45,7 @@ def analytic(function, jacobian, calls=None):
 
 def found_by(residuals, targets, best, **more):
     """Profiles with the threshold of stated noise."""
-    return profile.profiles(residuals, targets, best, [THRESHOLD] * len(targets), **more)
+    return profile.profiles(residuals, [(target, THRESHOLD) for target in targets], best, **more)
 
 
 def box(count):
@@ -58,7 +59,7 @@ def test_linear_problem_has_the_covariance_interval():
     noise -= matrix @ np.linalg.lstsq(matrix, noise)[0]  # the optimum is exactly there
     calls = []
     both = analytic(lambda u: matrix @ (u - best) + noise, lambda u: matrix, calls)
-    found = found_by(both, box, best, labels=("u0", "u1", "u2"))
+    found = found_by(both, box(3), best, labels=("u0", "u1", "u2"))
     half = NORMAL * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
     for p, centre, h in zip(found, best, half, strict=True):
         assert p.shape == "bounded" and not p.notes
@@ -73,9 +74,9 @@ def test_linear_problem_has_the_covariance_interval():
 def test_blocks_of_another_size_change_nothing():
     matrix, best, calls = np.diag([30.0, 40.0, 50.0]), np.full(3, 0.5), []
     both = analytic(lambda u: matrix @ (u - best), lambda u: matrix, calls)
-    whole = found_by(both, box, best, labels=("u0", "u1", "u2"))
+    whole = found_by(both, box(3), best, labels=("u0", "u1", "u2"))
     calls.clear()
-    parts = found_by(both, box, best, labels=("u0", "u1", "u2"), batch=4)
+    parts = found_by(both, box(3), best, labels=("u0", "u1", "u2"), batch=4)
     assert set(calls) == {4}
     assert [p.interval for p in parts] == [p.interval for p in whole]
 
@@ -142,7 +143,7 @@ def test_banana_is_one_sided():
     curve = lambda u: np.array([20 * (u[1] - 0.4 - (u[0] + 0.2) ** 2 / 2), 9 * max(u[0] - 0.3, 0.0) ** 2])  # noqa: E731
     slope = lambda u: np.array([[-20 * (u[0] + 0.2), 20.0], [18 * max(u[0] - 0.3, 0.0), 0.0]])  # noqa: E731
     best = np.array([0.25, 0.4 + 0.45**2 / 2])
-    u0, u1 = found_by(analytic(curve, slope), box, best, labels=("u0", "u1"))
+    u0, u1 = found_by(analytic(curve, slope), box(2), best, labels=("u0", "u1"))
     assert u0.shape == "one-sided" and u0.interval is None
     assert u0.ends[0] is None and u0.notes == ("below u0: it reaches its bound",)
     assert u0.ends[1] == pytest.approx(0.3 + np.sqrt(np.sqrt(THRESHOLD) / 9), abs=1e-5)
@@ -164,14 +165,14 @@ def expected_upper(curve) -> float:
 
 def test_flat_and_multimodal_have_no_interval():
     flat = analytic(lambda u: np.array([10 * (u[1] - 0.5)]), lambda u: np.array([[0.0, 10.0]]))
-    idle, known = found_by(flat, box, np.full(2, 0.5), labels=("u0", "u1"))
+    idle, known = found_by(flat, box(2), np.full(2, 0.5), labels=("u0", "u1"))
     assert (idle.shape, idle.ends, known.shape) == ("flat", (None, None), "bounded")
     # Two optima of one cost, a fifth apart, with a ridge between them.
     wave = analytic(
         lambda u: np.array([6 * np.sin(5 * np.pi * (u[0] - 0.5))]),
         lambda u: np.array([[30 * np.pi * np.cos(5 * np.pi * (u[0] - 0.5))]]),
     )
-    (twin,) = found_by(wave, box, np.array([0.5]), labels=("u0",), scouts=5)
+    (twin,) = found_by(wave, box(1), np.array([0.5]), labels=("u0",), scouts=5)
     assert twin.shape == "multimodal" and twin.interval is None
     assert "the data fit as well near" in " ".join(twin.notes)
 
@@ -180,7 +181,7 @@ def test_a_better_optimum_is_said():
     # Between 0.5, where a start might stop, and 0.7 the cost falls again.
     function = lambda u: np.array([2 + np.cos(10 * np.pi * u[0]) * 0.3 - 6 * max(u[0] - 0.5, 0.0)])  # noqa: E731
     slope = lambda u: np.array([[-3 * np.pi * np.sin(10 * np.pi * u[0]) - 6 * (u[0] > 0.5)]])  # noqa: E731
-    (found,) = found_by(analytic(function, slope), box, np.array([0.5]), labels=("u0",))
+    (found,) = found_by(analytic(function, slope), box(1), np.array([0.5]), labels=("u0",))
     assert found.shape == "multimodal" and found.interval is None
     assert "a better optimum" in " ".join(found.notes)
 
@@ -190,7 +191,7 @@ def test_failed_simulations_leave_the_side_open():
         return np.array([5 * (u[0] - 0.5)]) if u[0] < 0.6 else np.array([np.nan])
 
     both = analytic(function, lambda u: np.array([[5.0]]))
-    (found,) = found_by(both, box, np.array([0.5]), labels=("u0",))
+    (found,) = found_by(both, box(1), np.array([0.5]), labels=("u0",))
     assert found.shape == "one-sided"
     assert found.ends == (pytest.approx(0.5 - NORMAL / 5, abs=1e-9), None)
     assert "no simulation succeeds" in found.notes[0] and found.values[-1] < 0.6
@@ -200,7 +201,7 @@ def test_an_end_that_rests_on_another_bound_is_said():
     # u1 would have to leave its box to follow u0.
     matrix = np.array([[30.0, -30.0], [3.0, 3.0]])
     both = analytic(lambda u: matrix @ (u - np.array([0.5, 0.9])), lambda u: matrix)
-    u0, _ = found_by(both, box, np.array([0.5, 0.9]), labels=("u0", "u1"))
+    u0, _ = found_by(both, box(2), np.array([0.5, 0.9]), labels=("u0", "u1"))
     assert u0.notes == ("the upper end of u0 rests on the bound of u1",)
     # With u1 = 1 held: |30 (d - 0.1), 3 (d + 0.1)|^2 = threshold.
     rise = lambda d: 900 * (d - 0.1) ** 2 + 9 * (d + 0.1) ** 2 - THRESHOLD  # noqa: E731
@@ -228,12 +229,10 @@ def test_fit_states_profiles_as_the_kind_of_its_intervals(profiled_fit):
 
 @pytest.mark.slow
 def test_bent_interval_gives_way_to_its_profile(profiled_fit):
-    at, names = profiled_fit.optimum, profiled_fit.labels
+    at = profiled_fit.optimum
     before = [fit_tests.curvature_test("stiffness", 1.1), fit_tests.curvature_test("exponent", 5.0)]
-    parameters, reference, tests, evidence = intervals.revised(
-        "covariance", at.model, names, at.end.point, at.log_depth, at.spread, profiled_fit.parameters,
-        profiled_fit.reference, before, estimated=(), batch=4, seed=0,
-    )  # fmt: skip
+    known = Estimates(profiled_fit.parameters, profiled_fit.reference, before)
+    (parameters, reference, tests), evidence = intervals.revised("covariance", at, known, 4, 0)
     assert evidence.profiles.keys() == {"exponent"}
     assert parameters["exponent"].ci95 == pytest.approx(profiled_fit.parameters["exponent"].ci95, rel=1e-6)
     assert parameters["stiffness"] is profiled_fit.parameters["stiffness"] and reference is profiled_fit.reference
@@ -243,8 +242,7 @@ def test_bent_interval_gives_way_to_its_profile(profiled_fit):
 @pytest.mark.slow
 def test_posterior_of_a_well_conditioned_fit_has_the_covariance_s_intervals(profiled_fit):
     pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
-    at, names = profiled_fit.optimum, profiled_fit.labels
-    drawn = posterior.of_model(at.model, at.end.point, at.spread.covariance, names)
+    drawn = posterior.of_optimum(profiled_fit.optimum)
     assert not drawn.refusal, drawn.refusal
     for name, found in profiled_fit.evidence.profiles.items():
         low, high = found.quadratic
@@ -265,7 +263,7 @@ def test_pictures_are_those_there_is_something_for(profiled_fit, tmp_path):
 
 def test_withheld_profiles_keep_their_shape_and_no_interval():
     linear = analytic(lambda u: 30 * (u - 0.5), lambda u: np.array([[30.0]]))
-    (found,) = found_by(linear, box, np.array([0.5]), labels=("u0",))
+    (found,) = found_by(linear, box(1), np.array([0.5]), labels=("u0",))
     bare = intervals.Evidence({"u0": found}).withheld("misfit").profiles["u0"]
     assert found.interval and bare.interval is None and bare.shape == "bounded"
 

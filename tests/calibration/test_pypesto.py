@@ -9,7 +9,10 @@ from scipy.interpolate import CubicSpline
 from test_profile import NORMAL, impact
 
 from calibration import Free
+from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward import model
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import finish
 from calibration.uncertainty import profile
 
@@ -26,7 +29,6 @@ def test_estimates_and_profiles_equal_pypestos():
     free = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.2, 1.8))
     problem = impact(free)
     built = model.build(problem, problem.experiments).at_depth(float(np.log(2e-4)))
-    labels = tuple(axis.label(problem.experiments) for axis in built.coordinates)
 
     def both(u):
         return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u)))
@@ -41,7 +43,8 @@ def test_estimates_and_profiles_equal_pypestos():
 
     middle = np.full(2, 0.5)
     best = finish(built, middle, middle)
-    ours = profile.of_model(built, best.point, lambda slope: NORMAL**2, labels)
+    spread = fit_tests.spread(best, problem.experiments[0].samples, [], "linear")
+    ours = profile.of_optimum(Optimum(built, problem.experiments, best, Estimate({}, {}, []), spread))
 
     theirs = pypesto.Problem(
         pypesto.Objective(fun=cost, grad=gradient),
