@@ -180,10 +180,7 @@ def text(result: Fit) -> str:
         ]
     if result.systematic:
         lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
-    lines += [
-        "",
-        f"residual: {_sizes(result.residual['rms'])} rms over {result.residual['samples']} samples",
-    ]
+    lines += ["", f"residual: {_sizes(result.residual['rms'])} rms over {result.residual['samples']} samples"]
     for name, seen in result.residual["features"].items():
         lines.append(
             f"{name}: {seen['fitted']:.4g} fitted, {seen['measured']:.4g} measured (sigma {seen['sigma']:.2g})"

@@ -74,10 +74,7 @@ def known(experiments: tuple[Experiment, ...]) -> bool:
 
 
 def estimate(
-    model: Model,
-    experiments: tuple[Experiment, ...],
-    point: np.ndarray,
-    limits: dict[str, Limit] | None = None,
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, limits: dict[str, Limit] | None = None
 ) -> tuple[Model, Estimate]:
     """The noise about a point, and the model with weights and memory that follow from it.
 
@@ -119,9 +116,7 @@ def _series(
     """Series of plain errors, and the weighted residuals of features with their Jacobian."""
     d = model.data
     plain = eqx.tree_at(
-        lambda m: (m.data.weights, m.data.memory),
-        model,
-        (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory)),
+        lambda m: (m.data.weights, m.data.memory), model, (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory))
     )
     errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None]))
     shape = read.shape
