@@ -451,7 +451,6 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
     """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
 
     Args:
-        at: the optimum.
         parameters: its estimates, none with an interval.
         exact: whether residuals are the noise.
         alone: whether no other optimum fits alike.

@@ -82,12 +82,9 @@ def run(
     """Write RECORD's problem file; never over another.
 
     Args:
-        record: any kind of measured file.
         out: folder of the problem file; by default this one.
         scene: impact, bounce or oblique_impact; "" takes what the record looks like.
         mass, speed: texts with units, where they are known.
-        table: which table inside the file.
-        say: prints.
         stated: how the record is written, where it is not to be found; the problem file then says so, too.
         struck: mass of the body that is struck, with a unit, or "fixed".
 

@@ -82,9 +82,6 @@ def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c:
     """Why a law loses energy with the speed otherwise than a drop's flights do; "" where it does not, or nothing is known.
 
     Args:
-        name: of the record.
-        events: its contacts.
-        law: of the contact.
         c: coefficients to be expected, and ``mass``.
     """
     seen = loss(events)

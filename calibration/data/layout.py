@@ -60,8 +60,6 @@ def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> L
 
     Args:
         rows: all of a file but blank ones, comments included.
-        name: of the file, for messages.
-        counted: "line" or "row".
         header: lines of the names as stated; 0: there are none; None: to be found.
 
     Raises:

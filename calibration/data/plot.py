@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 
 
 def data(records: list[Prepared], path: Path) -> Picture | None:
-    """Every channel of every record on a panel of its own; no picture of none.
-
-    Args:
-        records: as ``problemfile.prepared`` gives them.
-        path: of the PNG.
-    """
+    """Every channel of every record on a panel of its own; no picture of none."""
     shown = [(record, observes) for record in records for observes in record.readings]
     if not shown:
         return None

@@ -96,12 +96,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     """One record out of its table.
 
     Args:
-        name: of the experiment.
-        part: its rows.
         time: header of the clock's column.
         observe: header of a column, "-" before it to flip its sign, by the reading it is of.
-        recipe: what to do.
-        where: the experiment in its problem file, for messages.
 
     Raises:
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact

@@ -28,9 +28,7 @@ def thinned(
     mean does to a contact of _ENOUGH samples is below 1e-5 of its peak. Far from contacts whole blocks are left out.
 
     Args:
-        clock: (N,) [s].
         channels: (N,) each, NaN where nothing was measured.
-        events: contacts in it.
         averaged: whether means are taken; else every m-th sample, for noise that remembers itself.
 
     Returns:
@@ -74,8 +72,6 @@ def resampled(
         clock: (N,) [s].
         jumps: rows after which it jumps.
         channels: (N,) each, NaN where nothing was measured.
-        rate: wanted [Hz].
-        where: the experiment, for messages.
 
     Returns:
         Times (T,), channels (T,) each, and notes.

@@ -92,9 +92,6 @@ def proposed(
     """Bounds of one nuisance from one record, or why there are none.
 
     Args:
-        name: of the nuisance.
-        record: as prepared.
-        scene, params: of the record, SI.
         free: what else is searched, with its bounds.
         passed: the filter between sensor and record.
     """

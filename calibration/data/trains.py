@@ -44,7 +44,6 @@ def observations(
     The record must begin before the first contact of the run. A contact that its end cuts is left out.
 
     Args:
-        observes: the reading, ``<contact>.normal``.
         times, values: (T,) [s], [N]; NaN where nothing was read.
         sigma: deviation of the noise [N]; None: that of the samples apart from contacts.
         relative: part of it that grows with the reading.

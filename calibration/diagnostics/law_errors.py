@@ -34,7 +34,6 @@ def signatures(
     most in a contact.
 
     Args:
-        model, point: of the optimum.
         deepest: greatest depth of its contacts [m].
         peak: greatest contact force [N].
         duration: of its longest contact [s].

@@ -58,9 +58,6 @@ def misses(records: Iterable[Record]) -> list[Miss]:
     A stretch is a run of errors of one sign. Its weight is the sum of its errors over the square root of their number,
     which for white errors has their own deviation; that is taken from the median, so that a spike does not hide
     itself.
-
-    Args:
-        records: experiments beside their predictions.
     """
     found = []
     for record in records:

@@ -156,10 +156,7 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
     """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
 
     Args:
-        at: the optimum.
-        seen: ``runs.contacts`` of the model.
         errors: (N,) the integrator's part in the residuals.
-        accuracy: error of the simulated forces as a share of their peak.
     """
     model, noise, residuals = at.model, at.noise, at.end.residuals
     weights, values, shape = np.asarray(model.data.weights), np.asarray(model.data.values), model.data.weights.shape

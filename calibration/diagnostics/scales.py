@@ -35,10 +35,6 @@ _EQUAL = 0.05
 def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dict[str, Any]]:
     """Every scale, or combination of scales, that the channels do not show, in words.
 
-    Args:
-        model, labels: what is fitted.
-        point: where to ask, in the search space.
-
     Returns:
         parameters: the scales; moves: by scale, what 1 % of it moves each free parameter by [%]; text and remedy.
     """
@@ -155,7 +151,6 @@ def _exact(model: Model, point: np.ndarray, way: np.ndarray, fixed: dict[str, fl
     """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do.
 
     Args:
-        model, point: where.
         way: (P,) logarithms by which what is free moves; shares of the range of a nuisance.
         fixed: logarithms by which fixed values move.
         size: what the largest of these moves alone does to the residuals, by the logarithm.

@@ -128,8 +128,6 @@ def budget_of(at: Optimum, errors: list[Error], moving: Moving, alone: Sequence[
 
     Args:
         at: the optimum, whose covariance is known.
-        errors: that may be.
-        moving: the estimates.
         alone: groups of names of which there is one error at most; for each estimate those that move it most.
     """
     (names, slopes, sizes), best = moving, at.end
@@ -172,7 +170,6 @@ def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: 
 
     Args:
         readings: (E, C, T) that the model predicts, SI.
-        series: of the residuals.
         stated: names of nuisances.
     """
     taken = {axis.name for axis in model.coordinates} | stated

@@ -58,7 +58,6 @@ def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iter
     """One run as the model integrates it, with what its channels read, and ``more`` of them; nothing is checked.
 
     Args:
-        model: whose scene runs.
         params: parameters [SI] by name; what is none of the scene's is passed over.
         times: (T,) [s] of the scene's clock. Runs of as many share one compiled program.
         more: readings beside the model's channels.

@@ -28,9 +28,6 @@ def settle(
 
     Args:
         model: as built, with the weights that ``Channel.deviation`` assumes.
-        experiments: that it is of.
-        ends: best first.
-        accuracy: error of the simulated forces as a share of their peak.
 
     Returns:
         The model with settled weights, the ends on it, best first, and the noise.

@@ -79,7 +79,6 @@ def estimate(
     """The noise about a point, and the model with weights and memory that follow from it.
 
     Args:
-        model, experiments, point: where.
         limits: of the channels, below which a deviation is the integrator's; none where not given.
     """
     limits = limits or {}

@@ -66,12 +66,6 @@ class _Leg(NamedTuple):
 def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Descents:
     """Where all starts (B, P) end, in their order, with costs on all data.
 
-    Args:
-        model: residual function.
-        points: unit-box coordinates of the starts.
-        size: of the batches.
-        journal: where finished batches are kept, and taken from.
-
     Raises:
         Interrupted: on Ctrl-C.
     """

@@ -54,11 +54,6 @@ def batch_size(count: int) -> int:
 def screen(model: Model, count: int, seed: int) -> Screen:
     """Evaluate a scrambled Sobol design some eight times as large as the number of starts, in batches.
 
-    Args:
-        model: residual function.
-        count: number of starts to come.
-        seed: of the scrambling.
-
     Raises:
         Interrupted: on Ctrl-C.
     """
@@ -99,8 +94,6 @@ def search(
     """Descend to optima from the best spread of a screened design.
 
     Args:
-        model: residual function.
-        screened: the design, from ``screen``.
         starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
         journal: where finished batches are kept, and taken from.

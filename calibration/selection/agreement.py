@@ -61,13 +61,7 @@ def of_fits(fits: Mapping[str, Fit]) -> Agreement | None:
 
 
 def of_signatures(plain: Fit, law: str, found: Sequence[Found]) -> Agreement | None:
-    """Of a fit and what other losses make of it to first order; None as ``of_fits``.
-
-    Args:
-        plain: with the law of this name.
-        law: its name.
-        found: suspects that are another loss, with their columns.
-    """
+    """Of a fit and what other losses make of it to first order; None as ``of_fits``."""
     if not _law(plain):
         return None
     at, model = plain.optimum, plain.optimum.model

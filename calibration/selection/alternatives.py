@@ -76,7 +76,6 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
     """Fit a calibration file's problem, or its [[model]] tables and choose; then rank its [[candidate]] tables.
 
     Args:
-        path: the file.
         problem, base: what it states without its models.
         options: of every fit, as ``fit``: seed, starts, journal.
 
@@ -100,7 +99,6 @@ def models(path: Path, problem: Problem) -> list[Alternative]:
     """The [[model]] tables of a calibration file; none where there are none.
 
     Args:
-        path: the file.
         problem: what it states without them; every model has its very experiments.
 
     Raises:
@@ -121,7 +119,6 @@ def candidates(path: Path, problem: Problem) -> list[Candidate]:
     """The [[candidate]] tables of a calibration file; none where there are none.
 
     Args:
-        path: the file.
         problem: whose parameters they set; of a file with [[model]], the chosen one's.
 
     Raises:

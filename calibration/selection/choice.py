@@ -94,7 +94,6 @@ def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = N
     """Fit every model to the same data and choose.
 
     Args:
-        models: name and problem of each; the experiments must be the same.
         journal: where finished starts are kept, of every model in a chapter of its own.
         options: of every fit, as ``fit``: seed, starts.
 
@@ -130,14 +129,7 @@ def rival(name: str, problem: Problem, found: Fit) -> Rival:
 def likelihood_of(
     fitted: tuple[Experiment, ...], model: Model, residuals: np.ndarray, found: noise_model.Estimate
 ) -> Likelihood:
-    """Likelihood of records at an optimum, with estimated deviations where they are likeliest.
-
-    Args:
-        fitted: the records.
-        model: theirs, with the weights and memory of their noise.
-        residuals: (N,) its white residuals.
-        found: what of the noise was estimated.
-    """
+    """Likelihood of records at an optimum, with estimated deviations where they are likeliest."""
     weights, memory = np.asarray(model.data.weights), np.asarray(model.data.memory)
     seen = weights > 0
     white, own = residuals[: seen.size].reshape(seen.shape), residuals[seen.size :]

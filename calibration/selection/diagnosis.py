@@ -99,12 +99,7 @@ class Diagnosis:
 
 
 def rank(problem: Problem, result: Fit) -> Diagnosis | None:
-    """The suspects by residuals alone: no fit. None of a rough cost, a robust loss, and noise that is the integrator's.
-
-    Args:
-        problem: that was fitted.
-        result: its fit.
-    """
+    """The suspects by residuals alone: no fit. None of a rough cost, a robust loss, and noise that is the integrator's."""
     scene = _scene(problem, result)
     if scene is None:
         return None
@@ -115,12 +110,7 @@ def rank(problem: Problem, result: Fit) -> Diagnosis | None:
 
 
 def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
-    """The suspects, the best confirmed by fits; None as ``rank``.
-
-    Args:
-        problem, result: what was fitted, and its fit.
-        seed: of the fits.
-    """
+    """The suspects, the best confirmed by fits; None as ``rank``."""
     scene = _scene(problem, result)
     if scene is None:
         return None

@@ -74,9 +74,7 @@ def next_experiment(problem: Problem, fit: Fit, candidates: Sequence[Candidate])
     """Candidates ranked by the information they would add to a fit (D-optimality), best first.
 
     Args:
-        problem: what was fitted.
         fit: its outcome; only the values count.
-        candidates: experiments that might be made.
 
     Raises:
         InputError: for no candidate, an unknown parameter, channel or value, or no parameter that experiments share.

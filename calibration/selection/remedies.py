@@ -75,13 +75,7 @@ def _plastic(law: Any) -> bool:
 
 
 def lines(f: Found, scene: Scene, problem: Problem, result: Fit) -> str:
-    """What the problem file would say of a suspect; "" where there is nothing to say.
-
-    Args:
-        f: what was found of it.
-        scene: of the optimum, for sizes.
-        problem, result: what was fitted.
-    """
+    """What the problem file would say of a suspect; "" where there is nothing to say."""
     v, span = f.values, max(float(np.ptp(s.clock)) for s in scene.series)
     peak = scene.peak
     if f.name == "bandwidth":

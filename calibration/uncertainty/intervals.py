@@ -79,8 +79,6 @@ def revised(kind: str, at: Optimum, found: Estimates, batch: int, seed: int) -> 
     if that is all that fails.
 
     Args:
-        kind: one of ``KINDS``.
-        at: the optimum.
         found: as the covariance has them, from ``estimates``.
         batch: points evaluated together.
         seed: of the sampler.
@@ -143,7 +141,6 @@ def headlined(at: Optimum, misses: Mapping[str, fit_tests.Spread], found: Estima
     """Estimates with their intervals by kind, and the headline: the widest.
 
     Args:
-        at: the optimum.
         misses: spreads beside the noise's; none where the law is the noise.
         found: as the noise has them.
         given: whether there is one: not after a search that failed, nor where the data allow another answer.

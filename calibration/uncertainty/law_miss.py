@@ -66,7 +66,6 @@ def discrepancy(
     """The Gaussian process over the phase; None where no contact is resolved.
 
     Args:
-        series: white residuals by record and channel, with clock and readings.
         residuals, jacobian: (N,), (N, P), white and of variance 1.
         noise: spread of the noise alone, whose directions are kept.
     """

@@ -96,11 +96,8 @@ def sample(
 
     Args:
         residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
-        around: where.
         owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are
             stated.
-        loss: name of the loss.
-        chains: what the sampler does.
 
     Raises:
         InputError: where NumPyro is not installed.

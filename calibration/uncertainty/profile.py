@@ -58,7 +58,6 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None, batch: int | None
     K is held and F_ref follows n.
 
     Args:
-        at: the optimum.
         only: labels wanted; by default all.
         batch: points evaluated together; by default one a walk.
     """
@@ -122,8 +121,6 @@ def profiles(
     Args:
         residuals: batched residual function on the unit box; NaN where a simulation fails.
         asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
-        place: the optimum (P,).
-        labels: names of the P coordinates, for the notes.
         batch: points in a call of ``residuals``; by default one a walk.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
