@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
@@ -16,7 +15,7 @@ from calibration.forward.model import Model, build, predictions, residuals_and_j
 from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem, size, units_of
-from calibration.search.refinement import FAILED_RESIDUAL
+from calibration.search.refinement import trust_region
 
 # Share of a record's peak from which on a force is said to act.
 _ACTING = 0.05
@@ -107,20 +106,10 @@ def _own_fitted(model: Model, point: np.ndarray, shared: int) -> np.ndarray:
 
     def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]))
-        jacobian = jacobian[:, shared:]
-        if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
-            return residuals, jacobian
-        return np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
+        return residuals, jacobian[:, shared:]
 
-    result = least_squares(
-        lambda own: evaluate(own)[0],
-        np.clip(point[shared:], 1e-6, 1 - 1e-6),
-        jac=lambda own: evaluate(own)[1],  # pyright: ignore[reportArgumentType]
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        loss=model.loss,
-    )
-    return np.concatenate([point[:shared], result.x])
+    found = trust_region(evaluate, np.clip(point[shared:], 1e-6, 1 - 1e-6), loss=model.loss)
+    return np.concatenate([point[:shared], found.point])
 
 
 def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, held_out: bool) -> list[Record]:

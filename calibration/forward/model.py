@@ -81,6 +81,13 @@ class Data(eqx.Module):
     chain: dict[str, Array]
     passed: Passed | None = None
 
+    def white(self, errors: Any) -> Any:
+        """Errors of the readings (E, C, T) [SI] as residuals: in deviations, freed of the noise's memory, 0 of no sample."""
+        xp, seen = _numpy(errors, self.weights), self.weights > 0
+        weighted = xp.where(seen, errors, 0.0) * self.weights
+        before = xp.take_along_axis(weighted, self.previous, axis=-1)
+        return xp.where(seen, (weighted - self.memory * before) / xp.sqrt(1.0 - xp.square(self.memory)), 0.0)
+
 
 class Model(eqx.Module):
     """The residual function of a problem's experiments, ready to be compiled once.
@@ -227,13 +234,9 @@ class Model(eqx.Module):
 
     def compared(self, point: Array) -> tuple[Array, Array]:
         """``residuals``, and the ``predictions`` that they are of."""
-        d, seen, read = self.data, self.data.weights > 0, self.predictions(point)
-        weighted = jnp.where(seen, read - d.values, 0.0) * d.weights
-        before = jnp.take_along_axis(weighted, d.previous, axis=-1)
-        white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
-        fitted = d.feature_weights > 0
+        d, read, fitted = self.data, self.predictions(point), self.data.feature_weights > 0
         features = jnp.where(fitted, self.features(point) - d.features, 0.0) * d.feature_weights
-        return jnp.concatenate([white.ravel(), features.ravel()]), read
+        return jnp.concatenate([d.white(read - d.values).ravel(), features.ravel()]), read
 
     def cost(self, residuals: np.ndarray) -> np.ndarray:
         """Sum of what each of the residuals (..., N) costs."""

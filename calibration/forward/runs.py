@@ -127,9 +127,10 @@ def contacts(model: Model, point: np.ndarray) -> list[Contact]:
     for i, (params, times) in enumerate(clocks(model, point)):
         # Not by the force: the regularisation bears a little across a gap.
         run = ran(model, params, times)
-        inside = depths(run)
+        inside = _side_by_side(run, run.penetration.values())
+        force = np.abs(_side_by_side(run, (f[..., 0] for f in run.force.values())))
         turned = (inside.max(axis=0) > 0) & (inside.argmax(axis=0) < SAMPLES - 1)
-        deepest, peaks = inside.max(axis=0), np.abs(_normal(run)).max(axis=0)
+        deepest, peaks = inside.max(axis=0), force.max(axis=0)
         found += [
             Contact(
                 i, name, params["time_offset"], times, inside[:, k] > 0, bool(turned[k]), float(deepest[k]),
@@ -164,16 +165,10 @@ def instants(model: Model, experiment: int, offset: float, first: float, last: f
     return chosen
 
 
-def depths(run: Run) -> np.ndarray:
-    """Penetrations (T, C) of all channels of contact [m]."""
-    empty = np.zeros((len(run.times), 0))
-    return np.concatenate([empty, *(d.reshape(len(run.times), -1) for d in run.penetration.values())], axis=1)
-
-
-def _normal(run: Run) -> np.ndarray:
-    """Normal forces (T, C) of all channels of contact [N]."""
-    empty = np.zeros((len(run.times), 0))
-    return np.concatenate([empty, *(f[..., 0].reshape(len(run.times), -1) for f in run.force.values())], axis=1)
+def _side_by_side(run: Run, read: Iterable[np.ndarray]) -> np.ndarray:
+    """Readings of contacts, (T,) or (T, members) each, as (T, C) of all channels."""
+    count = len(run.times)
+    return np.concatenate([np.zeros((count, 0)), *(x.reshape(count, -1) for x in read)], axis=1)
 
 
 def refusal(model: Model, point: np.ndarray) -> str:

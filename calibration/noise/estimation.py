@@ -108,8 +108,4 @@ def _moved(model: Model, end: End, factor: float | None) -> End:
         return replace(end, residuals=residuals, jacobian=jacobian, cost=factor**2 * end.cost)
     if end.residuals.size:
         return finish(model, end.start, np.clip(end.point, 1e-9, 1.0 - 1e-9))
-    return replace(end, cost=float(model.cost(_residuals(model, end.point))))
-
-
-def _residuals(model: Model, point: np.ndarray) -> np.ndarray:
-    return residuals_and_jacobian(model, point)[0]
+    return replace(end, cost=float(model.cost(residuals_and_jacobian(model, end.point)[0])))

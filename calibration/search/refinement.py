@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -73,34 +75,50 @@ def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...
     return tuple(sorted(ends, key=lambda end: (end is not first, bool(end.failure), end.cost)))
 
 
-def finish(model: Model, start: np.ndarray, point: np.ndarray) -> End:
-    """Bounded trust region (SciPy TRF) on residuals and forward-mode Jacobian from one point."""
-    at = evaluation(model)
+class Refined(NamedTuple):
+    """Where a trust region ended: the point (P,), residuals and Jacobian there, and whether it met a tolerance."""
+
+    point: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    converged: bool
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing simulates there."""
+        return bool(np.all(self.residuals == FAILED_RESIDUAL))
+
+
+def trust_region(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], point: np.ndarray, bounds: Any = (0.0, 1.0), **options: Any
+) -> Refined:  # fmt: skip
+    """Least squares within bounds (SciPy TRF) by residuals (N,) and Jacobian (N, P) of a point; ``options`` are SciPy's."""
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-    def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        key = u.tobytes()
-        if key not in seen:
+    def kept(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if u.tobytes() not in seen:
             seen.clear()
-            residuals, jacobian = (part[0] for part in at(u[None])[:2])
+            residuals, jacobian = evaluate(u)
             if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                 residuals, jacobian = np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
-            seen[key] = residuals, jacobian
-        return seen[key]
+            seen[u.tobytes()] = residuals, jacobian
+        return seen[u.tobytes()]
 
-    result = least_squares(
-        lambda u: evaluate(u)[0],
-        point,
-        jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        xtol=budget(model.scene).step,
-        ftol=budget(model.scene).gain,
-        gtol=1e-10,
-        max_nfev=100,
-        loss=model.loss,
-    )
-    residuals, jacobian = evaluate(result.x)
-    failed = np.all(residuals == FAILED_RESIDUAL)
-    failure = "the simulation failed" if failed else refusal(model, result.x)
-    return End(start, result.x, float(model.cost(residuals)), residuals, jacobian, result.status > 0, failure)
+    slopes: Any = lambda u: kept(u)[1]  # noqa: E731
+    found = least_squares(lambda u: kept(u)[0], point, jac=slopes, bounds=bounds, x_scale="jac", **options)
+    return Refined(found.x, *kept(found.x), found.status > 0)
+
+
+def finish(model: Model, start: np.ndarray, point: np.ndarray) -> End:
+    """One start brought to its optimum by the trust region, from a point."""
+    at, means = evaluation(model), budget(model.scene)
+
+    def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = at(u[None])
+        return found.residuals[0], found.jacobians[0]
+
+    limits = {"xtol": means.step, "ftol": means.gain, "gtol": 1e-10, "max_nfev": 100}
+    found = trust_region(evaluate, point, loss=model.loss, **limits)
+    failure = "the simulation failed" if found.failed else refusal(model, found.point)
+    cost = float(model.cost(found.residuals))
+    return End(start, found.point, cost, found.residuals, found.jacobian, found.converged, failure)
