@@ -117,7 +117,8 @@ def init(
         from calibration.data.textfile import Stated
 
         stated = Stated(separator, decimal, encoding, header)
-        return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated, struck_mass)
+        said = proposal.Said(scene, mass, speed, table, struck_mass, stated)
+        return proposal.run(record, out, said, typer.echo)
     if record is not None:
         raise InputError(
             "init", f"{record} after the scene '{what}'", "give one scene, or: bcfj init calibration RECORD"
