@@ -105,7 +105,7 @@ def estimate(
     sigma, rows = _converged(series, rest, sigma, times, robust, limits)
     integrator = tuple(name for name in sigma if name in limits and sigma[name] == limits[name].sigma)
     seen = {name: value for name, value in sigma.items() if name not in integrator}
-    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest, robust), integrator)
+    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest), integrator)
     return _reweighed(model, series, sigma, times), result
 
 
@@ -226,7 +226,6 @@ def _moved(
     sigma: dict[str, float],
     times: dict[str, float],
     rest: tuple,
-    robust: bool,
 ) -> list[tuple[np.ndarray, float]]:
     _, leverage, _ = _projected(rows)
     moved = []
