@@ -20,9 +20,9 @@ from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
-from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
 from calibration.fit import AllStartsFailed, Fit, Parameter
+from calibration.impacts.preparation import Prepared
 from calibration.problem import Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
@@ -388,7 +388,7 @@ def _write(done: _Done) -> None:
 
 def _draw(done: _Done) -> None:
     """Pictures, and the report that holds them."""
-    from calibration.data import plot as dataplot
+    from calibration.impacts import plot as dataplot
     from calibration.report import page, plots
 
     problem, result, folder = done.outcome.problem, done.outcome.fit, done.folder

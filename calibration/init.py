@@ -19,11 +19,11 @@ from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
-from calibration.data.inspection import clock_note
-from calibration.data.plausible import effective
-from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
+from calibration.impacts.inspection import clock_note
+from calibration.impacts.plausible import effective
+from calibration.impacts.proposal import Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {

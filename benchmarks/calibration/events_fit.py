@@ -24,8 +24,8 @@ import bcfj_jax as bj
 from benchmarks.calibration import hard_bounces, trap
 from benchmarks.common import markdown, put_in_readme, save
 from calibration import Channel, Experiment, Free, Problem, fit
-from calibration.data.trains import observations
 from calibration.forward.model import build
+from calibration.impacts.trains import observations
 from calibration.search.descent import cost_of, levenberg
 from calibration.search.evaluate import evaluator
 

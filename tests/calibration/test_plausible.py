@@ -18,9 +18,9 @@ from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.command import text
-from calibration.data.events import alone, contacts
-from calibration.data.preparation import _first_contact as onset
 from calibration.diagnostics.signatures import weight
+from calibration.impacts.events import alone, contacts
+from calibration.impacts.preparation import _first_contact as onset
 from calibration.noise.noise_model import _ratios as ratios
 from calibration.noise.scatter import scatter
 from calibration.problemfile import prepared

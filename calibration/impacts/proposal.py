@@ -18,11 +18,11 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
-from calibration.data.events import Event, contacts, rest
-from calibration.data.flights import Loss, loss
-from calibration.data.inspection import check_clock
 from calibration.data.numbers import is_missing, is_number
 from calibration.data.table import RUN_COLUMNS, Table, split
+from calibration.impacts.events import Event, contacts, rest
+from calibration.impacts.flights import Loss, loss
+from calibration.impacts.inspection import check_clock
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 _KINDS = ("s", "N", "m/s^2", "m/s", "m")

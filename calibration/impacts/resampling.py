@@ -6,7 +6,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
-from calibration.data.events import Event
+from calibration.impacts.events import Event
 
 # A contact of more than so many samples is averaged down to at least as many, where the record has more than so many.
 _ENOUGH, _MANY = 250, 3000

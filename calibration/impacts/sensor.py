@@ -24,9 +24,9 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from calibration.data.events import Event, contacts, quantity, telling
-from calibration.data.preparation import Prepared
 from calibration.filters import Filter
+from calibration.impacts.events import Event, contacts, quantity, telling
+from calibration.impacts.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
 
 # Bounds of the clock about the first contact: shares of a contact's duration before and after, by what is read.

@@ -15,8 +15,9 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import alone, contacts, quantity, rest, rise, steady, telling, turning
-from calibration.data.inspection import (
+from calibration.data.table import Table
+from calibration.impacts.events import alone, contacts, quantity, rest, rise, steady, telling, turning
+from calibration.impacts.inspection import (
     TOUCHING,
     channel_notes,
     check_channel,
@@ -25,8 +26,7 @@ from calibration.data.inspection import (
     clock_note,
     jumps,
 )
-from calibration.data.resampling import resampled, thinned
-from calibration.data.table import Table
+from calibration.impacts.resampling import resampled, thinned
 
 
 @dataclass(frozen=True)

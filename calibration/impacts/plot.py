@@ -10,8 +10,8 @@ import numpy as np
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.inspection import TOUCHING
-from calibration.data.preparation import Prepared
+from calibration.impacts.inspection import TOUCHING
+from calibration.impacts.preparation import Prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import format_si
-from calibration.data.events import Event
+from calibration.impacts.events import Event
 
 # Flights from which on a loss can be told to grow with the speed or not; a loss within so many deviations is none.
 _FEWEST, _SEEN = 4, 3.0

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration.data.events import contacts, rest
+from calibration.impacts.events import contacts, rest
 from calibration.problem import Observation
 
 # Samples about a contact that belong to it, as a share of its duration; and the fewest in it.
