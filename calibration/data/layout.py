@@ -54,7 +54,6 @@ class Layout:
         kept: positions in the file of the columns that are kept, from 0.
         named, united: lines of the names and of the units; empty where the file has none.
         above, comments: how many rows stand above the names, and how many are comments.
-        faults: rows that do not fit.
     """
 
     names: tuple[str, ...]

@@ -18,10 +18,7 @@ class Optimum:
 
     Attributes:
         model: with the weights of the noise as it was found, and its reference penetration.
-        experiments: that were fitted.
         end: unit-box point, white residuals and their Jacobian.
-        noise: what was found of it.
-        spread: covariance of the coordinates.
         series: white residuals by record and channel.
     """
 

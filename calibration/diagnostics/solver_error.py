@@ -33,8 +33,6 @@ class Corrected(NamedTuple):
     """An optimum on the model that it is one of.
 
     Attributes:
-        model: with the tolerance of the last runs.
-        end: the best end on it.
         errors: (N,) the solver's part in the white residuals; NaN where it is not known.
         notes: what was done, and what is left, in words.
     """

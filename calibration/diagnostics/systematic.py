@@ -84,8 +84,6 @@ class Budget(NamedTuple):
     """Every line, and all errors together.
 
     Attributes:
-        lines: one error each.
-        names: (K,) of the estimates.
         corrections, deviations: (C, K) what would take the errors out of each estimate, on average, and the deviation
             about it, SI or as a share, of every combination of errors of which there is one at most.
     """

@@ -68,15 +68,11 @@ class Prepared:
     """A record, and what was understood of it.
 
     Attributes:
-        name: of the experiment.
-        source: file and rows.
         clock: (N,) time of every row [s], aligned.
         gaps: pairs of times [s] between which nothing was sampled.
         times: (T,) of the samples kept [s].
         readings: by what each observes.
         first_contact: what alignment took from the clock [s], or None.
-        window: as asked [s].
-        notes: in words, for people.
         averaged: so many successive samples are one.
     """
 

@@ -96,10 +96,7 @@ class Understood:
     """What a table holds.
 
     Attributes:
-        path, table: the file, and which table in it.
-        time: header of the clock.
         columns: header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
-        others: headers that were not understood.
         runs: the column that numbers runs, and how many.
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
@@ -315,7 +312,6 @@ class Sizes(NamedTuple):
         speed: least and largest before contact [m/s], from a velocity or position; None where neither is read.
         mass: from the impulse over the change of the speed, or from force over acceleration, or None.
         impulses, after: least and largest impulse, and time to the second contact [s], of all records.
-        loss: what flights say.
     """
 
     peak: float

@@ -54,7 +54,6 @@ class Sensor:
     """What was freed of the sensors of all records.
 
     Attributes:
-        names: of the nuisances that are free within proposed bounds.
         bounds: of each by the place of its record.
         notes: of each record, in words, likewise.
     """

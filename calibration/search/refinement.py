@@ -29,7 +29,6 @@ class End:
     """Where one start ended.
 
     Attributes:
-        start, point: unit-box coordinates before and after.
         cost: of the weighted residuals, the sum of their squares or what the loss makes of it.
         residuals, jacobian: at ``point``, of the ends that the trust region refined; else empty.
         converged: whether the optimiser met its own tolerance.

@@ -151,15 +151,8 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
             raise InputError(f"{where} free.{name}", f"no parameter '{name}'", nearest(name, known))
         free[name] = free_of(name, own, path, every)
     params = {name: float(value) for name, value in base.params.items()}
-    own = replace(
-        problem,
-        scene=base.scene,
-        params=params,
-        free=tuple(free.values()),
-        where=where,
-        tolerances=dict(base.tolerances),
-    )
-    return Alternative(entry.name, own, base)
+    changed = {"scene": base.scene, "params": params, "tolerances": dict(base.tolerances)}
+    return Alternative(entry.name, replace(problem, free=tuple(free.values()), where=where, **changed), base)
 
 
 def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:

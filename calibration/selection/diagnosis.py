@@ -44,11 +44,8 @@ class Trial:
     """A fit with one or two suspects' lines.
 
     Attributes:
-        names: of the suspects.
-        lines: for the problem file.
         fit: None where it failed, or where there is nothing to fit.
         gain: by how much BIC falls against the plain fit.
-        reason: why there is no fit.
         law: of the laws that are fitted for one suspect, which.
     """
 

@@ -31,7 +31,6 @@ class Candidate:
     """An experiment that might be made.
 
     Attributes:
-        name: of it.
         times: (T,) [s] at which it would be read.
         noise: deviation, SI, by channel ("contact.normal"), or as a share of its predicted peak where ``share``.
         fixed: scene parameters (and nuisances) that make it: known, or where every experiment has its own to be found,
@@ -50,12 +49,10 @@ class Gain(NamedTuple):
     """What a candidate would bring, for the parameters that all experiments share.
 
     Attributes:
-        name: the candidate's.
         information: D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of
             the covariances before and after.
         variance_left: A-optimality, the mean over parameters of the variance after over that before.
         shrink: width of each parameter's interval after over that before, by name.
-        failure: why the candidate could not be simulated; "" if it could.
     """
 
     name: str

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,6 +55,11 @@ class Parameter:
     intervals: dict[str, tuple[float, float] | None] = field(default_factory=dict)
     headline: str = ""
     with_budget: tuple[float, float] | None = None
+
+
+def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
+    """Estimates with their intervals, for a file."""
+    return {name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in parameters.items()}
 
 
 @dataclass(frozen=True)

@@ -48,12 +48,7 @@ _WORST = 1e7
 
 
 class Discrepancy(NamedTuple):
-    """What the law misses.
-
-    Attributes:
-        spread: of the estimate; share: the process's deviation as a share of a contact's peak.
-        length: over which it changes, as a share of a contact.
-    """
+    """What the law misses: the spread of the estimate, the size of the miss as a share of a contact's peak, and its length."""
 
     spread: Spread
     share: float

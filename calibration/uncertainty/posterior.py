@@ -50,7 +50,6 @@ class Posterior:
     """Draws and what they are worth.
 
     Attributes:
-        labels: (P,) names.
         draws: (chains, draws, P) of the parameters, SI.
         rhat, effective: per parameter, potential scale reduction of split chains and effective sample size.
         divergences: number of transitions that diverged.

@@ -29,7 +29,6 @@ class Profile:
         ends: where the threshold is met below and above the estimate; None where it is not.
         quadratic: where the covariance puts those ends.
         shape: "bounded", "one-sided", "flat" or "multimodal".
-        log: whether the parameter is searched in its logarithm.
         notes: in words, why an end is missing, and bounds of other parameters that an end rests on.
     """
 
