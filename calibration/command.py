@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
-from calibration.data.preparation import Prepared
 from calibration.diagnostics.answers import Answer
 from calibration.fit import AllStartsFailed, Fit, Parameter
+from calibration.impacts.preparation import Prepared
 from calibration.problem import Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
@@ -35,7 +35,7 @@ from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 from calibration.uncertainty import unstated_filter
-from calibration.uncertainty.estimates import REFERENCE
+from calibration.uncertainty.estimates import REFERENCE, Reference
 from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
 
@@ -58,6 +58,25 @@ _BUDGET = "Errors of the sensor and of fixed values that residuals do not show: 
 _HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
 # Of intervals that hold on a condition.
 _IF_SO = "95 % interval, if so"
+
+
+@dataclass(frozen=True)
+class _Done:
+    """What came of a problem file: its fit and what was said of it, with what it was asked."""
+
+    path: Path
+    folder: Path
+    outcome: Outcome
+    starts: int
+    seconds: float
+    understood: list[Prepared] = field(default_factory=list)
+    diagnosed: diagnosis.Diagnosis | None = None
+    absurd: Sequence[plausibility.Finding] = ()
+
+    @property
+    def explained(self) -> list[tuple[str, list[list[str]]]]:
+        """Tables of what would explain a miss."""
+        return sections(self.diagnosed, self.outcome.fit) if self.diagnosed else []
 
 
 def run(
@@ -99,18 +118,19 @@ def run(
             return FAILED
         except KeyboardInterrupt as stop:
             return _interrupted(folder, path, stop)
-        result, absurd = outcome.fit, _absurd(outcome)
-        _write(folder, path, outcome, starts, time.perf_counter() - begin, diagnosed, absurd)
-        print("\n".join(filter(None, [plausibility.headline(absurd), text(result)])))
-        for heading, rows in [*_comparisons(outcome), *_explained(outcome, diagnosed)]:
+        seconds = time.perf_counter() - begin
+        done = _Done(path, folder, outcome, starts, seconds, understood, diagnosed, _absurd(outcome))
+        _write(done)
+        print("\n".join(filter(None, [plausibility.headline(done.absurd), text(outcome.fit)])))
+        for heading, rows in [*_comparisons(outcome), *done.explained]:
             print(f"\n{heading}\n{report.text(rows)}")
         print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
         with stage("drawing"):
-            _draw(folder, path, outcome, understood, diagnosed, absurd)
+            _draw(done)
         (folder / _SO_FAR).unlink(missing_ok=True)
         journal.remove()
     keep_asked()
-    return DONE if result.verdict in ("identified", "adequate") else NOT_IDENTIFIED
+    return DONE if outcome.fit.verdict in ("identified", "adequate") else NOT_IDENTIFIED
 
 
 def export_petab(path: Path, folder: Path) -> int:
@@ -167,27 +187,20 @@ def text(result: Fit) -> str:
     lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
     if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
-    if result.reference:
+    if force := result.reference:
+        wider = f", with the errors below {_ends(force.with_budget, 'N')}" if force.with_budget else ""
+        where = "the power law where the data are; the stiffness is derived from it"
         lines += [
             "",
-            f"force at {brief(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"
-            + (
-                f", with the errors below {_ends(result.reference.with_budget, 'N')}"
-                if result.reference.with_budget
-                else ""
-            )
-            + " (the power law where the data are; the stiffness is derived from it)",
+            f"force at {brief(force.penetration, 'm')}: {_interval(force.force, force.ci95, 'N')}{wider} ({where})",
         ]
     if result.systematic:
         lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
-    lines += [
-        "",
-        f"residual: {_sizes(result.residual['rms'])} rms over {result.residual['samples']} samples",
-    ]
+    sizes = " and ".join(brief(value, unit) for unit, value in result.residual["rms"].items()) or "0 N"
+    lines += ["", f"residual: {sizes} rms over {result.residual['samples']} samples"]
     for name, seen in result.residual["features"].items():
-        lines.append(
-            f"{name}: {seen['fitted']:.4g} fitted, {seen['measured']:.4g} measured (sigma {seen['sigma']:.2g})"
-        )
+        sigma = f"(sigma {seen['sigma']:.2g})"
+        lines.append(f"{name}: {seen['fitted']:.4g} fitted, {seen['measured']:.4g} measured {sigma}")
     for name, errors in (result.held_out or {}).items():
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms where the force acts")
@@ -199,15 +212,14 @@ def _on_condition(result: Fit) -> list[str]:
     found = result.conditional
     if found is None:
         return []
+    shared, force = _shared(result), found.reference
     known = [
-        f"{name} {_interval(p, p.unit)}" for name, p in found.parameters.items() if p.ci95 and name in _shared(result)
+        f"{name} {_interval(p.value, p.ci95, p.unit)}"
+        for name, p in found.parameters.items()
+        if p.ci95 and name in shared
     ]
-    reference = found.reference
-    known += (
-        [f"force at {brief(reference.penetration, 'm')} {_interval(reference, 'N')}"]
-        if reference and reference.ci95
-        else []
-    )
+    if force and force.ci95:
+        known.append(f"force at {brief(force.penetration, 'm')} {_interval(force.force, force.ci95, 'N')}")
     return [f"if {found.condition}: {'; '.join(known)}", ""]
 
 
@@ -241,11 +253,11 @@ def _budget_rows(result: Fit) -> list[list[str]]:
     found = result.systematic
     assert found is not None
     names = [*([REFERENCE] if REFERENCE in found.names else []), *_shared(result)]
-    rows = [["error", "up to", *names]]
-    for line in found.lines:
-        moves = [_moved(line.moves[name], result, name) for name in names]
-        rows.append([line.error, line.limit, *moves])
-    return [*rows, ["all together", "", *(_moved(max(found.widened(name, 0.0)), result, name) for name in names)]]
+    rows = [
+        [line.error, line.limit, *(_moved(line.moves[name], result, name) for name in names)] for line in found.lines
+    ]
+    together = [_moved(max(found.widened(name, 0.0)), result, name) for name in names]
+    return [["error", "up to", *names], *rows, ["all together", "", *together]]
 
 
 def _shared(result: Fit) -> list[str]:
@@ -256,9 +268,8 @@ def _shared(result: Fit) -> list[str]:
 
 
 def _moved(move: float, result: Fit, name: str) -> str:
-    share = percent(move, 2) if move >= 1e-4 else "< 0.01 %"
     if name == REFERENCE or result.optimum.model.coordinates[result.labels.index(name)].log:
-        return share
+        return percent(move, 2) if move >= 1e-4 else "< 0.01 %"
     return format_si(move, result.parameters[name].unit, 2)
 
 
@@ -266,13 +277,8 @@ def _ends(ends: tuple[float, float] | None, unit: str) -> str:
     return " to ".join(bounded(ends, ends, unit)) if ends else "none"
 
 
-def _sizes(by_unit: dict[str, float]) -> str:
-    return " and ".join(brief(value, unit) for unit, value in by_unit.items()) or "0 N"
-
-
-def _interval(thing: Any, unit: str) -> str:
-    value = thing.force if hasattr(thing, "force") else thing.value
-    return bounded([value], thing.ci95 or (), unit)[0] + (f", 95 % {_ends(thing.ci95, unit)}" if thing.ci95 else "")
+def _interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
+    return bounded([value], ends or (), unit)[0] + (f", 95 % {_ends(ends, unit)}" if ends else "")
 
 
 def _rows(result: Fit) -> list[list[str]]:
@@ -293,63 +299,48 @@ def _remark(p: Parameter) -> str:
 
 def as_json(result: Fit) -> dict[str, Any]:
     """``fit.json`` of the contract."""
-    reference = result.reference
+    found, matrix = result.conditional, result.correlation
     return {
         "verdict": result.verdict,
         "reasons": result.reasons,
         **{question: found._asdict() for question, found in _answers(result)},
         "notes": result.notes,
-        "parameters": {
-            name: {
-                "value": p.value,
-                "unit": p.unit,
-                "ci95": p.ci95,
-                "headline": p.headline or None,
-                "with_budget": p.with_budget,
-                "intervals": p.intervals,
-                "identifiable": p.identifiable,
-                "at_bound": p.at_bound or None,
-                "kind": p.kind,
-                "interval": p.interval_kind if p.headline == "noise" else None,
-            }
-            for name, p in result.parameters.items()
-        },
-        "reference": None
-        if reference is None
-        else {
-            "penetration": reference.penetration,
-            "force": reference.force,
-            "ci95": reference.ci95,
-            "with_budget": reference.with_budget,
-        },
+        "parameters": {name: _parameter(p) for name, p in result.parameters.items()},
+        "reference": _force(result.reference),
         "tests": [
             {"name": t.name, "value": float(t.value), "threshold": float(t.threshold), "passed": bool(t.passed)}
             for t in result.tests
         ],
-        "starts": result.starts,
-        "residual": result.residual,
-        "noise": result.noise,
-        "check": result.check,
-        "held_out": result.held_out,
+        **_fields(result, "starts", "residual", "noise", "check", "held_out"),
         "systematic": [line._asdict() for line in result.systematic.lines] if result.systematic else [],
-        "correlation": None
-        if result.correlation is None
-        else {"labels": list(result.labels), "matrix": result.correlation},
+        "correlation": None if matrix is None else {"labels": list(result.labels), "matrix": matrix},
         "seed": result.seed,
-        "conditional": _conditional(result),
+        "conditional": found and {
+            "condition": found.condition,
+            "parameters": {n: _fields(p, "value", "unit", "ci95", "with_budget") for n, p in found.parameters.items()},
+            "reference": _force(found.reference),
+        },
         **uncertainty.as_json(result.evidence),
+    }  # fmt: skip
+
+
+def _fields(thing: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(thing, name) for name in names}
+
+
+def _parameter(p: Parameter) -> dict[str, Any]:
+    return {
+        **_fields(p, "value", "unit", "ci95"),
+        "headline": p.headline or None,
+        **_fields(p, "with_budget", "intervals", "identifiable"),
+        "at_bound": p.at_bound or None,
+        "kind": p.kind,
+        "interval": p.interval_kind if p.headline == "noise" else None,
     }
 
 
-def _conditional(result: Fit) -> dict[str, Any] | None:
-    """``conditional`` of ``fit.json``: the intervals that hold on a condition which the record leaves open."""
-    found = result.conditional
-    if found is None:
-        return None
-    own = {n: {k: getattr(p, k) for k in ("value", "unit", "ci95", "with_budget")} for n, p in found.parameters.items()}
-    r = found.reference
-    reference = r and {k: getattr(r, k) for k in ("penetration", "force", "ci95", "with_budget")}
-    return {"condition": found.condition, "parameters": own, "reference": reference}
+def _force(reference: Reference | None) -> dict[str, Any] | None:
+    return reference and _fields(reference, "penetration", "force", "ci95", "with_budget")
 
 
 def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
@@ -373,132 +364,77 @@ def _diagnosed(outcome: Outcome, diagnose: bool, seed: int) -> diagnosis.Diagnos
     return None if outcome.fit.law.answer == "consistent" else diagnosis.rank(outcome.problem, outcome.fit)
 
 
-def _explained(outcome: Outcome, diagnosed: diagnosis.Diagnosis | None) -> list[tuple[str, list[list[str]]]]:
-    return sections(diagnosed, outcome.fit) if diagnosed else []
-
-
-def _write(
-    folder: Path,
-    path: Path,
-    outcome: Outcome,
-    starts: int,
-    seconds: float,
-    diagnosed: diagnosis.Diagnosis | None,
-    absurd: Sequence[plausibility.Finding],
-) -> None:
+def _write(done: _Done) -> None:
     """The result. The journal is there until ``_draw`` is done: cut off before, the same command completes the folder."""
-    problem, result = outcome.problem, outcome.fit
-    _write_scene(folder / "fitted_scene.toml", path, outcome.base, result)
-    outputs.write_toml(
-        folder / "run.toml",
-        _resolved(path, outcome.base, problem, result.seed, starts),
-        f"resolved input of bcfj calibrate {path.name}",
-    )
-    data = sources(path)
-    outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=data))
-    if outcome.choice:
-        outputs.write_json(folder / "models.json", choice.as_json(outcome.choice))
-    said: dict[str, Any] = {"diagnosis": diagnosis_json(diagnosed, result)} if diagnosed else {}
-    agreed = (outcome.choice and agreement.of_choice(outcome.choice)) or (diagnosed and diagnosed.agreed)
-    said |= {"elastic_force": agreement.as_json(agreed)} if agreed else {}
-    outputs.write_json(
-        folder / "fit.json",
-        {
-            **as_json(result),
-            "plausibility": plausibility.content(absurd),
-            **_compared(outcome),
-            **said,
-            "wall_s": seconds,
-        },
-    )
+    outcome, result, folder, path = done.outcome, done.outcome.fit, done.folder, done.path
+    scene, picked = outcome.base.resolved, outcome.choice
+    fitted = {n: v for n, v in result.values.items() if n in scene["parameters"]}
+    ready = {**scene, "parameters": {**scene["parameters"], **fitted}}
+    said = f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}"
+    outputs.write_toml(folder / "fitted_scene.toml", ready, said)
+    resolved = _resolved(path, outcome.base, outcome.problem, result.seed, done.starts)
+    outputs.write_toml(folder / "run.toml", resolved, f"resolved input of bcfj calibrate {path.name}")
+    outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=sources(path)))
+    if picked:
+        outputs.write_json(folder / "models.json", choice.as_json(picked))
+    content = {**as_json(result), "plausibility": plausibility.content(done.absurd)}
+    content |= {"model": picked.chosen} if picked else {}
+    content |= {"next_experiment": candidates_json(outcome.gains)} if outcome.gains else {}
+    content |= {"diagnosis": diagnosis_json(done.diagnosed, result)} if done.diagnosed else {}
+    agreed = (picked and agreement.of_choice(picked)) or (done.diagnosed and done.diagnosed.agreed)
+    content |= {"elastic_force": agreement.as_json(agreed)} if agreed else {}
+    outputs.write_json(folder / "fit.json", content | {"wall_s": done.seconds})
 
 
-def _draw(
-    folder: Path,
-    path: Path,
-    outcome: Outcome,
-    understood: list[Prepared],
-    diagnosed: diagnosis.Diagnosis | None,
-    absurd: Sequence[plausibility.Finding],
-) -> None:
+def _draw(done: _Done) -> None:
     """Pictures, and the report that holds them."""
-    from calibration.data import plot as dataplot
+    from calibration.impacts import plot as dataplot
     from calibration.report import page, plots
 
-    problem, result = outcome.problem, outcome.fit
+    problem, result, folder = done.outcome.problem, done.outcome.fit, done.folder
     drawn = [
         plots.records(result, problem, folder / "fit.png"),
         plots.force_penetration(result, problem, folder / "force_penetration.png"),
-        dataplot.data(understood, folder / "data.png"),
+        dataplot.data(done.understood, folder / "data.png"),
         plots.starts(result, folder / "starts.png"),
         *plots_uncertainty.draw(result, folder),
     ]
-    notes = [[record.name, note] for record in understood for note in record.notes]
     note = " ".join([*_on_condition(result)[:1], "* in the table below marks the kind that is printed here."])
     found = [Table("Parameters", [_head(result), *_rows(result)], note,
                    (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
-    answers = [["question", "answer", "because"], *_answer_rows(result)]
+    answers = [[question, one.answer, "; ".join(one.because)] for question, one in _answers(result)]
+    answers = [["question", "answer", "because"], *answers]
     answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]
     found.append(Table("The three questions behind the verdict", answers))
-    found += [page.block(heading, rows) for heading, rows in _explained(outcome, diagnosed)]
+    found += [page.block(heading, rows) for heading, rows in done.explained]
     if result.systematic:
         found.append(Table(_BUDGET, _budget_rows(result)))
     if result.held_out:
         head = ["record", "largest error of the peak", "rms of the peak, where the force acts"]
-        rows = [
-            [n, percent(e["max_error_of_peak"]), percent(e["rms_error_of_peak"])] for n, e in result.held_out.items()
-        ]
+        rows = [[n, *(percent(e[f"{k}_error_of_peak"]) for k in ("max", "rms"))] for n, e in result.held_out.items()]
         found.append(Table("Records that were held out", [head, *rows]))
-    found += [page.block(heading, rows) for heading, rows in _comparisons(outcome)]
-    folded = [
-        Table("Tests", [["test", "value", "limit", "passed"], *[_test_row(t) for t in result.tests]]),
+    found += [page.block(heading, rows) for heading, rows in _comparisons(done.outcome)]
+    tests = [[t.name, f"{t.value:.4g}", f"{t.threshold:.4g}", "yes" if t.passed else "NO"] for t in result.tests]
+    notes = [[record.name, note] for record in done.understood for note in record.notes]
+    folded = (
+        Table("Tests", [["test", "value", "limit", "passed"], *tests]),
         Table("Data: what was understood of each record", [["record", "what was understood"], *notes]),
-    ]
-    shown = [one for one in drawn if one is not None]
-    verdict, words = plausibility.judged(absurd, page.verdict(result)), (*result.reasons, *result.notes)
-    made = Page(
-        f"Calibration of {path.name}", verdict, tuple(shown[:2]), words, tuple(found), tuple(shown[2:]), tuple(folded)
     )
-    report.write(folder, made, outcome.base.scene.model_form)
-
-
-def _compared(outcome: Outcome) -> dict[str, Any]:
-    """What ``fit.json`` says of other models and candidates."""
-    found: dict[str, Any] = {"model": outcome.choice.chosen} if outcome.choice else {}
-    return found | ({"next_experiment": candidates_json(outcome.gains)} if outcome.gains else {})
-
-
-def _answer_rows(result: Fit) -> list[list[str]]:
-    return [[question, found.answer, "; ".join(found.because)] for question, found in _answers(result)]
-
-
-def _test_row(t: Any) -> list[str]:
-    return [t.name, f"{t.value:.4g}", f"{t.threshold:.4g}", "yes" if t.passed else "NO"]
-
-
-def _write_scene(target: Path, path: Path, base: scenefile.SceneFile, result: Fit) -> None:
-    """A scene file with the fitted shared values, ready for ``bcfj simulate``."""
-    resolved = base.resolved
-    fitted = {n: v for n, v in result.values.items() if n in resolved["parameters"]}
-    content = {**resolved, "parameters": {**resolved["parameters"], **fitted}}
-    outputs.write_toml(target, content, f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}")
+    shown = [one for one in drawn if one is not None]
+    verdict, words = plausibility.judged(done.absurd, page.verdict(result)), (*result.reasons, *result.notes)
+    first, others = tuple(shown[:2]), tuple(shown[2:])
+    made = Page(f"Calibration of {done.path.name}", verdict, first, words, tuple(found), others, folded)
+    report.write(folder, made, done.outcome.base.scene.model_form)
 
 
 def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int, starts: int) -> dict[str, Any]:
     """The problem with every default, SI: what ``run.toml`` gets."""
     return {
-        "problem": str(path),
-        "seed": seed,
-        "starts": starts,
-        "loss": problem.loss,
-        "accuracy": problem.accuracy,
-        "adequate": problem.adequate,
+        "problem": str(path), "seed": seed, "starts": starts, **_fields(problem, "loss", "accuracy", "adequate"),
         "scene": base.resolved,
         "experiment": [
             {
-                "name": e.name,
-                "source": e.source,
-                "hold_out": e.hold_out,
+                **_fields(e, "name", "source", "hold_out"),
                 "samples": int(e.times.size),
                 "parameters": e.fixed,
                 "bounds": {name: list(own) for name, own in e.bounds.items()},
@@ -508,12 +444,9 @@ def _resolved(path: Path, base: scenefile.SceneFile, problem: Problem, seed: int
         ],
         "free": {
             f.name: {
-                "lower": f.lower,
-                "upper": f.upper,
-                "scale": "log" if f.log else "linear",
-                "each": f.per_experiment,
+                **_fields(f, "lower", "upper"), "scale": "log" if f.log else "linear", "each": f.per_experiment,
                 **({} if f.start is None else {"start": f.start}),
             }
             for f in problem.free
         },
-    }
+    }  # fmt: skip

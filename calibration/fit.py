@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
-from calibration.diagnostics.residual_tests import Series, overstated, residual_tests
+from calibration.diagnostics.residual_tests import overstated, residual_tests
 from calibration.diagnostics.scales import untold
 from calibration.diagnostics.solver_error import corrected
 from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
+from calibration.forward.coordinates import Coordinate
 from calibration.forward.model import Model, build, evaluation, predictions
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
@@ -35,7 +37,7 @@ from calibration.noise.noise_model import Estimate
 from calibration.problem import NUISANCES, Experiment, Problem
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
-from calibration.search.starts import Screen, batch_size, by_cost, reference_depth, screen, search
+from calibration.search.starts import Screen, batch_size, by_cost, referred, screen, search
 from calibration.solver_budget import budget
 from calibration.uncertainty import notes, unstated_filter
 from calibration.uncertainty.estimates import REFERENCE, estimates, placed, widened
@@ -54,27 +56,6 @@ _ASKED = 16
 
 class AllStartsFailed(RuntimeError):
     """No start's simulation succeeded; the command line exits 3."""
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """Where a fit ended, for what goes on from there.
-
-    Attributes:
-        model: with the weights of the noise as it was found.
-        end: the best end on it: unit-box point, white residuals and their Jacobian.
-        log_depth: ln of the reference penetration [m].
-        spread: covariance of the coordinates.
-        noise: what was found of it.
-        series: white residuals by record and channel.
-    """
-
-    model: Model
-    end: End
-    log_depth: float
-    spread: fit_tests.Spread
-    noise: Estimate
-    series: list[Series] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -167,28 +148,30 @@ def fit(
     influence.refuse_data(problem)
     for doubt in problem.doubts:
         log.info("before the fit: %s", doubt.text)
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    fitted = _fitted(problem)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
     if systematic:
         ahead(partial(law_errors.get_ready, model))
-    labels = tuple(axis.label(fitted) for axis in model.coordinates)
-    given = [_given_start(problem, model)] if any(f.start is not None for f in problem.free) else []
-    screened = screen(model, starts, seed)
+    given, screened = _given_start(problem, model), screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
-        why = commonest_failure(model, screened.design[:_ASKED], 0.0)
+        why = commonest_failure(model, screened.design[:_ASKED])
         raise AllStartsFailed(f"none of {len(screened.costs)} starting points simulates: {why}")
-    checked = _checked(problem, model, labels, fitted, screened, given)
-    found = search(model, screened, given, starts, journal)
-    ends = tuple(
-        replace(end, failure=failure(model, end.point, found.log_depth)) if end.failure else end for end in found.ends
-    )
+    checked = _checked(problem, model, screened, given)
+    model, ends = search(model, screened, given, starts, journal)
+    ends = tuple(replace(end, failure=failure(model, end.point)) if end.failure else end for end in ends)
     if ends[0].failure:
-        why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]), found.log_depth)
+        why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]))
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
-    model, ends, noise = settle(model, fitted, ends, found.log_depth, problem.accuracy)
-    assessed = _assess(problem, fitted, labels, model, ends, found.log_depth, noise, seed, checked, intervals)
+    model, ends, noise = settle(model, fitted, ends, problem.accuracy)
+    spread = fit_tests.spread(ends[0], sum(e.samples for e in fitted), noise.moved, model.loss)
+    at = Optimum(model, fitted, ends[0], noise, spread)
+    assessed = _assess(problem, at, ends, _Asked(seed, intervals, checked))
     return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
+
+
+def _fitted(problem: Problem) -> tuple[Experiment, ...]:
+    return tuple(e for e in problem.experiments if not e.hold_out)
 
 
 def _doubted(problem: Problem, found: Fit) -> Fit:
@@ -209,7 +192,7 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     if found.optimum.spread.covariance is None or not model.channels:
         return _doubted(problem, found)
     found = _with_filters(problem, found)
-    allowed = _systematic(problem, found)
+    allowed = _systematic(problem, found.optimum)
 
     def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
         axes = dict(zip(found.labels, model.coordinates, strict=True))
@@ -242,8 +225,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
-    slopes = placed(model, at.end, at.log_depth)[1]
+    slopes = placed(model, at.end)[1]
     shown = [found.parameters[name].ci95 for name in found.labels]
     halves = [
         half(ends, axis.log) if ends else at.spread.half_width(slope)
@@ -252,15 +234,15 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     reference = found.reference
     if reference:
         k = model.pair()[0]
-        own = at.spread.half_width(np.diag(model.box(at.log_depth)[1])[k])
+        own = at.spread.half_width(np.diag(model.box[1])[k])
         halves.append(half(reference.ci95, True) if reference.ci95 else own)
     with stage("filters"):
-        open_ = unstated_filter.ambiguity(model, fitted, at.series, at.end, at.log_depth, np.array(halves))
+        open_ = unstated_filter.ambiguity(model, at.experiments, at.series, at.end, np.array(halves))
     if open_ is None:
         return found
     kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
     if open_.decisive:
-        values, moved, there = model.values(open_.best.point, at.log_depth), [], {}
+        values, moved, there = model.values(open_.best.point), [], {}
         for k in kept:
             name, p = found.labels[k], found.parameters[found.labels[k]]
             ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
@@ -305,202 +287,206 @@ def _refused(found: Fit, text: str, condition: str) -> Fit:
     )  # fmt: skip
 
 
-def _given_start(problem: Problem, model: Model) -> np.ndarray:
-    by_name = {f.name: f for f in problem.free}
-    middle = [np.exp(0.5 * (s.lower + s.upper)) if s.log else 0.5 * (s.lower + s.upper) for s in model.coordinates]
-    middle = [np.sqrt(s.lower * s.upper) if s.decades else m for s, m in zip(model.coordinates, middle, strict=True)]
-    chosen = [by_name[s.name].start for s in model.coordinates]
-    return np.array([m if c is None else c for m, c in zip(middle, chosen, strict=True)])
-
-
-def _checked(
-    problem: Problem,
-    model: Model,
-    labels: tuple[str, ...],
-    fitted: tuple[Experiment, ...],
-    screened: Screen,
-    given: list[np.ndarray],
-) -> dict[str, Any]:
+def _checked(problem: Problem, model: Model, screened: Screen, given: list[np.ndarray]) -> dict[str, Any]:
     """The check at the start that was given, or at the best of the design."""
-    point, depth = screened.design[int(np.nanargmin(screened.costs))], 0.0
-    if model.referenced:
-        depth = reference_depth(model, by_cost(screened.design, screened.costs), 0.0)
-        point = model.point(model.values(point, 0.0), depth)
-    if given:
-        point = model.point(given[0], depth)
-    told = influence.at_start(problem, model, labels, point, depth, screened.reach, influence.noise_floor(fitted))
-    told["scales"] = untold(model, labels, point, depth)
+    values = given[0] if given else model.values(screened.design[int(np.nanargmin(screened.costs))])
+    model = referred(model, by_cost(screened.design, screened.costs))
+    labels = tuple(axis.label(_fitted(problem)) for axis in model.coordinates)
+    told = influence.at_start(problem, model, labels, model.point(values), screened.reach)
+    told["scales"] = untold(model, labels, model.point(values))
     for scale in told["scales"]:
         log.info("before the fit: %s. What helps: %s", scale["text"], scale["remedy"])
     return told
 
 
-def _assess(
-    problem: Problem,
-    fitted: tuple[Experiment, ...],
-    labels: tuple[str, ...],
-    model: Model,
-    ends: tuple[End, ...],
-    log_depth: float,
-    noise: Estimate,
-    seed: int,
-    checked: dict[str, Any],
-    intervals: str,
-) -> Fit:
-    best = ends[0]
-    samples = sum(e.samples for e in fitted)
-    spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    if budget(model.scene).rough and spread.covariance is not None:
+def _given_start(problem: Problem, model: Model) -> list[np.ndarray]:
+    """Values to start from where any is given, those that are not in the middle of their bounds."""
+    given = {f.name: f.start for f in problem.free if f.start is not None}
+
+    def middle(axis: Coordinate) -> float:
+        between = 0.5 * (axis.lower + axis.upper)
+        return float(np.exp(between) if axis.log else np.sqrt(axis.lower * axis.upper) if axis.decades else between)
+
+    return [np.array([given.get(axis.name, middle(axis)) for axis in model.coordinates])] if given else []
+
+
+class _Seen(NamedTuple):
+    """What is seen of an optimum: records, contacts, tests of the search, whether another optimum fits alike, and notes."""
+
+    at: Optimum
+    errors: np.ndarray
+    records: list[Record]
+    contacts: list[Contact]
+    search: list[fit_tests.Test]
+    rivals: fit_tests.Test
+    notes: list[str]
+
+
+def _looked_at(problem: Problem, at: Optimum, ends: tuple[End, ...]) -> _Seen:
+    """The optimum with its residual series, as far as the solver's error lets it be known."""
+    means, moved, loss = budget(at.model.scene), at.noise.moved, at.model.loss
+    if means.rough and at.spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
-        rotations = budget(model.scene).rotations
-        best = averaged(evaluator(loosened(model), log_depth), best, spread.covariance, rotations)
-        best = stepped(evaluator(model, log_depth), best) if model.loss == "linear" else best
-        spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    errors = integration.errors(model, best.point, log_depth, best.residuals)
+        best = averaged(evaluator(loosened(at.model)), at.end, at.spread.covariance, means.rotations)
+        best = stepped(evaluator(at.model), best) if loss == "linear" else best
+        at = replace(at, end=best, spread=fit_tests.spread(best, at.samples, moved, loss))
+    errors = integration.errors(at.model, at.end.point, at.end.residuals)
     # Starts ended as loosely as was asked for, and are compared as such.
-    agreement, rivals = fit_tests.agreement((best, *ends[1:]), spread.covariance, errors, budget(model.scene).rough)
-    model, best, errors, said = corrected(model, best, log_depth, errors)
-    spread = fit_tests.spread(best, samples, noise.moved, model.loss)
-    records = records_of(model, fitted, best.point, log_depth, False)
-    seen = contacts(model, best.point, log_depth)
-    converged = [agreement, fit_tests.integration_test(errors, best.jacobian), contacts_met(records)]
-    series = series_of(model, fitted, seen, noise, best.residuals, errors, problem.accuracy)
-    quality = residual_tests(series, best.residuals, best.jacobian, model.loss != "linear")
-    held_out, held_records = None, []
+    agreement, rivals = fit_tests.agreement((at.end, *ends[1:]), at.spread.covariance, errors, means.rough)
+    model, best, errors, said = corrected(at.model, at.end, errors)
+    at = replace(at, model=model, end=best, spread=fit_tests.spread(best, at.samples, moved, loss))
+    records, seen = records_of(model, at.experiments, best.point, False), contacts(model, best.point)
+    at = replace(at, series=series_of(at, seen, errors, problem.accuracy))
+    tests = [agreement, fit_tests.integration_test(errors, best.jacobian), contacts_met(records)]
+    return _Seen(at, errors, records, seen, tests, rivals, said)
+
+
+class _Law(NamedTuple):
+    """What the residuals say of the law: tests, the answer, errors of held-out records, and these."""
+
+    tests: list[fit_tests.Test]
+    answer: Answer
+    held_out: dict[str, dict[str, float]] | None
+    records: list[Record]
+
+
+def _law_of(problem: Problem, at: Optimum) -> _Law:
+    residuals, held_out, records = at.end.residuals, None, []
+    tests = residual_tests(at.series, residuals, at.end.jacobian, at.model.loss != "linear")
     if any(e.hold_out for e in problem.experiments):
-        held_out, held_records, test = hold_out(problem, model, best, log_depth, spread, noise)
-        quality.append(test)
-    if series and all(overstated(s, best.residuals) for s in series) and not model.data.features.size:
-        spread = fit_tests.shown(spread, best)
-    of_search = answers.search(converged)
-    missed, loud = answers.missed(series, best.residuals), answers.louder(series, best.residuals)
-    of_law = answers.law(quality, missed, held_out, problem.adequate, loud)
-    parameters, reference, identification = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
-    evidence = Evidence()
-    others = clearance_tests(model, seen) + whole_contact_test(model, seen, _turns(records, seen))
-    sound = of_search.answer == "converged" and of_law.answer == "consistent" and rivals.passed
+        held_out, records, test = hold_out(problem, at)
+        tests.append(test)
+    missed, loud = answers.missed(at.series, residuals), answers.louder(at.series, residuals)
+    return _Law(tests, answers.law(tests, missed, held_out, problem.adequate, loud), held_out, records)
+
+
+class _Asked(NamedTuple):
+    """What a fit is asked beside its problem, and what was said before the solve."""
+
+    seed: int
+    intervals: str
+    checked: dict[str, Any]
+
+
+def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
+    """What may be believed of an optimum."""
+    seen = _looked_at(problem, at, ends)
+    at, law = seen.at, _law_of(problem, seen.at)
+    model, residuals = at.model, at.end.residuals
+    if at.series and all(overstated(s, residuals) for s in at.series) and not model.data.features.size:
+        at = replace(at, spread=fit_tests.shown(at.spread, at.end))
+    of_search, consistent = answers.search(seen.search), law.answer.answer == "consistent"
+    found, evidence = estimates(at), Evidence()
+    others = clearance_tests(model, seen.contacts) + whole_contact_test(model, seen.contacts, _turns(seen))
+    whole = all(t.passed for t in others)
+    converged = of_search.answer == "converged" and seen.rivals.passed
     # Where the verdict stands already no profile can mend it, and where the law misses the noise's interval is not the
     # headline.
-    if intervals != "covariance" or (sound and all(t.passed for t in others)):
-        parameters, reference, identification, evidence = revised(
-            intervals, model, labels, best.point, log_depth, spread, parameters, reference, identification,
-            estimated=list(noise.sigma), batch=batch_size(len(ends)), seed=seed,
-        )  # fmt: skip
-    bent = [] if intervals != "covariance" or of_law.answer == "consistent" else fit_tests.bent(identification)
+    if asked.intervals != "covariance" or (converged and consistent and whole):
+        found, evidence = revised(asked.intervals, at, found, batch_size(len(ends)), asked.seed)
     # Where the law misses, the headline is of the miss: that the cost is no parabola over the noise's interval is a note.
-    identification = [t for t in identification if t not in bent]
+    bent = [] if asked.intervals != "covariance" or consistent else fit_tests.bent(found.tests)
     # A rival that fits as well is another answer, not a failed search.
-    identification = [rivals, *identification, *others]
-    tests = converged + quality + identification
-    of_data = answers.data(identification, {name: p.identifiable for name, p in parameters.items()})
-    verdict = answers.verdict(of_search, of_data, of_law)
-    exact = of_law.answer == "consistent" and not any(s.declared or overstated(s, best.residuals) for s in series)
-    misses = {} if exact else _misses(model, series, best, spread)
+    identification = [seen.rivals, *(t for t in found.tests if t not in bent), *others]
+    of_data = answers.data(identification, {name: p.identifiable for name, p in found.parameters.items()})
+    verdict = answers.verdict(of_search, of_data, law.answer)
+    exact = consistent and not any(s.declared or overstated(s, residuals) for s in at.series)
+    misses = {} if exact else _misses(at, at.end, at.spread)
     # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
-    given = of_search.answer == "converged" and rivals.passed and all(t.passed for t in others)
-    given = (
-        given and not any(p.at_bound for p in parameters.values()) and (of_law.answer == "consistent" or bool(misses))
-    )
-    parameters, reference = headlined(model, labels, best, log_depth, misses, parameters, reference, given)
+    given = converged and whole and not any(p.at_bound for p in found.parameters.values())
+    found = headlined(at, misses, found, given and (consistent or bool(misses)))
     conditional = None
     # Without a whole contact, or a clearance that is crossed, no value means anything.
-    if verdict == "not_identified" and all(t.passed for t in others) and not any(p.ci95 for p in parameters.values()):
-        conditional = _with_some_held(
-            model, labels, best, log_depth, series, parameters, noise, samples, exact, rivals.passed
-        )
+    if verdict == "not_identified" and whole and not any(p.ci95 for p in found.parameters.values()):
+        conditional = _with_some_held(at, found.parameters, exact, seen.rivals.passed)
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
-    scales = untold(model, labels, best.point, log_depth) if checked.get("scales") else []
-    values = {name: float(v[0]) for name, v in model.data.fixed.items()}
-    values |= {
-        s.name: parameters[name].value
-        for s, name in zip(model.coordinates, labels, strict=True)
-        if s.experiment is None
-    }
-    sigma = np.sqrt(np.diag(spread.covariance)) if spread.covariance is not None else None
+    scales = untold(model, at.labels, at.end.point) if asked.checked.get("scales") else []
+    said = [*seen.notes, *(f"{s['text']}. What helps: {s['remedy']}" for s in scales), *notes.of_integrator(at.noise)]
+    said += notes.wide(model, found.parameters) + notes.bent(bent) + notes.overstated_noise(at.series, residuals)
+    reasons = [*of_search.because, *law.answer.because, *of_data.because]
     return Fit(
-        verdict=verdict,
-        reasons=[*of_search.because, *of_law.because, *of_data.because]
-        + (misfit_location.reasons(records) if of_law.answer != "consistent" else []),
-        search=of_search,
-        data=of_data,
-        law=of_law,
-        parameters=parameters,
-        reference=reference,
-        tests=tests,
-        starts=_start_rows(model, labels, ends, log_depth),
-        residual={
-            "chi2": float(np.sum(best.residuals**2)),
-            "degrees_of_freedom": spread.freedom,
-            "reduced_chi2": float(np.sum(best.residuals**2)) / spread.freedom,
-            "samples": samples,
-            "rms": rms(records),
-            "rms_of_peak": rms_of_peak(records),
-            "noise": _noise_source(fitted),
-            "loss": model.loss,
-            "features": features_of(model, fitted, best.residuals),
-        },
-        held_out=held_out,
-        correlation=None if sigma is None else spread.covariance / np.outer(sigma, sigma),
-        labels=labels,
-        records=records + held_records,
-        values=values,
-        seed=seed,
-        noise=_by_channel(noise),
-        check=checked,
-        optimum=Optimum(model, best, log_depth, spread, noise, series),
-        notes=said
-        + [f"{s['text']}. What helps: {s['remedy']}" for s in scales]
-        + notes.of_integrator(noise)
-        + notes.wide(model, parameters)
-        + notes.bent(bent)
-        + notes.overstated_noise(series, best.residuals),
-        evidence=evidence,
-        conditional=conditional,
-    )
+        verdict=verdict, reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
+        search=of_search, data=of_data, law=law.answer, parameters=found.parameters, reference=found.reference,
+        tests=seen.search + law.tests + identification, starts=_start_rows(at, ends), residual=_residual(seen),
+        held_out=law.held_out, correlation=_correlation(at), labels=at.labels, records=seen.records + law.records,
+        values=_values(at, found.parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
+        optimum=at, notes=said, evidence=evidence, conditional=conditional,
+    )  # fmt: skip
 
 
-def _with_some_held(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, series: list[Series],
-    parameters: dict[str, Parameter], noise: Estimate, samples: int, exact: bool, alone: bool,
-) -> Conditional | None:  # fmt: skip
+def _values(at: Optimum, parameters: dict[str, Parameter]) -> dict[str, float]:
+    """Of every parameter that all records share, fixed ones too."""
+    values = {name: float(v[0]) for name, v in at.model.data.fixed.items()}
+    axes = zip(at.model.coordinates, at.labels, strict=True)
+    return values | {axis.name: parameters[name].value for axis, name in axes if axis.experiment is None}
+
+
+def _correlation(at: Optimum) -> np.ndarray | None:
+    if at.spread.covariance is None:
+        return None
+    sigma = np.sqrt(np.diag(at.spread.covariance))
+    return at.spread.covariance / np.outer(sigma, sigma)
+
+
+def _residual(seen: _Seen) -> dict[str, Any]:
+    """``residual`` of ``fit.json``."""
+    at, chi2 = seen.at, float(np.sum(seen.at.end.residuals**2))
+    kinds = {"estimated" if c.sigma is None else "stated" for e in at.experiments for c in e.channels} or {"stated"}
+    return {
+        "chi2": chi2,
+        "degrees_of_freedom": at.spread.freedom,
+        "reduced_chi2": chi2 / at.spread.freedom,
+        "samples": at.samples,
+        "rms": rms(seen.records),
+        "rms_of_peak": rms_of_peak(seen.records),
+        "noise": kinds.pop() if len(kinds) == 1 else "partly estimated",
+        "loss": at.model.loss,
+        "features": features_of(at.model, at.experiments, at.end.residuals),
+    }
+
+
+def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, alone: bool) -> Conditional | None:
     """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
 
     Args:
-        model, labels, best, log_depth, series: of the optimum.
         parameters: its estimates, none with an interval.
-        noise, samples: what was found of it, from so many samples.
         exact: whether residuals are the noise.
         alone: whether no other optimum fits alike.
     """
+    labels, names = at.labels, np.array(at.labels)
     fixed = np.array([bool(parameters[name].at_bound) for name in labels])
-    own = np.array([axis.name not in NUISANCES for axis in model.coordinates])
+    own = np.array([axis.name not in NUISANCES for axis in at.model.coordinates])
     for _ in range(_HELD):
         if fixed[own].all():
             break
-        part, rest = fit_tests.held(best, fixed, samples, noise.moved, model.loss)
+        part, rest = fit_tests.held(at.end, fixed, at.samples, at.noise.moved, at.model.loss)
         spread = fit_tests.padded(part, fixed)
         if spread.covariance is not None:
-            misses = {} if exact else _misses(model, series, rest, part)
+            misses = {} if exact else _misses(at, rest, part)
             if not (exact or misses):
                 return None
             kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
-            found, reference, _ = estimates(model, labels, best, log_depth, spread, bool(noise.integrator))
-            found, reference = headlined(model, labels, best, log_depth, kinds, found, reference, True)
-            for name in np.array(labels)[fixed]:
-                found[name] = replace(found[name], ci95=None, headline="", intervals={})
-            if any(found[name].ci95 for name in np.array(labels)[own & ~fixed]):
-                said = [f"{n} is {brief(parameters[n].value, parameters[n].unit)}" for n in np.array(labels)[fixed]]
+            held = replace(at, spread=spread)
+            found = headlined(held, kinds, estimates(held), True)
+            for name in names[fixed]:
+                found.parameters[name] = replace(found.parameters[name], ci95=None, headline="", intervals={})
+            if any(found.parameters[name].ci95 for name in names[own & ~fixed]):
+                said = [f"{n} is {brief(parameters[n].value, parameters[n].unit)}" for n in names[fixed]]
                 said += [] if alone else ["no other optimum is the right one"]
-                return Conditional(" and ".join(said), found, reference) if said else None
+                return Conditional(" and ".join(said), found.parameters, found.reference) if said else None
         weakest = np.where(own & ~fixed, np.abs(spread.weakest), -1.0)
         fixed[int(np.argmax(weakest))] = True
     return None
 
 
-def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
-    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost."""
+def _misses(at: Optimum, best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
+    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost.
+
+    ``best`` and ``spread`` are of the coordinates that are not held.
+    """
+    model, series = at.model, at.series
     if spread.covariance is None or model.loss != "linear" or budget(model.scene).rough:
         return {}
     shape = model.data.weights.shape
@@ -514,48 +500,51 @@ def _misses(model: Model, series: list[Series], best: End, spread: fit_tests.Spr
     return found | ({"discrepancy": process.spread} if process else {})
 
 
-def _systematic(problem: Problem, found: Fit) -> Budget:
+def _systematic(problem: Problem, at: Optimum) -> Budget:
     """The budget of errors."""
-    best, log_depth, spread = found.optimum.end, found.optimum.log_depth, found.optimum.spread
-    model, labels = found.optimum.model, found.labels
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
-    seen = contacts(model, best.point, log_depth)
+    model, best = at.model, at.end
+    seen = contacts(model, best.point)
     deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
     longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
-    law = law_errors.signatures(model, best.point, log_depth, deepest, peak, longest)
-    names = dict.fromkeys((*problem.tolerances, *(name for e in fitted for name in e.tolerances)))
-    common = problem.tolerances
-    tolerances = {
+    law = law_errors.signatures(model, best.point, deepest, peak, longest)
+    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
+    errors = [
+        *systematic.of_sensor(model, predictions(model, best.point), at.series, stated),
+        *systematic.of_law(law),
+        *systematic.of_fixed(model, best, _tolerances(problem), stated),
+        *systematic.of_weight(model, best, at.series),
+    ]
+    return systematic.budget_of(at, errors, _moving(at), list(law.values()))
+
+
+def _tolerances(problem: Problem) -> dict[str, np.ndarray]:
+    """What is said of fixed values by name and record (E,), SI; 0 where a record has its own value without a tolerance."""
+    fitted, common = _fitted(problem), problem.tolerances
+    names = dict.fromkeys((*common, *(name for e in fitted for name in e.tolerances)))
+    return {
         n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
     }
-    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in fitted))
-    errors = [
-        *systematic.of_sensor(model, predictions(model, best.point, log_depth), found.optimum.series, stated),
-        *systematic.of_law(law),
-        *systematic.of_fixed(model, best, log_depth, tolerances, stated),
-        *systematic.of_weight(model, best, log_depth, found.optimum.series),
-    ]
-    slopes, values = placed(model, best, log_depth)[1], model.values(best.point, log_depth)
+
+
+def _moving(at: Optimum) -> systematic.Moving:
+    """Estimates and, last, the logarithm of the reference force, as errors move them."""
+    model = at.model
+    slopes, values = placed(model, at.end)[1], model.values(at.end.point)
     sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]
-    if model.referenced:
-        slopes = np.vstack([slopes, np.diag(model.box(log_depth)[1])[model.pair()[0]]])
-        labels, sizes = (*labels, REFERENCE), [*sizes, 1.0]
-    return systematic.budget_of(model, labels, best, spread, errors, slopes, np.array(sizes), list(law.values()))
+    if not model.referenced:
+        return systematic.Moving(at.labels, slopes, np.array(sizes))
+    slopes = np.vstack([slopes, np.diag(model.box[1])[model.pair()[0]]])
+    return systematic.Moving((*at.labels, REFERENCE), slopes, np.array([*sizes, 1.0]))
 
 
-def _turns(records: list[Record], seen: list[Contact]) -> bool:
+def _turns(seen: _Seen) -> bool:
     """Whether a contact reaches its peak inside some record: the predicted force, or where none is read the contact."""
-    names = {c.name for c in seen}
-    forces = [
-        p for r in records for name, p in r.prediction.items() if unit_of(name) == "N" and name.split(".")[0] in names
-    ]
-    return any(int(np.argmax(np.abs(p))) < p.size - 1 for p in forces) if forces else any(c.turned for c in seen)
-
-
-def _noise_source(fitted: tuple[Experiment, ...]) -> str:
-    """Where the noise comes from."""
-    kinds = {"estimated" if c.sigma is None else "stated" for e in fitted for c in e.channels} or {"stated"}
-    return kinds.pop() if len(kinds) == 1 else "partly estimated"
+    names = {c.name for c in seen.contacts}
+    every = [item for r in seen.records for item in r.prediction.items()]
+    forces = [p for name, p in every if unit_of(name) == "N" and name.split(".")[0] in names]
+    if not forces:
+        return any(c.turned for c in seen.contacts)
+    return any(int(np.argmax(np.abs(p))) < p.size - 1 for p in forces)
 
 
 def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
@@ -566,15 +555,16 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
     return found
 
 
-def _start_rows(model: Model, labels: tuple[str, ...], ends: tuple[End, ...], log_depth: float) -> list[dict[str, Any]]:
-    begin, finish = (model.values(np.array(u), log_depth) for u in ([e.start for e in ends], [e.point for e in ends]))
+def _start_rows(at: Optimum, ends: tuple[End, ...]) -> list[dict[str, Any]]:
+    """``starts`` of ``fit.json``."""
+    begin, finish = (at.model.values(np.array(u)) for u in ([e.start for e in ends], [e.point for e in ends]))
     return [
         {
             "chi2": end.cost if not end.failure else float("nan"),
             "converged": end.converged,
             "failure": end.failure,
-            "from": dict(zip(labels, a.tolist(), strict=True)),
-            "to": dict(zip(labels, b.tolist(), strict=True)),
+            "from": dict(zip(at.labels, a.tolist(), strict=True)),
+            "to": dict(zip(at.labels, b.tolist(), strict=True)),
         }
         for end, a, b in zip(ends, begin, finish, strict=True)
     ]

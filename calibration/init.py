@@ -19,11 +19,11 @@ from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
-from calibration.data.inspection import clock_note
-from calibration.data.plausible import effective
-from calibration.data.proposal import Sizes, Understood, sizes, understood
 from calibration.data.readers import read
 from calibration.data.textfile import Stated
+from calibration.impacts.inspection import clock_note
+from calibration.impacts.plausible import effective
+from calibration.impacts.proposal import Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -75,39 +75,51 @@ class _Known(NamedTuple):
     by_column: bool = False
 
 
-def run(
-    record: Path, out: Path | None, scene: str, mass: str | None, speed: str | None, table: str | None,
-    say: Callable[[str], None], stated: Stated | None = None, struck: str | None = None,
-) -> int:  # fmt: skip
-    """Write RECORD's problem file; never over another.
+class Said(NamedTuple):
+    """What is said beside the record.
 
-    Args:
-        record: any kind of measured file.
-        out: folder of the problem file; by default this one.
+    Attributes:
         scene: impact, bounce or oblique_impact; "" takes what the record looks like.
         mass, speed: texts with units, where they are known.
         table: which table inside the file.
-        say: prints.
-        stated: how the record is written, where it is not to be found; the problem file then says so, too.
         struck: mass of the body that is struck, with a unit, or "fixed".
+        stated: how the record is written, where it is not to be found; the problem file then says so, too.
+    """
+
+    scene: str = ""
+    mass: str | None = None
+    speed: str | None = None
+    table: str | None = None
+    struck: str | None = None
+    stated: Stated = Stated()
+
+    def number(self, key: str, unit: str) -> float | None:
+        """A mass or a speed, SI."""
+        said = getattr(self, key)
+        return None if said is None else quantity(said, unit, f"--{key}")
+
+    @property
+    def other(self) -> float | None:
+        """Mass of the body that is struck [kg], if that is free and known."""
+        return None if self.struck in (None, _FIXED) else quantity(self.struck, "kg", "--struck-mass")
+
+
+def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) -> int:
+    """Write RECORD's problem file into a folder, by default this one; never over another. ``say`` prints.
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    stated = stated or Stated()
-    found = understood(read(record, "record", table, stated))
-    kind = scene or _kind(found)
+    found = understood(read(record, "record", said.table, said.stated))
+    kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
-    given = [None if text is None else quantity(text, unit, f"--{key}") for key, unit, text in
-             (("mass", "kg", mass), ("speed", "m/s", speed))]  # fmt: skip
-    if struck is not None and struck != _FIXED:
-        quantity(struck, "kg", "--struck-mass")
-    if struck is not None and kind != "impact":
+    given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
+    if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
     folder, name = out or Path("."), f"{record.stem}.toml"
     relative = Path(os.path.relpath(record, folder)).as_posix()
-    text, missing = _text(found, kind, given[0], given[1], relative, name, stated, struck)
+    text, missing = _text(found, kind, said, relative)
     path = folder / name
     create(path, text)
     if missing:
@@ -126,7 +138,7 @@ def run(
         path.unlink()
         raise
     say(f"wrote {path}")
-    if _asks(found, kind, given[1], struck):
+    if _asks(found, kind, given[1], said.struck):
         say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
@@ -141,28 +153,19 @@ def _kind(found: Understood) -> str:
     return "bounce" if s.flights and falling and min(s.flights) > s.duration else "impact"
 
 
-def _text(
-    found: Understood,
-    kind: str,
-    mass: float | None,
-    speed: float | None,
-    file: str,
-    name: str,
-    stated: Stated,
-    struck: str | None,
-) -> tuple[str, list[str]]:
-    """The file, and the keys that are left to fill in."""
-    s = sizes(found)
+def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
+    """The problem file of a record ``file``, and the keys that are left to fill in."""
+    s, mass, speed = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s")
     # What a contact feels of two free bodies is their effective mass.
-    other = None if struck in (None, _FIXED) else quantity(struck, "kg", "--struck-mass")
-    felt = None if mass is None else effective(mass, other)
+    felt = None if mass is None else effective(mass, said.other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     doubt = _doubt(s, known)
     elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
     own = known if mass is None else known._replace(mass=mass)
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
-    parameters, missing = _parameters(own, kind, elastic, falls, struck, _asks(found, kind, speed, struck))
+    parameters, missing = _parameters(own, kind, elastic, falls, said.struck, _asks(found, kind, speed, said.struck))
+    name = f"{found.path.stem}.toml"
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
@@ -175,7 +178,11 @@ def _text(
         "[[experiment]]",
         _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
         *([f"table = {_quoted(found.table)}"] if found.table else []),
-        *(f"{key} = {_quoted(v) if isinstance(v, str) else v}" for key, v in vars(stated).items() if v is not None),
+        *(
+            f"{key} = {_quoted(v) if isinstance(v, str) else v}"
+            for key, v in vars(said.stated).items()
+            if v is not None
+        ),
         f"time = {_quoted(found.time)}",
         *(f"rows = {{ {_quoted(header)} = {_quoted(value)} }}" for header, value in found.rows.items()),
         _observed(found, kind),

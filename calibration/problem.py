@@ -298,60 +298,31 @@ class Problem:
         where = given.text("problem", self.where, "leave 'where' out")
         parts = {"experiments": Experiment, "free": Free}
         listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
-        given.fill(self, {"scene": of_numbers(self.scene), **listed})
+        scene = of_numbers(self.scene)
         # <contact>.clearance and clearance_<contact> are one parameter.
-        one = self.scene.canonical
-        names = [seen.feature for e in self.experiments for seen in e.features]
-        free = tuple(replace(f, name=one(f.name)) for f in self.free)
-        given.fill(self, {"free": free, "scene": observing(self.scene, names)})
-        asked = (
-            budget(self.scene).accuracy
-            if isinstance(self.accuracy, (int, float)) and not self.accuracy
-            else self.accuracy
-        )
+        listed["free"] = tuple(replace(f, name=scene.canonical(f.name)) for f in listed["free"])
+        names = [seen.feature for e in listed["experiments"] for seen in e.features]
+        given.fill(self, {"scene": observing(scene, names), **listed})
         if not self.free:
-            raise InputError(
-                self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"
-            )
+            remedy = "add a table such as [free.stiffness] with lower and upper"
+            raise InputError(where, "no free parameter", remedy)
         if not any(not e.hold_out for e in self.experiments):
-            raise InputError(self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
+            raise InputError(where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
         self._check_filter()
-        known = self.quantities
-        changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
-        changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
-        changed["tolerances"] = given.table(f"{where}: tolerances", self.tolerances)
-        changed["tolerances"] = given.tolerances(f"{where}: tolerances", changed["tolerances"], known)
-        experiments = tuple(self._known(e, known, one) for e in self.experiments)
-        # Models of the same data share it, so that its programs are compiled once.
-        if any(new is not old for new, old in zip(experiments, self.experiments, strict=True)):
-            changed["experiments"] = experiments
-        given.fill(self, changed)
-        given.fill(self, {"free": tuple(self._in_si(f) for f in self.free)})
+        self._in_numbers(where)
         for parameter in self.free:
             self._check_free(parameter)
-        given.fill(self, {"adequate": scalar(f"{self.where}: adequate", _ADEQUATE, self.adequate)})
+        given.fill(self, {"adequate": scalar(f"{where}: adequate", _ADEQUATE, self.adequate)})
         if not isinstance(self.loss, str) or self.loss not in LOSSES:
-            raise InputError(f"{self.where}: loss", f"no loss {quoted(self.loss)}", nearest(self.loss, LOSSES))
-        # Of a contact with members one is observed: seat_ball_2.
-        contacts = self.scene.members
+            raise InputError(f"{where}: loss", f"no loss {quoted(self.loss)}", nearest(self.loss, LOSSES))
         for experiment in self.experiments:
             _check_experiment(experiment, self.scene)
             self._check_fixed(experiment)
-            _check_features(experiment, contacts)
+            # Of a contact with members one is observed: seat_ball_2.
+            _check_features(experiment, self.scene.members)
             if any(event(seen.feature.rpartition(".")[2]) for seen in experiment.features):
                 self._check_single(experiment)
-        fitted = [e for e in self.experiments if not e.hold_out]
-        samples = sum(e.samples for e in fitted)
-        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
-        if samples <= unknowns:
-            found = f"{samples} samples for {unknowns} free parameters"
-            raise InputError(self.where, found, "free fewer parameters or give more data")
-        known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
-        for e in self.experiments:
-            for c in e.channels:
-                if e.hold_out and c.sigma is None and c.observes not in known:
-                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
-                    raise InputError(self.where, found, "state its noise")
+        self._check_samples(where)
         self._check_chain()
         for e in self.experiments:
             for name in e.bounds:
@@ -359,7 +330,38 @@ class Problem:
             for f in self.free:
                 if f.name in e.fixed:
                     found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
-                    raise InputError(self.where, found, "take one of them out")
+                    raise InputError(where, found, "take one of them out")
+
+    def _in_numbers(self, where: str) -> None:
+        """Values, tolerances and bounds as numbers, SI."""
+        known = self.quantities
+        unsaid = isinstance(self.accuracy, (int, float)) and not self.accuracy
+        asked = budget(self.scene).accuracy if unsaid else self.accuracy
+        changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
+        changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
+        changed["tolerances"] = given.table(f"{where}: tolerances", self.tolerances)
+        changed["tolerances"] = given.tolerances(f"{where}: tolerances", changed["tolerances"], known)
+        experiments = tuple(self._known(e, known, self.scene.canonical) for e in self.experiments)
+        # Models of the same data share it, so that its programs are compiled once.
+        if any(new is not old for new, old in zip(experiments, self.experiments, strict=True)):
+            changed["experiments"] = experiments
+        given.fill(self, changed)
+        given.fill(self, {"free": tuple(self._in_si(f) for f in self.free)})
+
+    def _check_samples(self, where: str) -> None:
+        """There are more samples than unknowns, and records that determine every noise which is to be estimated."""
+        fitted = [e for e in self.experiments if not e.hold_out]
+        samples = sum(e.samples for e in fitted)
+        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
+        if samples <= unknowns:
+            found = f"{samples} samples for {unknowns} free parameters"
+            raise InputError(where, found, "free fewer parameters or give more data")
+        known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
+        for e in self.experiments:
+            for c in e.channels:
+                if e.hold_out and c.sigma is None and c.observes not in known:
+                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
+                    raise InputError(where, found, "state its noise")
 
     def _known(self, e: Experiment, known: dict[str, Quantity], one: Callable[[str], str]) -> Experiment:
         """An experiment whose own values are numbers, by the scene's names of them."""

@@ -6,7 +6,7 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  true, or the runs to hold out: ["run 5"];
                                  parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
                                  feature_noise and span (``stated``); events = true fits times, peaks and impulses of
-                                 the record's contacts in place of its samples (``data.trains``);
+                                 the record's contacts in place of its samples (``impacts.trains``);
                                  saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
@@ -15,7 +15,7 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
-                                 (``data.sensor``), unless the file says what they are; "exact" holds them at 0
+                                 (``impacts.sensor``), unless the file says what they are; "exact" holds them at 0
 filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   the low-pass between sensor and record
                                  (``filters``); without a cutoff it is free within bounds that the records give. "none";
                                  "unknown", the default of a free sensor: the fit asks whether a record tells one from the law
@@ -45,15 +45,15 @@ from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data import plausible, sensor, stated, trains
-from calibration.data.events import contacts
-from calibration.data.flights import contradicted
-from calibration.data.preparation import Prepared, Recipe, prepare
 from calibration.data.readers import read
-from calibration.data.sensor import Sensor
 from calibration.data.table import Table, split
 from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
+from calibration.impacts import plausible, sensor, stated, trains
+from calibration.impacts.events import contacts
+from calibration.impacts.flights import contradicted
+from calibration.impacts.preparation import Prepared, Recipe, prepare
+from calibration.impacts.sensor import Sensor
 from calibration.problem import (
     ADEQUATE,
     NUISANCES,
@@ -354,7 +354,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 def _doubts(
     problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
 ) -> tuple[Doubt, ...]:
-    """Why given masses and speeds of single impacts may be wrong, by their records (``data.plausible``)."""
+    """Why given masses and speeds of single impacts may be wrong, by their records (``impacts.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
     if "drop_height" in names:
         return _dropped(problem, records)
@@ -382,7 +382,7 @@ def _doubts(
 
 
 def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]]) -> tuple[Doubt, ...]:
-    """Why the law of a drop cannot lose what its records show, by their flights (``data.flights``)."""
+    """Why the law of a drop cannot lose what its records show, by their flights (``impacts.flights``)."""
     middle = {f.name: float(np.sqrt(f.lower * f.upper)) for f in problem.free if f.log}
     found = []
     for e, (_, record) in zip(problem.experiments, records, strict=True):

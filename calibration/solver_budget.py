@@ -71,12 +71,5 @@ def budget(scene: AbstractModel) -> SolverBudget:
     found = _LARGE if traits.rough else _LARGE._replace(accuracy=_SMOOTH.accuracy, rough=False)
     if traits.large:
         return found
-    small = _SMOOTH
-    return found._replace(
-        steps=small.steps,
-        apart=small.apart,
-        asked=small.asked,
-        kept=small.kept,
-        descend=small.descend,
-        rotations=small.rotations,
-    )
+    small = ("steps", "apart", "asked", "kept", "descend", "rotations")
+    return found._replace(**{name: getattr(_SMOOTH, name) for name in small})

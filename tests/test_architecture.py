@@ -19,7 +19,7 @@ LAYERS = {
     ),
     "calibration": (
         "solver_budget", "given", "filters", "problem", "forward", "search", "noise", "diagnostics", "uncertainty", "fit",
-        "verification", "data", "problemfile", "init", "selection", "petab", "report", "command",
+        "verification", "data", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.

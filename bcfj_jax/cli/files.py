@@ -103,7 +103,8 @@ def init(
         from calibration.data.textfile import Stated
 
         stated = Stated(separator, decimal, encoding, header)
-        return proposal.run(record, out, scene, mass, speed, table, typer.echo, stated, struck_mass)
+        said = proposal.Said(scene, mass, speed, table, struck_mass, stated)
+        return proposal.run(record, out, said, typer.echo)
     if record is not None:
         found = f"{record} after the scene '{what}'"
         raise InputError("init", found, "give one scene, or: bcfj init calibration RECORD")

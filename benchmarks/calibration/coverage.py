@@ -146,9 +146,9 @@ def at_truth(case: Case, noise: float, accuracy: float | None = None) -> tuple[n
     made = case.problem(noise, 0)
     model = build(dataclasses.replace(made, accuracy=accuracy or made.accuracy), made.experiments)
     # At a reference penetration of 1 m the coordinate of the stiffness is that of the stiffness itself.
-    point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.coordinates]), 0.0))
-    residuals, jacobian = (np.asarray(found) for found in residuals_and_jacobian(model, point, jnp.asarray(0.0)))
-    width = np.asarray(model.box(jnp.asarray(0.0))[1])
+    point = jnp.asarray(model.point(np.array([case.truth[s.name] for s in model.coordinates])))
+    residuals, jacobian = (np.asarray(found) for found in residuals_and_jacobian(model, point))
+    width = np.asarray(model.box[1])
     return residuals, jacobian / (width / [1.0 if s.log else case.truth[s.name] for s in model.coordinates])
 
 

@@ -24,8 +24,8 @@ import bcfj_jax as bj
 from benchmarks.calibration import hard_bounces, trap
 from benchmarks.common import markdown, put_in_readme, save
 from calibration import Channel, Experiment, Free, Problem, fit
-from calibration.data.trains import observations
 from calibration.forward.model import build
+from calibration.impacts.trains import observations
 from calibration.search.descent import cost_of, levenberg
 from calibration.search.evaluate import evaluator
 
@@ -87,9 +87,9 @@ def plain(given: Problem, seed: int) -> dict[str, Any]:
     """Least squares on all data at once, from starts all over the bounds: how many end near the best."""
     model = build(given, given.experiments)
     points = qmc.Sobol(3, rng=seed).random(PLAIN)
-    evaluate = evaluator(model, 0.0)
+    evaluate = evaluator(model)
     truth = np.array([[RECORDS[n][a.name] for a in model.coordinates] for n in RECORDS if _is(given, n)])
-    best = float(cost_of(evaluate(np.repeat(model.point(truth, 0.0), 12, axis=0))[0])[0])
+    best = float(cost_of(evaluate(np.repeat(model.point(truth), 12, axis=0))[0])[0])
     begin, costs = time.process_time(), []
     for block in np.array_split(points, -(-PLAIN // 12)):
         costs.append(levenberg(evaluate, block, 80, 1e-2).costs)

@@ -30,7 +30,7 @@ from bcfj_jax import scenes, simulate
 from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.forward.model import build, residuals_and_jacobian
-from calibration.search.starts import reference_depth
+from calibration.search.starts import referred
 
 # A 0.1 kg rubber-like ball dropped from 0.1 m: 43 N, 5.7 mm deep, 12 ms of contact, 5 % of its speed lost.
 TRUTH = {"stiffness": 1e5, "exponent": 1.5, "damping": 0.05}
@@ -155,13 +155,13 @@ def bound(contacts: int, noise: float) -> dict[str, Any]:
     stated = problem(*record(contacts, "scipy"), noise, 0)
     model = build(stated, stated.experiments)
     values = np.array(list(TRUTH.values()))
-    depth = reference_depth(model, [model.point(values, 0.0)], 0.0)
-    point = model.point(values, depth)
-    jacobian = np.asarray(residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(depth))[1])
-    width = np.asarray(model.box(jnp.asarray(depth))[1])
+    model = referred(model, [model.point(values)])
+    point = model.point(values)
+    jacobian = np.asarray(residuals_and_jacobian(model, jnp.asarray(point))[1])
+    width = np.asarray(model.box[1])
     # All coordinates are logarithms; ln K = ln F_ref - n ln d_ref.
     force, exponent, damping = np.diag(width)
-    slopes = np.array([force - depth * TRUTH["exponent"] * exponent, exponent, damping, force])
+    slopes = np.array([force - model.log_depth * TRUTH["exponent"] * exponent, exponent, damping, force])
     covariance = slopes @ np.linalg.inv(jacobian.T @ jacobian) @ slopes.T
     draws = np.random.default_rng(0).multivariate_normal(np.zeros(4), covariance, 100_000, method="eigh")
     close = np.abs(draws) <= CLOSE

@@ -127,8 +127,8 @@ class Setting:
     def model(self, noise: dict[str, np.ndarray] | None = None, accuracy: float = 0.0) -> tuple[Model, np.ndarray]:
         """Its model and the truth in the unit box."""
         problem = self.problem(noise, accuracy)
-        built = build(problem, problem.experiments)
-        return built, built.point(np.array([self.truth[axis.name] for axis in built.coordinates]), DEPTH)
+        built = build(problem, problem.experiments).at_depth(DEPTH)
+        return built, built.point(np.array([self.truth[axis.name] for axis in built.coordinates]))
 
 
 class Linear:
@@ -136,12 +136,12 @@ class Linear:
 
     def __init__(self, setting: Setting) -> None:
         tight, truth = setting.model(accuracy=TIGHT)
-        _, self.jacobian = residuals_and_jacobian(tight, truth, DEPTH)
+        _, self.jacobian = residuals_and_jacobian(tight, truth)
         self.covariance = np.linalg.inv(self.jacobian.T @ self.jacobian)
         self.names = [axis.name for axis in tight.coordinates]
         self.channels = tight.channels
         end = End(truth, truth, 0.0, np.zeros(0), self.jacobian, True)
-        self.slopes = placed(tight, end, DEPTH)[1]
+        self.slopes = placed(tight, end)[1]
         self.deviations = np.sqrt(np.diag(self.slopes @ self.covariance @ self.slopes.T))
 
     def moved(self, white: np.ndarray) -> np.ndarray:
@@ -199,7 +199,7 @@ def _deviations(value: float, ends: tuple[float, float], truth: float, log: bool
 def _solver(setting: Setting, linear: Linear, accuracy: float) -> dict[str, float]:
     """What the solver's error at an accuracy moves the estimates by."""
     model, truth = setting.model(accuracy=accuracy)
-    errors, _ = residuals_and_jacobian(model, truth, DEPTH)
+    errors, _ = residuals_and_jacobian(model, truth)
     return dict(zip(linear.names, (-linear.moved(errors)).tolist(), strict=True))
 
 
@@ -213,14 +213,14 @@ def draws(options: dict[str, Any], values: dict[str, float], seed: int) -> dict[
         model, truth = setting.model(noise)
         off = 2.0 * np.linalg.cholesky(linear.covariance) @ np.random.default_rng(1000 + k).standard_normal(truth.size)
         begin = np.clip(truth + off, 1e-3, 1.0 - 1e-3)
-        end = finish(model, begin, begin, DEPTH)
+        end = finish(model, begin, begin)
         covariance = spread(end, end.residuals.size, [], "linear").covariance
         assert covariance is not None
-        end = stepped(evaluator(model, DEPTH), averaged(evaluator(loosened(model), DEPTH), end, covariance))
+        end = stepped(evaluator(model), averaged(evaluator(loosened(model)), end, covariance))
         covariance = spread(end, end.residuals.size, [], "linear").covariance
         assert covariance is not None
         zero = End(truth, truth, 0.0, end.residuals, end.jacobian, True)
-        (z, slopes), (at, _) = placed(model, end, DEPTH), placed(model, zero, DEPTH)
+        (z, slopes), (at, _) = placed(model, end), placed(model, zero)
         ends.append((z - at) / np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
         own.append(linear.moved(linear.flat(noise)))
         chi2.append(float((end.point - truth) @ np.linalg.solve(covariance, end.point - truth)))

@@ -1,1 +1,1 @@
-"""Measured data: files of any kind become checked records in SI. Reading order: table, readers, preparation."""
+"""Measured files of any kind as tables of named columns in SI, without a word of contact. Reading order: table, readers."""

@@ -30,12 +30,6 @@ _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
 def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> tuple[str, str]:
     """The text of a file, and what its encoding is called.
 
-    Args:
-        raw: its bytes.
-        path: its name, for messages.
-        where: place in the problem file, for messages.
-        encoding: as stated; None: found.
-
     Raises:
         InputError: for what is no text, is not in the encoding stated, or mixes two encodings.
     """

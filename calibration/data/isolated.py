@@ -56,8 +56,6 @@ def read(path: Path, where: str, inside: str | None) -> Found:
     """The columns of a file by table; of a large file only the table that is meant has values.
 
     Args:
-        path: of a kind that ``child`` knows.
-        where: place in the problem file, for messages.
         inside: which table; None: the only one.
 
     Raises:

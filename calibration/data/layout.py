@@ -33,6 +33,17 @@ class Row(NamedTuple):
     comment: bool = False
 
 
+class File(NamedTuple):
+    """A file's name in messages, and what its rows are called: "line" or "row"."""
+
+    name: str
+    counted: str
+
+    def at(self, row: int) -> str:
+        """One row, as a user would look it up."""
+        return f"{self.name}: {self.counted} {row}"
+
+
 @dataclass(frozen=True)
 class Layout:
     """What was found.
@@ -42,8 +53,7 @@ class Layout:
         rows: of data, each as long as ``names``.
         kept: positions in the file of the columns that are kept, from 0.
         named, united: lines of the names and of the units; empty where the file has none.
-        above: how many rows stand above the names.
-        faults: rows that do not fit.
+        above, comments: how many rows stand above the names, and how many are comments.
     """
 
     names: tuple[str, ...]
@@ -52,16 +62,15 @@ class Layout:
     named: tuple[int, ...] = ()
     united: tuple[int, ...] = ()
     above: int = 0
+    comments: int = 0
     faults: list[InputError] = field(default_factory=list)
 
 
-def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> Layout:
+def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     """The table in rows.
 
     Args:
         rows: all of a file but blank ones, comments included.
-        name: of the file, for messages.
-        counted: "line" or "row".
         header: lines of the names as stated; 0: there are none; None: to be found.
 
     Raises:
@@ -69,10 +78,10 @@ def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> L
     """
     plain = [r for r in rows if not r.comment]
     wide, numeric = _shape(plain)
-    stated = _stated(rows, header, name, counted)
+    stated = _stated(rows, header, file)
     begin = next((k for k, r in enumerate(plain) if wide and _is_data(r.cells, numeric)), None)
     if begin is None:
-        raise _nothing(plain, name, counted)
+        raise _nothing(plain, file)
     if stated is not None:
         names, units = stated
         last = max((r.line for r in (*names, *units)), default=0)
@@ -84,10 +93,12 @@ def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> L
             names, units = _commented(rows, plain[begin].line, wide)
     data = plain[begin:]
     if not data:
-        raise InputError(name, f"has no rows below {counted} {plain[-1].line}", "give a file with names and data")
+        raise InputError(
+            file.name, f"has no rows below {file.counted} {plain[-1].line}", "give a file with names and data"
+        )
     titles = _titles(names, wide)
     kept = _kept(titles, data, wide)
-    faults = _ragged(titles, data, kept, wide, name, counted, len(names[-1].cells) if names else 0)
+    faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
     marks = [_texts(row.cells, wide) for row in units]
     titles = [_with_unit(t, next((m[j] for m in marks if j < wide and m[j]), "")) for j, t in enumerate(titles)]
     # Rows that do not fit are faults already; their cells would be named a second time.
@@ -101,6 +112,7 @@ def found(rows: Sequence[Row], name: str, counted: str, header: Any = None) -> L
         named=tuple(r.line for r in names),
         united=tuple(r.line for r in units),
         above=above,
+        comments=sum(r.comment and r not in names for r in rows),
         faults=faults,
     )
 
@@ -219,7 +231,7 @@ def _fitted(row: Row, kept: list[int]) -> Row:
 
 
 def _ragged(
-    titles: list[str], data: Sequence[Row], kept: list[int], wide: int, name: str, counted: str, named: int
+    titles: list[str], data: Sequence[Row], kept: list[int], wide: int, file: File, named: int
 ) -> list[InputError]:
     """Rows with too many or too few cells, and names that do not fit the rows; ``named`` cells hold the names."""
     columns = max((j + 1 for j, t in enumerate(titles) if t), default=0) if named else wide
@@ -227,11 +239,11 @@ def _ragged(
     if columns > wide or filled > max(columns, named):
         halves = columns * 2 == wide and all(str(c).strip("+- ").isdigit() for r in data[:50] for c in r.cells)
         found = f"the rows hold {_cells(wide)} under {columns} headers: '{clip(' | '.join(t for t in titles if t))}'"
-        remedy = f"give each column one name; {counted} {data[0].line} is the first of the rows"
+        remedy = f"give each column one name; {file.counted} {data[0].line} is the first of the rows"
         if halves:
             found += "; commas part both columns and decimals"
             remedy = "export it with semicolons between columns, or with decimal points"
-        return [InputError(name, found, remedy)]
+        return [InputError(file.name, found, remedy)]
     last = kept[-1] + 1 if kept else 0
     short = [r for r in data if len(r.cells) < last]
     long = [r for r in data if any(not is_missing(c) for c in r.cells[wide:])]
@@ -240,8 +252,8 @@ def _ragged(
         if rows:
             shown = clip(" | ".join(map(str, rows[0].cells)), 80)
             lines = [row.line for row in rows]
-            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(lines, counted)}"
-            faults.append(InputError(f"{name}: {counted} {rows[0].line}", found, remedy))
+            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(lines, file.counted)}"
+            faults.append(InputError(file.at(rows[0].line), found, remedy))
     return faults
 
 
@@ -257,7 +269,7 @@ def _cells(count: int) -> str:
     return f"{count} cell{'s' if count != 1 else ''}"
 
 
-def _stated(rows: Sequence[Row], header: Any, name: str, counted: str) -> tuple[list[Row], list[Row]] | None:
+def _stated(rows: Sequence[Row], header: Any, file: File) -> tuple[list[Row], list[Row]] | None:
     """Rows of names and units that are stated by their lines."""
     if header is None:
         return None
@@ -267,17 +279,19 @@ def _stated(rows: Sequence[Row], header: Any, name: str, counted: str) -> tuple[
     by_line = {r.line: r for r in rows}
     named = [by_line[n] for n in lines if n in by_line]
     if len(named) < len(lines):
-        raise InputError(name, f"header = {header}, and {counted} {lines[len(named)]} is blank or not there",
-                         f"count {counted}s from 1, or take header out")  # fmt: skip
+        missing = f"header = {header}, and {file.counted} {lines[len(named)]} is blank or not there"
+        raise InputError(file.name, missing, f"count {file.counted}s from 1, or take header out")
     below = next((r for r in rows if r.line > lines[-1]), None)
     if len(named) > 1 and _is_units(named[-1].cells):
         return named[:-1], named[-1:]
     return named, [below] if below and _is_units(below.cells) else []
 
 
-def _nothing(rows: Sequence[Row], name: str, counted: str) -> InputError:
+def _nothing(rows: Sequence[Row], file: File) -> InputError:
     if len(rows) < 2 or (len(rows) == 2 and all(_is_text(r.cells) for r in rows)):
-        return InputError(name, *NO_ROWS)
+        return InputError(file.name, *NO_ROWS)
     middle = rows[len(rows) // 2]
     shown = clip(" | ".join(map(str, middle.cells)), 80)
-    return InputError(name, f"no {counted} holds a number; {counted} {middle.line} reads '{shown}'", NO_NUMBERS)
+    return InputError(
+        file.name, f"no {file.counted} holds a number; {file.counted} {middle.line} reads '{shown}'", NO_NUMBERS
+    )

@@ -31,8 +31,6 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
     """The table in a file.
 
     Args:
-        path: of a kind that the extension names.
-        where: place in the problem file, for messages.
         inside: which table, in a file that can hold several; None: the only one, or what stands outside any group.
         stated: how a text or a spreadsheet is written, where it is not to be found.
 

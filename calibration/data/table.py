@@ -27,7 +27,6 @@ class Table:
     """The rows of a file.
 
     Attributes:
-        path: the file.
         header: names of the columns, each with its unit in brackets where it has one.
         columns: (N,) arrays, of numbers or of text.
         lines: (N,) where each row is in the file, for messages.

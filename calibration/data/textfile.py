@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from bcfj_jax.core.errors import clip
 from bcfj_jax.io.opening import LARGEST_TEXT, content
 from calibration.data import numbers
 from calibration.data.decoding import decoded
-from calibration.data.layout import NO_NUMBERS, NO_ROWS, Layout, Row, found, others
+from calibration.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
 from calibration.data.table import Table
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
@@ -77,20 +77,20 @@ def read(path: Path, where: str, stated: Stated) -> Table:
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:], path)
-    rows, faults = _rows(lines, first, separator, str(path))
-    layout = found(rows, str(path), "line", stated.header)
-    decimals = decimal_marks(layout, stated, str(path), "line", commas_part=separator == "comma")
+    file = File(str(path), "line")
+    rows, faults = _rows(lines, first, separator, file)
+    layout = found(rows, file, stated.header)
+    decimals = decimal_marks(layout, stated, file, commas_part=separator == "comma")
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
-    comments = sum(r.comment for r in rows if r.line not in layout.named)
-    how = f"{encoding} text, {_SAID[separator]}, decimal {marks}"
-    return table(path, layout, decimals, "line", [*faults, *layout.faults], how, comments)
+    layout = replace(layout, faults=[*faults, *layout.faults])
+    return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
 
 
 def table(
-    path: Path, layout: Layout, decimals: Sequence[str], counted: str, faults: Sequence[InputError], how: str, comments: int = 0,
-    inside: str = "",
+    path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
 ) -> Table:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
+    counted = file.counted
     lines = np.array([r.line for r in layout.rows])
     columns = []
     for j in range(len(layout.names)):
@@ -98,7 +98,7 @@ def table(
         cells[:] = [r.cells[j] for r in layout.rows]
         columns.append(cells)
     parts = [how]
-    for count, what in ((layout.above, f"{counted}@ above the names"), (comments, f"comment {counted}@")):
+    for count, what in ((layout.above, f"{counted}@ above the names"), (layout.comments, f"comment {counted}@")):
         if count:
             parts.append(f"{count} {what.replace('@', 's' if count > 1 else '')} left out")
     parts.append(f"names in {_lines(layout.named, counted)}" if layout.named else "no names")
@@ -107,8 +107,9 @@ def table(
     parts.append(f"{lines.size} rows, {counted}s {lines[0]} to {lines[-1]}")
     named = ", ".join(name or "(no name)" for name in layout.names[:12])
     parts.append(f"{len(layout.names)} columns: {clip(named)}{', ...' if len(layout.names) > 12 else ''}")
-    said = "; ".join(parts)
-    return Table(path, layout.names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(faults), said)
+    return Table(
+        path, layout.names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
+    )  # fmt: skip
 
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:
@@ -178,7 +179,7 @@ def _score(lines: Sequence[str], separator: str, least: int) -> float:
     return max(shares.values(), default=0.0)
 
 
-def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[list[Row], list[InputError]]:
+def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple[list[Row], list[InputError]]:
     """Rows that hold something, comments in the cells that they would have as a row."""
     rows, open_quotes = [], []
     for number, line in _logical(lines, first):
@@ -187,7 +188,7 @@ def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[
             open_quotes.append((number, line))
             line = line.replace('"', "")
         if len(line) > 1_000_000:
-            raise InputError(f"{name}: line {number}", f"{len(line)} characters in one line", "give a file of rows")
+            raise InputError(file.at(number), f"{len(line)} characters in one line", "give a file of rows")
         cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
         if any(cells):
             rows.append(Row(number, cells, comment))
@@ -198,7 +199,7 @@ def _rows(lines: Sequence[str], first: int, separator: str, name: str) -> tuple[
         number, text = open_quotes[0]
         more = others([number for number, _ in open_quotes], "line")
         found = f"an opening quote without its end: '{clip(text, 80)}'{more}"
-        faults.append(InputError(f"{name}: line {number}", found, "close it, or take it out"))
+        faults.append(InputError(file.at(number), found, "close it, or take it out"))
     return rows, faults
 
 
@@ -243,7 +244,7 @@ def _join(match: re.Match) -> str:
 
 
 def decimal_marks(
-    layout: Layout, stated: Stated, name: str, counted: str, commas_part: bool = False
+    layout: Layout, stated: Stated, file: File, commas_part: bool = False
 ) -> list[str]:  # fmt: skip
     """The decimal mark of each column; of a table whose cells commas part, that of bare points is a point.
 
@@ -263,4 +264,4 @@ def decimal_marks(
         return ["."] * len(columns)
     text, line = cells[0]
     either = f"'{text}' is {text.replace(',', '.')} or {re.sub('[.,]', '', text)}, and no number of the file says which"
-    raise InputError(f"{name}: {counted} {line}", either, DECIMAL)
+    raise InputError(file.at(line), either, DECIMAL)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bcfj_jax import InputError, nearest
 from calibration.data import child, isolated, numbers, textfile
-from calibration.data.layout import Row, found
+from calibration.data.layout import File, Row, found
 from calibration.data.table import Table
 
 KINDS = child.SHEETS
@@ -31,9 +31,9 @@ def read(path: Path, where: str, inside: str | None, stated: textfile.Stated) ->
             )
         sheets = filled or dict(list(sheets.items())[:1])
     name, rows = next(iter(sheets.items()))
-    layout = found(rows, f"{path}: {name}", "row", stated.header)
-    marks = textfile.decimal_marks(layout, stated, f"{path}: {name}", "row")
-    return textfile.table(path, layout, marks, "row", layout.faults, f"sheet '{name}'", inside=name)
+    file = File(f"{path}: {name}", "row")
+    layout = found(rows, file, stated.header)
+    return textfile.table(path, layout, textfile.decimal_marks(layout, stated, file), file, f"sheet '{name}'", name)
 
 
 def _rows(numbered: list[tuple[int, list]]) -> list[Row]:

@@ -58,9 +58,7 @@ def law(
     """``consistent``, ``adequate`` or ``inadequate``.
 
     Args:
-        tests: of the residuals, and of held-out records.
         miss: of the worst channel in contact, as ``missed``.
-        held_out: errors of held-out records by name.
         threshold: of the peak, up to which a law is adequate.
         loud: residuals in contact over the noise before it (``louder``).
     """

@@ -23,12 +23,7 @@ def gap_of(name: str) -> str | None:
 
 
 def clearance_tests(model: Model, seen: list[Contact]) -> list[Test]:
-    """A test for each clearance that is searched: whether a record shows it being crossed, at the fitted values.
-
-    Args:
-        model: what was fitted.
-        seen: ``runs.contacts`` at the optimum.
-    """
+    """A test for each clearance that is searched: whether a record shows it being crossed, at the fitted values."""
     tests = []
     for name, experiment in dict.fromkeys((s.name, s.experiment) for s in model.coordinates):
         contact = gap_of(name)
@@ -58,8 +53,6 @@ def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) ->
     Those are scenes that nothing turns: their bodies fly, touch and part.
 
     Args:
-        model: what was fitted.
-        seen: ``runs.contacts`` at the optimum.
         peaks_inside: whether the contact turns before the end of some record.
     """
     if model.scene.traits.turning or not model.channels:

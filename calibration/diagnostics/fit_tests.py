@@ -97,12 +97,6 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
 
     Then it is multiplied by k^2 [sum psi^2 / (n - p)] / mean(psi')^2, k = 1 + (p/n) var(psi')/mean(psi')^2
     (Huber 1981, 7.6).
-
-    Args:
-        end: the optimum.
-        samples: number of residuals that are samples.
-        moved: ``noise.Estimate.moved``.
-        loss: name of the loss.
     """
     count = end.jacobian.shape[1]
     freedom = samples - count
@@ -173,9 +167,6 @@ def agreement(
     (x - y)^T C^-1 (x - y) = P.
 
     Args:
-        ends: best first.
-        covariance: of the coordinates, or None.
-        rough: whether the cost is.
         errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
             2 |e|, and starts need agree no better.
     """
@@ -247,6 +238,12 @@ def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
     p = float(special.fdtrc(freedom, quality.freedom, ratio) if quality.moved else special.chdtrc(freedom, square))
     reason = f"held-out residuals are {np.sqrt(ratio):.3g} times the noise"
     return Test("held-out prediction", p, LEVEL, p > LEVEL, reason)
+
+
+def determined_test(label: str, half: float, axis: Coordinate, why: str = "") -> Test:
+    """Whether half the length of an interval, on its scale, is below a factor of two or half of the range."""
+    reason = why or f"the data do not determine {label}: they allow a factor or share beyond the limit"
+    return Test(f"{label} determined", half, widest(axis), half < widest(axis), reason)
 
 
 def curvature_test(label: str, ratio: float) -> Test:

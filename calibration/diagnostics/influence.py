@@ -13,7 +13,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.forward.model import Model, residuals_and_jacobian
-from calibration.problem import Experiment, Problem
+from calibration.problem import Problem
 
 # Where the noise is to be estimated, no sensor is taken to resolve less than this share of its largest reading.
 _FINEST = 1e-4
@@ -72,76 +72,41 @@ def refuse_data(problem: Problem) -> None:
                     raise InputError(where, found, 'flip its sign with "-" before the column')
 
 
-def noise_floor(experiments: tuple[Experiment, ...]) -> float:
-    """Factor from assumed to finest noise where all of it is to be estimated: the weights of ``Channel.deviation``."""
-    estimated = any(c.sigma is None for e in experiments for c in e.channels)
-    return 0.01 / _FINEST if estimated else 1.0
-
-
-def refuse_idle(
-    problem: Problem, labels: tuple[str, ...], reach: np.ndarray, jacobian: np.ndarray, factor: float
-) -> None:
-    """Refuse a parameter that, over its whole range, moves the data by less than their noise.
-
-    Args:
-        problem: for the message.
-        labels: of the coordinates.
-        reach: (P,) most that any single residual moved over the screened design.
-        jacobian: (N, P) at the start, whose columns' lengths are what all residuals move together.
-        factor: ``noise_floor``.
-
-    Raises:
-        InputError: naming it.
-    """
-    for label, size in zip(labels, factor * np.maximum(reach, _lengths(jacobian)), strict=True):
-        if size < 1.0:
-            raise InputError(
-                f"{problem.where}: [free.{label}]",
-                f"'{label}' moves no residual by more than {size:.1g} of the noise over its whole range",
-                "fix it in the scene, or add data that depend on it",
-            )
-
-
-def _lengths(jacobian: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.sum(np.where(np.isfinite(jacobian), jacobian, 0.0) ** 2, axis=0))
-
-
 def at_start(
-    problem: Problem,
-    model: Model,
-    labels: tuple[str, ...],
-    point: np.ndarray,
-    log_depth: float,
-    reach: np.ndarray,
-    factor: float,
+    problem: Problem, model: Model, labels: tuple[str, ...], point: np.ndarray, reach: np.ndarray
 ) -> dict[str, Any]:
     """What the data determine at a start, for ``fit.json``.
 
     Args:
         problem, model, labels: what is fitted.
-        point, log_depth: the start: the one given, or the best of the screened design.
-        reach: of the screened design.
-        factor: ``noise_floor``.
+        point: the start: the one given, or the best of the screened design.
+        reach: (P,) most that any single residual moved over the screened design.
 
     Returns:
         at: parameter values; reach: deviations of the noise that each parameter moves all data; singular_values of the
         Jacobian; weak: directions in words, each with what would separate them.
 
     Raises:
-        InputError: as ``refuse_idle``.
+        InputError: naming a parameter that, over its whole range, moves the data by less than their noise.
     """
-    jacobian = residuals_and_jacobian(model, point, log_depth)[1]
+    jacobian = residuals_and_jacobian(model, point)[1]
     jacobian = np.where(np.isfinite(jacobian), jacobian, 0.0)
-    refuse_idle(problem, labels, reach, jacobian, factor)
+    lengths = np.linalg.norm(jacobian, axis=0)
+    # Where noise is to be estimated 1 % of the largest reading is assumed (``Channel.deviation``); it may be far less.
+    estimated = any(c.sigma is None for e in problem.experiments if not e.hold_out for c in e.channels)
+    for label, size in zip(labels, (0.01 / _FINEST if estimated else 1.0) * np.maximum(reach, lengths), strict=True):
+        if size < 1.0:
+            found = f"'{label}' moves no residual by more than {size:.1g} of the noise over its whole range"
+            remedy = "fix it in the scene, or add data that depend on it"
+            raise InputError(f"{problem.where}: [free.{label}]", found, remedy)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    values = model.values(point, log_depth).tolist()
     names = list(labels)
     if model.referenced:
         names[model.pair()[0]] = "reference_force"
     return {
-        "at": dict(zip(labels, values, strict=True)),
-        "reach": {n: float(s) for n, s in zip(names, _lengths(jacobian), strict=True)},
-        "singular_values": [float(s) for s in singular],
+        "at": dict(zip(labels, model.values(point).tolist(), strict=True)),
+        "reach": dict(zip(names, lengths.tolist(), strict=True)),
+        "singular_values": singular.tolist(),
         "weak": [weak_direction(names, v, s) for s, v in zip(singular, directions, strict=True) if s * _WEAK < 1.0],
     }
 

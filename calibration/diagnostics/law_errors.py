@@ -26,7 +26,7 @@ _STEP = 1e-3
 
 
 def signatures(
-    model: Model, point: np.ndarray, log_depth: float, deepest: float, peak: float, duration: float
+    model: Model, point: np.ndarray, deepest: float, peak: float, duration: float
 ) -> dict[str, dict[str, np.ndarray]]:
     """Changes of the residuals (N,) by kind of error and name, a unit being one as large as the peak force.
 
@@ -34,7 +34,6 @@ def signatures(
     most in a contact.
 
     Args:
-        model, point, log_depth: of the optimum.
         deepest: greatest depth of its contacts [m].
         peak: greatest contact force [N].
         duration: of its longest contact [s].
@@ -43,7 +42,7 @@ def signatures(
     if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):
         return {}
 
-    records = runs.clocks(model, point, log_depth)
+    records = runs.clocks(model, point)
 
     def seen(
         stiffness: float = 0.0, place: float = deepest, relaxing: float = 0.0, time: float = duration
@@ -58,7 +57,12 @@ def signatures(
     for share in _TIMES:
         relaxations[f"relaxation within {share:.0%} of a contact"] = seen(relaxing=_STEP, time=share * duration)
     kinds = {"second contact": stops, "relaxation": relaxations}
-    changes = {kind: {n: _white(model, (r - plain) / _STEP) for n, r in found.items()} for kind, found in kinds.items()}
+    none = np.zeros(model.data.features.size)
+
+    def white(read: np.ndarray) -> np.ndarray:
+        return np.concatenate([model.data.white((read - plain) / _STEP).ravel(), none])
+
+    changes = {kind: {n: white(read) for n, read in found.items()} for kind, found in kinds.items()}
     return {kind: {n: x for n, x in found.items() if np.isfinite(x).all()} for kind, found in changes.items()}
 
 
@@ -86,13 +90,3 @@ def _read(model: Model, records: list[tuple[dict[str, float], np.ndarray]], valu
         for j, name in enumerate(model.channels):
             read[i, j] = params["gain"] * np.interp(clock, times, np.asarray(found[name]))
     return read
-
-
-def _white(model: Model, changes: np.ndarray) -> np.ndarray:
-    """Changes of the readings as the residuals have them, (N,): in deviations, freed of the noise's memory."""
-    d = model.data
-    weighed = np.where(np.asarray(d.weights) > 0, changes, 0.0) * np.asarray(d.weights)
-    before = np.take_along_axis(weighed, np.asarray(d.previous), axis=-1)
-    memory = np.asarray(d.memory)
-    white = np.where(np.asarray(d.weights) > 0, (weighed - memory * before) / np.sqrt(1.0 - memory**2), 0.0)
-    return np.concatenate([white.ravel(), np.zeros(d.features.size)])

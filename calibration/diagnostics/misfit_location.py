@@ -25,9 +25,7 @@ class Miss(NamedTuple):
     """A stretch of samples on one side of the model.
 
     Attributes:
-        record, channel: where.
         time: of its largest error [s], in the record's time as fitted.
-        first, last: its first and last sample [s].
         error: data less model there, SI.
         share: that over the peak of the data.
         brief: whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
@@ -58,9 +56,6 @@ def misses(records: Iterable[Record]) -> list[Miss]:
     A stretch is a run of errors of one sign. Its weight is the sum of its errors over the square root of their number,
     which for white errors has their own deviation; that is taken from the median, so that a spike does not hide
     itself.
-
-    Args:
-        records: experiments beside their predictions.
     """
     found = []
     for record in records:

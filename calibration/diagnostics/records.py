@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.forward.runs import Contact, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem, size, units_of
-from calibration.search.refinement import FAILED_RESIDUAL, End
+from calibration.search.refinement import trust_region
 
 # Share of a record's peak from which on a force is said to act.
 _ACTING = 0.05
@@ -37,9 +37,7 @@ class Record:
     params: dict[str, float]
 
 
-def hold_out(
-    problem: Problem, model: Model, best: End, log_depth: float, quality: fit_tests.Spread, noise: Estimate
-) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
+def hold_out(problem: Problem, at: Optimum) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
     The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
@@ -51,12 +49,13 @@ def hold_out(
         Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts (a long
         rest must not make it small); the records; and the test.
     """
-    held = tuple(with_noise(e, noise) for e in problem.experiments if e.hold_out)
+    model, best, quality = at.model, at.end, at.spread
+    held = tuple(with_noise(e, at.noise) for e in problem.experiments if e.hold_out)
     other = build(problem, held)
     shared = sum(s.experiment is None for s in model.coordinates)
     own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
-    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared, log_depth)
-    records = records_of(other, held, point, log_depth, True)
+    point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared)
+    records = records_of(other, held, point, True)
     report = {}
     for record in records:
         for channel, data in record.data.items():
@@ -66,7 +65,7 @@ def hold_out(
                 "max_error_of_peak": float(np.nanmax(np.abs(error)) / peak),
                 "rms_error_of_peak": float(np.sqrt(np.nanmean(error[rated] ** 2)) / peak),
             }
-    residuals, jacobian = residuals_and_jacobian(other, point, log_depth)
+    residuals, jacobian = residuals_and_jacobian(other, point)
     if other.loss != "linear":  # outliers were allowed for
         residuals, jacobian = (np.where(np.abs(residuals) < OUTLYING, a.T, 0.0).T for a in (residuals, jacobian))
     basis = np.linalg.qr(jacobian[:, shared:])[0]
@@ -100,34 +99,22 @@ def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
     return float(np.mean([u for s, u in zip(model.coordinates, point, strict=True) if s.name == name]))
 
 
-def _own_fitted(model: Model, point: np.ndarray, shared: int, log_depth: float) -> np.ndarray:
+def _own_fitted(model: Model, point: np.ndarray, shared: int) -> np.ndarray:
     """The point with the coordinates beyond the shared ones fitted to the data."""
     if shared == point.size:
         return point
 
     def evaluate(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]), log_depth)
-        jacobian = jacobian[:, shared:]
-        if np.isfinite(residuals).all() and np.isfinite(jacobian).all():
-            return residuals, jacobian
-        return np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
+        residuals, jacobian = residuals_and_jacobian(model, np.concatenate([point[:shared], own]))
+        return residuals, jacobian[:, shared:]
 
-    result = least_squares(
-        lambda own: evaluate(own)[0],
-        np.clip(point[shared:], 1e-6, 1 - 1e-6),
-        jac=lambda own: evaluate(own)[1],  # pyright: ignore[reportArgumentType]
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        loss=model.loss,
-    )
-    return np.concatenate([point[:shared], result.x])
+    found = trust_region(evaluate, np.clip(point[shared:], 1e-6, 1 - 1e-6), loss=model.loss)
+    return np.concatenate([point[:shared], found.point])
 
 
-def records_of(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float, held_out: bool
-) -> list[Record]:
+def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, held_out: bool) -> list[Record]:
     """Every experiment beside the prediction made at a point."""
-    predicted, values = predictions(model, point, log_depth), model.values(point, log_depth).tolist()
+    predicted, values = predictions(model, point), model.values(point).tolist()
     weights = np.asarray(model.data.weights)
     records = []
     for i, experiment in enumerate(experiments):
@@ -154,27 +141,16 @@ def _sigma(weights: np.ndarray) -> float:
     return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
 
 
-def series_of(
-    model: Model,
-    experiments: tuple[Experiment, ...],
-    seen: list[Contact],
-    noise: Estimate,
-    residuals: np.ndarray,
-    errors: np.ndarray,
-    accuracy: float,
-) -> list[Series]:
+def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: float) -> list[Series]:
     """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
 
     Args:
-        model, experiments, noise: as settled.
-        seen: ``runs.contacts`` of the model.
-        residuals, errors: (N,) white, and the integrator's part in them.
-        accuracy: error of the simulated forces as a share of their peak.
+        errors: (N,) the integrator's part in the residuals.
     """
-    weights, shape = np.asarray(model.data.weights), model.data.weights.shape
-    values = np.asarray(model.data.values)
+    model, noise, residuals = at.model, at.noise, at.end.residuals
+    weights, values, shape = np.asarray(model.data.weights), np.asarray(model.data.values), model.data.weights.shape
     series = []
-    for i, experiment in enumerate(experiments):
+    for i, experiment in enumerate(at.experiments):
         for channel in experiment.channels:
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)

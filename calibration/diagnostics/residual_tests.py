@@ -70,7 +70,6 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
     """All tests of the residuals (N,) of a fit with their Jacobian (N, P).
 
     Args:
-        series: of each record and channel.
         residuals, jacobian: at the optimum, white and of variance 1.
         robust: whether outliers were allowed for: they are then counted, and tested no further.
     """
@@ -188,7 +187,6 @@ def correlation_of(
     scaled) instead.
 
     Args:
-        residuals: (N,).
         basis: (N, P) Q, orthonormal columns that span the Jacobian.
         first, second: (K,) rows of each pair.
         rows: those that pairs are of.

@@ -32,12 +32,8 @@ _NAMED = 0.05
 _EQUAL = 0.05
 
 
-def untold(model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: float) -> list[dict[str, Any]]:
+def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dict[str, Any]]:
     """Every scale, or combination of scales, that the channels do not show, in words.
-
-    Args:
-        model, labels: what is fitted.
-        point, log_depth: where to ask, in the search space.
 
     Returns:
         parameters: the scales; moves: by scale, what 1 % of it moves each free parameter by [%]; text and remedy.
@@ -46,28 +42,28 @@ def untold(model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: 
         return []
     quantities = {name: q.unit for name, q in model.scene.quantities.items()}
     scales = [n for n, unit in quantities.items() if (unit in _UNITS or n in _LENGTHS) and n not in _NONE]
-    at = evaluation(model)(np.asarray(point)[None], log_depth)
+    at = evaluation(model)(np.asarray(point)[None])
     jacobian = np.where(np.isfinite(at.jacobians[0]), at.jacobians[0], 0.0)
-    inner = jacobian @ _steps(model, point, log_depth)
+    inner = jacobian @ _steps(model, point)
     free = [axis.name for axis in model.coordinates]
-    found = _searched(model, labels, point, log_depth, inner, [n for n in scales if n in free])
+    found = _searched(model, labels, point, inner, [n for n in scales if n in free])
     if found:
         return found
-    return _fixed(model, labels, point, log_depth, inner, [n for n in scales if n not in free])
+    return _fixed(model, labels, point, inner, [n for n in scales if n not in free])
 
 
-def _steps(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
+def _steps(model: Model, point: np.ndarray) -> np.ndarray:
     """Moves of the unit box (P, P) for the logarithm of each parameter; of a nuisance, for its whole range."""
-    values, steps = model.values(np.asarray(point), log_depth), np.eye(len(model.coordinates))
+    values, steps = model.values(np.asarray(point)), np.eye(len(model.coordinates))
     for k, axis in enumerate(model.coordinates):
         if axis.name not in NUISANCES and values[k] > 0:
             moved = values * (1.0 + 1e-6 * (np.arange(values.size) == k))
-            steps[:, k] = (model.point(moved, log_depth) - np.asarray(point)) / 1e-6
+            steps[:, k] = (model.point(moved) - np.asarray(point)) / 1e-6
     return steps
 
 
 def _searched(
-    model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: float, inner: np.ndarray, scales: list[str]
+    model: Model, labels: tuple[str, ...], point: np.ndarray, inner: np.ndarray, scales: list[str]
 ) -> list[dict[str, Any]]:
     """Free scales of which the data determine a combination only."""
     mine = [k for k, axis in enumerate(model.coordinates) if axis.name in scales]
@@ -81,7 +77,7 @@ def _searched(
         return []
     lead = mine[int(np.argmax(np.abs(way[mine])))]
     way = way / way[lead]
-    if not _exact(model, point, log_depth, way, {}, sizes[lead]):
+    if not _exact(model, point, way, {}, sizes[lead]):
         return []
     together = [k for k in mine if abs(way[k]) > _EQUAL]
     names = list(dict.fromkeys(model.coordinates[k].name for k in together))
@@ -101,7 +97,7 @@ def _searched(
 
 
 def _fixed(
-    model: Model, labels: tuple[str, ...], point: np.ndarray, log_depth: float, inner: np.ndarray, scales: list[str]
+    model: Model, labels: tuple[str, ...], point: np.ndarray, inner: np.ndarray, scales: list[str]
 ) -> list[dict[str, Any]]:
     """Fixed scales, or combinations of them, that may be wrong without any reading showing it."""
     columns, names = [], []
@@ -112,7 +108,7 @@ def _fixed(
         sides = []
         for sign in (1.0, -1.0):
             moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], model, own * (1.0 + sign * _STEP))
-            sides.append(evaluation(moved)(np.asarray(point)[None], log_depth).residuals[0])
+            sides.append(evaluation(moved)(np.asarray(point)[None]).residuals[0])
         column = (sides[0] - sides[1]) / (2.0 * _STEP)
         if np.isfinite(column).all() and np.linalg.norm(column) > 0.0:
             columns.append(column)
@@ -129,7 +125,7 @@ def _fixed(
     ways = [(way / outer_sizes) / np.max(np.abs(way / outer_sizes)) for way in weak]
     weak = np.array([
         w * outer_sizes for w in ways
-        if _exact(model, point, log_depth, along @ w, dict(zip(names, w, strict=True)), float(np.max(np.abs(w) * outer_sizes)))
+        if _exact(model, point, along @ w, dict(zip(names, w, strict=True)), float(np.max(np.abs(w) * outer_sizes)))
     ])  # fmt: skip
     involved = [k for k in range(len(names)) if weak.size and np.max(np.abs(weak[:, k] / outer_sizes[k])) > _EQUAL]
     if not involved:
@@ -151,29 +147,24 @@ def _fixed(
     return [{"parameters": own, "moves": moves, "text": text, "remedy": _remedy(own, model, False)}]
 
 
-def _exact(
-    model: Model, point: np.ndarray, log_depth: float, way: np.ndarray, fixed: dict[str, float], size: float
-) -> bool:
+def _exact(model: Model, point: np.ndarray, way: np.ndarray, fixed: dict[str, float], size: float) -> bool:
     """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do.
 
     Args:
-        model, point, log_depth: where.
         way: (P,) logarithms by which what is free moves; shares of the range of a nuisance.
         fixed: logarithms by which fixed values move.
         size: what the largest of these moves alone does to the residuals, by the logarithm.
     """
     point = np.asarray(point, dtype=float)
-    values, moved = model.values(point, log_depth), model
+    values, moved = model.values(point), model
     nuisance = np.array([axis.name in NUISANCES for axis in model.coordinates])
     # What the data hardly show moves without a bound; so far away nothing is exact.
-    other = model.point(values * np.exp(np.where(nuisance, 0.0, np.clip(_FINITE * way, -50.0, 50.0))), log_depth)
+    other = model.point(values * np.exp(np.where(nuisance, 0.0, np.clip(_FINITE * way, -50.0, 50.0))))
     other = np.where(nuisance, point + _FINITE * way, other)
     for name, log in fixed.items():
         own = np.asarray(model.data.fixed[name], dtype=float) * np.exp(_FINITE * log)
         moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], moved, own)
-    change = (
-        evaluation(moved)(other[None], log_depth).residuals[0] - evaluation(model)(point[None], log_depth).residuals[0]
-    )
+    change = evaluation(moved)(other[None]).residuals[0] - evaluation(model)(point[None]).residuals[0]
     return bool(np.linalg.norm(change) < _LEFT * _FINITE * size)
 
 

@@ -87,9 +87,9 @@ class Scene(NamedTuple):
     peak: float
 
 
-def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np.ndarray, log_depth: float) -> Scene:
+def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np.ndarray) -> Scene:
     """The scene about an optimum; ``readings`` (E, C, T) are the predicted ones there."""
-    flat, table = readings.reshape(-1), params_at(model, point, log_depth)
+    flat, table = readings.reshape(-1), params_at(model, point)
     motions: list[tuple[Motion, float] | None] = []
     runs: list[int] = []
     known: dict[tuple[int, str], Motion | None] = {}
@@ -183,13 +183,13 @@ def _flow(times: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     return flow
 
 
-def weight(model: Model, series: list[Series], point: np.ndarray, log_depth: float, gravity: float) -> np.ndarray:
+def weight(model: Model, series: list[Series], point: np.ndarray, gravity: float) -> np.ndarray:
     """What a gravity [m/s^2] towards the surface adds to the residuals (N,) of single impacts; 0 where a record shows none.
 
     In contact the force beside is the weight: the contact force changes by k x + c x', an acceleration that a sensor on the
     body reads (free of gravity itself) by that over the mass. Before touch it is in the speed of approach.
     """
-    table, shape = params_at(model, point, log_depth), model.data.values.shape
+    table, shape = params_at(model, point), model.data.values.shape
     column, known = np.zeros(model.data.values.size + model.data.features.size), {}
     names = list(model.scene.members)
     for s in series:

@@ -33,8 +33,6 @@ class Corrected(NamedTuple):
     """An optimum on the model that it is one of.
 
     Attributes:
-        model: with the tolerance of the last runs.
-        end: the best end on it.
         errors: (N,) the solver's part in the white residuals; NaN where it is not known.
         notes: what was done, and what is left, in words.
     """
@@ -45,22 +43,21 @@ class Corrected(NamedTuple):
     notes: list[str]
 
 
-def corrected(model: Model, best: End, log_depth: float, errors: np.ndarray) -> Corrected:
+def corrected(model: Model, best: End, errors: np.ndarray) -> Corrected:
     """An optimum whose estimates the solver's error moves by at most ``LITTLE`` deviations, if tighter runs succeed.
 
     Nothing is run where that holds already, nor where the error is not known.
 
     Args:
         model, best: the optimum, its Jacobian the one that the covariance is of.
-        log_depth: ln of the reference penetration [m].
         errors: (N,) of the white residuals there (``integration.errors``).
     """
     first = now = shift(errors, best.jacobian)
     rounds = 0
     while now > LITTLE and rounds < _ROUNDS:
         finer = integration.tighter(model)
-        end = _again(finer, best, log_depth)
-        left = np.full(1, np.nan) if end is None else integration.errors(finer, end.point, log_depth, end.residuals)
+        end = _again(finer, best)
+        left = np.full(1, np.nan) if end is None else integration.errors(finer, end.point, end.residuals)
         if end is None or not np.isfinite(left).all():
             break
         model, best, errors, rounds = finer, end, left, rounds + 1
@@ -87,15 +84,15 @@ def covered(moved: float) -> float:
     return float(special.ndtr(half - moved) - special.ndtr(-half - moved))
 
 
-def _again(finer: Model, best: End, log_depth: float) -> End | None:
+def _again(finer: Model, best: End) -> End | None:
     """The optimum on a tighter model, from that on the looser one; None where there is no way to it."""
     if not budget(finer.scene).rough:
-        end = finish(finer, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
+        end = finish(finer, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9))
         return None if end.failure else end
     if finer.loss != "linear":
         return None
     # With the mean Jacobian: where the cost is rough, that at one point leads nowhere.
-    evaluate = evaluator(finer, log_depth)
+    evaluate = evaluator(finer)
     begin = replace(best, residuals=evaluate(best.point[None])[0][0])
     end = stepped(evaluate, begin) if np.isfinite(begin.residuals).all() else begin
     return None if end is begin else end

@@ -21,7 +21,7 @@ import equinox as eqx
 import numpy as np
 
 from bcfj_jax.core.quantities import GRAVITY
-from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import weight
 from calibration.forward.losses import influence
@@ -84,8 +84,6 @@ class Budget(NamedTuple):
     """Every line, and all errors together.
 
     Attributes:
-        lines: one error each.
-        names: (K,) of the estimates.
         corrections, deviations: (C, K) what would take the errors out of each estimate, on average, and the deviation
             about it, SI or as a share, of every combination of errors of which there is one at most.
     """
@@ -115,24 +113,28 @@ class Error(NamedTuple):
     signature: np.ndarray
 
 
-def budget_of(
-    model: Model, names: tuple[str, ...], best: End, spread: Spread, errors: list[Error], slopes: np.ndarray,
-    sizes: np.ndarray, alone: Sequence[Collection[str]] = (),
-) -> Budget:  # fmt: skip
+class Moving(NamedTuple):
+    """What errors move: names, how each moves with the unit box (K, P), and what a move is a share of (K,)."""
+
+    names: tuple[str, ...]
+    slopes: np.ndarray
+    sizes: np.ndarray
+
+
+def budget_of(at: Optimum, errors: list[Error], moving: Moving, alone: Sequence[Collection[str]] = ()) -> Budget:
     """Every line, and all together.
 
     Args:
-        model, best, spread: of the optimum, whose covariance is known.
-        names, slopes, sizes: (K,) of what moves, (K, P) how it moves with the unit box, and what a move is a share of.
-        errors: that may be.
+        at: the optimum, whose covariance is known.
         alone: groups of names of which there is one error at most; for each estimate those that move it most.
     """
-    psi, bend = influence(model.loss, best.residuals)
+    (names, slopes, sizes), best = moving, at.end
+    psi, bend = influence(at.model.loss, best.residuals)
     # Least squares over these rows is a step of the robust loss.
     root = np.sqrt(np.maximum(bend, 1e-3))
     residuals = psi / root
     basis, triangle = np.linalg.qr(root[:, None] * best.jacobian)
-    variance = max(1.0, float(residuals @ residuals) / max(spread.freedom, 1))
+    variance = max(1.0, float(residuals @ residuals) / max(at.spread.freedom, 1))
     lines: dict[str, Line] = {}
     columns: dict[str, np.ndarray] = {}
     for error in errors:
@@ -166,7 +168,6 @@ def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: 
 
     Args:
         readings: (E, C, T) that the model predicts, SI.
-        series: of the residuals.
         stated: names of nuisances.
     """
     taken = {axis.name for axis in model.coordinates} | stated
@@ -178,9 +179,7 @@ def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: 
     ]
 
 
-def of_fixed(
-    model: Model, best: End, log_depth: float, tolerances: dict[str, np.ndarray], stated: frozenset[str]
-) -> list[Error]:
+def of_fixed(model: Model, best: End, tolerances: dict[str, np.ndarray], stated: frozenset[str]) -> list[Error]:
     """Errors of scene parameters that were held fixed, and of nuisances that were ``stated``, by runs with a little of each.
 
     Of a rough cost only those with a stated tolerance: a motion of the joint costs seconds each.
@@ -190,7 +189,7 @@ def of_fixed(
     """
     point, found = np.asarray(best.point)[None], []
     free = {axis.name for axis in model.coordinates}
-    plain = evaluation(model)(point, log_depth).residuals[0]
+    plain = evaluation(model)(point).residuals[0]
     every = [("fixed", name) for name in model.data.fixed] + [
         ("chain", name) for name in model.data.chain if name in stated
     ]
@@ -202,7 +201,7 @@ def of_fixed(
         if not np.any(tolerance):
             continue
         moved = eqx.tree_at(lambda m, t=table, n=name: getattr(m.data, t)[n], model, own + _STEP * tolerance)
-        change = (evaluation(moved)(point, log_depth).residuals[0] - plain) / _STEP
+        change = (evaluation(moved)(point).residuals[0] - plain) / _STEP
         if np.isfinite(change).all():
             share = float(np.max(tolerance / np.where(own != 0.0, np.abs(own), np.inf)))
             unit, most = ("of itself", share) if share else ("of its tolerance", 1.0)
@@ -210,12 +209,12 @@ def of_fixed(
     return found
 
 
-def of_weight(model: Model, best: End, log_depth: float, series: list[Series]) -> list[Error]:
+def of_weight(model: Model, best: End, series: list[Series]) -> list[Error]:
     """The weight of a body that strikes at a speed, of a scene that knows no gravity: as much of it as may act."""
     known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
     if "approach_speed" not in known or "gravity" in known or budget(model.scene).rough:
         return []
-    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, log_depth, GRAVITY))]
+    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, GRAVITY))]
 
 
 def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:

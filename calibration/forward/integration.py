@@ -33,10 +33,10 @@ class Limit(NamedTuple):
     sigma: float
 
 
-def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -> dict[str, Limit]:
+def limits(model: Model, point: np.ndarray, accuracy: float) -> dict[str, Limit]:
     """Limits of all channels at a point, no less than ``accuracy`` as a share of the peak, or than 1e-5 of it."""
-    read, weights = predictions(model, point, log_depth), np.asarray(model.data.weights)
-    error = _scale(model) * (read - predictions(tighter(model), point, log_depth))
+    read, weights = predictions(model, point), np.asarray(model.data.weights)
+    error = _scale(model) * (read - predictions(tighter(model), point))
     found = {}
     for j, name in enumerate(model.channels):
         seen = weights[:, j] > 0
@@ -48,9 +48,9 @@ def limits(model: Model, point: np.ndarray, log_depth: float, accuracy: float) -
     return found
 
 
-def errors(model: Model, point: np.ndarray, log_depth: float, residuals: np.ndarray) -> np.ndarray:
+def errors(model: Model, point: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """Error (N,) of white residuals at a point; NaN where the tighter run fails."""
-    finer, _ = residuals_and_jacobian(tighter(model), point, log_depth)
+    finer, _ = residuals_and_jacobian(tighter(model), point)
     return _scale(model) * (residuals - finer)
 
 

@@ -81,12 +81,20 @@ class Data(eqx.Module):
     chain: dict[str, Array]
     passed: Passed | None = None
 
+    def white(self, errors: Any) -> Any:
+        """Errors of the readings (E, C, T) [SI] as residuals: in deviations, freed of the noise's memory, 0 of no sample."""
+        xp, seen = _numpy(errors, self.weights), self.weights > 0
+        weighted = xp.where(seen, errors, 0.0) * self.weights
+        before = xp.take_along_axis(weighted, self.previous, axis=-1)
+        return xp.where(seen, (weighted - self.memory * before) / xp.sqrt(1.0 - xp.square(self.memory)), 0.0)
+
 
 class Model(eqx.Module):
     """The residual function of a problem's experiments, ready to be compiled once.
 
     Its arrays are NumPy's, and of NumPy arrays its methods are NumPy; inside the compiled program both are traced.
-    Problems that differ in numbers only share that program. ``bounds`` (2, P) are the coordinates' own.
+    Problems that differ in numbers only share that program. ``bounds`` (2, P) are the coordinates' own; ``log_depth`` is the
+    logarithm of the reference penetration [m].
     """
 
     scene: AbstractModel
@@ -95,6 +103,7 @@ class Model(eqx.Module):
     data: Data
     how: Plan
     bounds: Array
+    log_depth: Any = 0.0
     observed_features: tuple[ObservedFeatures, ...] = eqx.field(static=True, default=())
     parts: int = eqx.field(static=True, default=0)
     loss: str = eqx.field(static=True, default="linear")
@@ -105,26 +114,30 @@ class Model(eqx.Module):
         shared = {axis.name for axis in self.coordinates if axis.experiment is None}
         return {"stiffness", "exponent"} <= shared and all(s.log for s in self.coordinates if s.name == "stiffness")
 
-    def values(self, points: Any, log_depth: Any) -> Any:
-        """Parameter values (..., P), SI, at unit-box points (..., P); ``log_depth`` is ln d_ref."""
-        xp = _numpy(points, log_depth, self.bounds)
-        lower, width = self.box(log_depth)
+    def at_depth(self, log_depth: float) -> Model:
+        """The model with another reference penetration."""
+        return replace(self, log_depth=log_depth)
+
+    def values(self, points: Any) -> Any:
+        """Parameter values (..., P), SI, at unit-box points (..., P)."""
+        xp = _numpy(points, self.log_depth, self.bounds)
+        lower, width = self.box
         z = lower + points * width
         values = [xp.exp(z[..., i]) if axis.log else z[..., i] for i, axis in enumerate(self.coordinates)]
         if self.referenced:
             k, n = self.pair()
-            values[k] = xp.exp(z[..., k] - values[n] * log_depth)
+            values[k] = xp.exp(z[..., k] - values[n] * self.log_depth)
         return xp.stack(values, axis=-1)
 
-    def point(self, values: np.ndarray, log_depth: float) -> np.ndarray:
+    def point(self, values: np.ndarray) -> np.ndarray:
         """The inverse of ``values``, for NumPy vectors (..., P)."""
         z = np.array(values, dtype=float)
         log = [axis.log for axis in self.coordinates]
         z[..., log] = np.log(z[..., log])
         if self.referenced:
             k, n = self.pair()
-            z[..., k] += np.asarray(values)[..., n] * log_depth
-        lower, width = self.box(log_depth)
+            z[..., k] += np.asarray(values)[..., n] * self.log_depth
+        lower, width = self.box
         return (z - lower) / width
 
     def pair(self) -> tuple[int, int]:
@@ -132,31 +145,32 @@ class Model(eqx.Module):
         names = [axis.name if axis.experiment is None else "" for axis in self.coordinates]
         return names.index("stiffness"), names.index("exponent")
 
-    def box(self, log_depth: Any) -> tuple[Any, Any]:
+    @property
+    def box(self) -> tuple[Any, Any]:
         """Lower bounds and widths of the coordinates on the search scale."""
-        xp = _numpy(log_depth, self.bounds)
+        xp = _numpy(self.log_depth, self.bounds)
         lower, upper = self.bounds
         if self.referenced:
             k, n = self.pair()
-            shifts = (xp.exp(self.bounds[:, n]) if self.coordinates[n].log else self.bounds[:, n]) * log_depth
+            shifts = (xp.exp(self.bounds[:, n]) if self.coordinates[n].log else self.bounds[:, n]) * self.log_depth
             stiffness = np.arange(len(self.coordinates)) == k
             lower, upper = lower + stiffness * shifts.min(), upper + stiffness * shifts.max()
         return lower, upper - lower
 
-    def settings(self, point: Any, log_depth: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    def settings(self, point: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Scene parameters and nuisances (E,) by name at a point."""
-        xp, count = _numpy(point, log_depth, self.bounds), self.data.times.shape[0]
+        xp, count = _numpy(point, self.log_depth, self.bounds), self.data.times.shape[0]
         table, chain = (
             {name: xp.broadcast_to(v, (count,)) for name, v in known.items()}
             for known in (self.data.fixed, self.data.chain)
         )
-        for axis, value in zip(self.coordinates, self.values(point, log_depth), strict=True):
+        for axis, value in zip(self.coordinates, self.values(point), strict=True):
             target = chain if axis.name in NUISANCES else table
             own = axis.experiment is None or np.arange(count) == axis.experiment
             target[axis.name] = xp.where(own, value, target[axis.name])
         return table, chain
 
-    def predictions(self, point: Array, log_depth: Array) -> Array:
+    def predictions(self, point: Array) -> Array:
         """What each channel would have read, (E, C, T), SI."""
         passed = self.data.passed
 
@@ -179,16 +193,16 @@ class Model(eqx.Module):
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
-        return jax.vmap(one)(*self.settings(point, log_depth), self.data.times)
+        return jax.vmap(one)(*self.settings(point), self.data.times)
 
     def _offsets(self, own: dict[str, Array]) -> Array:
         """What each channel reads where there is nothing to read, (C,)."""
         sums = [sum(own[o] for o in offsets_of(c, self.channels) if o in own) for c in self.channels]
         return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])
 
-    def features(self, point: Array, log_depth: Array) -> Array:
+    def features(self, point: Array) -> Array:
         """What each experiment's features would have been, (E, F), 0 where there is none."""
-        table, chain = self.settings(point, log_depth)
+        table, chain = self.settings(point)
         rows = []
         for i, observed in enumerate(self.observed_features):
             values = jnp.zeros(self.data.features.shape[1])
@@ -211,22 +225,18 @@ class Model(eqx.Module):
             rows.append(values)
         return jnp.stack(rows) if rows else jnp.zeros(self.data.features.shape)
 
-    def residuals(self, point: Array, log_depth: Array) -> Array:
+    def residuals(self, point: Array) -> Array:
         """Residuals (prediction - value) / sigma, freed of their noise's memory, flat: readings, then features.
 
         0 where there is no sample.
         """
-        return self.compared(point, log_depth)[0]
+        return self.compared(point)[0]
 
-    def compared(self, point: Array, log_depth: Array) -> tuple[Array, Array]:
+    def compared(self, point: Array) -> tuple[Array, Array]:
         """``residuals``, and the ``predictions`` that they are of."""
-        d, seen, read = self.data, self.data.weights > 0, self.predictions(point, log_depth)
-        weighted = jnp.where(seen, read - d.values, 0.0) * d.weights
-        before = jnp.take_along_axis(weighted, d.previous, axis=-1)
-        white = jnp.where(seen, (weighted - d.memory * before) / jnp.sqrt(1.0 - jnp.square(d.memory)), 0.0)
-        fitted = d.feature_weights > 0
-        features = jnp.where(fitted, self.features(point, log_depth) - d.features, 0.0) * d.feature_weights
-        return jnp.concatenate([white.ravel(), features.ravel()]), read
+        d, read, fitted = self.data, self.predictions(point), self.data.feature_weights > 0
+        features = jnp.where(fitted, self.features(point) - d.features, 0.0) * d.feature_weights
+        return jnp.concatenate([d.white(read - d.values).ravel(), features.ravel()]), read
 
     def cost(self, residuals: np.ndarray) -> np.ndarray:
         """Sum of what each of the residuals (..., N) costs."""
@@ -246,54 +256,55 @@ class Evaluated(NamedTuple):
     readings: Any
 
 
-def evaluation(model: Model) -> Callable[[np.ndarray, float], Evaluated]:
+def evaluation(model: Model) -> Callable[[np.ndarray], Evaluated]:
     """The model at unit-box points (B, P), B as many as may be: always the same compiled program."""
     rows, width = 1 if budget(model.scene).apart else _ROWS, len(model.coordinates)
     frame, numbers = divided(model)
-    run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0, 0.0))
+    run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0))
 
-    def at(points: np.ndarray, log_depth: float) -> Evaluated:
+    def at(points: np.ndarray) -> Evaluated:
         found = []
         for block in (points[first : first + rows] for first in range(0, len(points), rows)):
             filled = np.zeros((rows, width))
             filled[: len(block)] = block
-            found.append(tuple(part[: len(block)] for part in run(numbers, filled, len(block), float(log_depth))))
+            found.append(tuple(part[: len(block)] for part in run(numbers, filled, len(block))))
         return Evaluated(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
     return at
 
 
-def residuals_and_jacobian(model: Model, point: Any, log_depth: Any) -> tuple[np.ndarray, np.ndarray]:
+def residuals_and_jacobian(model: Model, point: Any) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (N,) and their forward-mode Jacobian (N, P) at one point."""
-    found = evaluation(model)(np.asarray(point)[None], log_depth)
+    found = evaluation(model)(np.asarray(point)[None])
     return found.residuals[0], found.jacobians[0]
 
 
-def predictions(model: Model, point: Any, log_depth: Any) -> np.ndarray:
+def predictions(model: Model, point: Any) -> np.ndarray:
     """What each channel would have read, (E, C, T), SI."""
-    return evaluation(model)(np.asarray(point)[None], log_depth).readings[0]
+    return evaluation(model)(np.asarray(point)[None]).readings[0]
 
 
 def divided(model: Model) -> tuple[Model, tuple[Any, ...]]:
     """A model without its numbers, which is what a program is made of, and these."""
     bare = tuple(axis._replace(lower=0.0, upper=1.0, decades=False) for axis in model.coordinates)
     how = replace(model.how, tolerance=None, longest=None)
-    frame = replace(model, data=None, how=how, bounds=None, coordinates=bare, loss="")
-    return frame, (model.data, (model.how.tolerance, model.how.longest), model.bounds)
+    frame = replace(model, data=None, how=how, bounds=None, log_depth=None, coordinates=bare, loss="")
+    return frame, (model.data, (model.how.tolerance, model.how.longest), model.bounds, float(model.log_depth))
 
 
 def whole(frame: Model, numbers: tuple[Any, ...]) -> Model:
     """The model of ``divided``'s two parts."""
-    data, (tolerance, longest), bounds = numbers
-    return replace(frame, data=data, how=replace(frame.how, tolerance=tolerance, longest=longest), bounds=bounds)
+    data, (tolerance, longest), bounds, log_depth = numbers
+    how = replace(frame.how, tolerance=tolerance, longest=longest)
+    return replace(frame, data=data, how=how, bounds=bounds, log_depth=log_depth)
 
 
-def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Array, log_depth: Array) -> Evaluated:
+def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Array) -> Evaluated:
     """The first ``count`` points, one after the other; zeros for the others."""
     model = whole(frame, numbers)
 
     def both(u: Array) -> tuple[Array, tuple[Array, Array]]:
-        residuals, read = model.compared(u, log_depth)
+        residuals, read = model.compared(u)
         return residuals, (residuals, read)
 
     def one(k: Array, found: Evaluated) -> Evaluated:

@@ -64,7 +64,6 @@ def resonant(times: Array, values: Array, frequency: Array, damping: Array) -> A
     u (z + i s)/s, u' = w (z - i s) (x - u).
 
     Args:
-        times, values: as of ``low_pass``.
         frequency: w / 2 pi [Hz].
         damping: z, above 0 and below 1.
     """
@@ -78,11 +77,6 @@ def filtered(times: Array, values: Array, cutoff: Array, passed: Passed) -> Arra
     """Output of a low-pass (``calibration.filters``), at rest before the first time, and after the last where it is run back.
 
     Exact for an input that is linear between samples, and so is each of two passes.
-
-    Args:
-        times, values: as of ``low_pass``.
-        cutoff: [Hz].
-        passed: the filter's numbers.
     """
     w = 2.0 * jnp.pi * cutoff
 

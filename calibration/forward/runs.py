@@ -58,7 +58,6 @@ def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iter
     """One run as the model integrates it, with what its channels read, and ``more`` of them; nothing is checked.
 
     Args:
-        model: whose scene runs.
         params: parameters [SI] by name; what is none of the scene's is passed over.
         times: (T,) [s] of the scene's clock. Runs of as many share one compiled program.
         more: readings beside the model's channels.
@@ -94,9 +93,9 @@ def _run(
     return solution, found, read
 
 
-def params_at(model: Model, point: np.ndarray, log_depth: float) -> list[dict[str, float]]:
+def params_at(model: Model, point: np.ndarray) -> list[dict[str, float]]:
     """Parameters and nuisances of each experiment, by name, at a point."""
-    table, chain = model.settings(np.asarray(point), log_depth)
+    table, chain = model.settings(np.asarray(point))
     return [
         {name: float(values[i]) for known in (chain, table) for name, values in known.items()}
         for i in range(len(model.data.times))
@@ -113,24 +112,25 @@ def _spans(model: Model) -> np.ndarray:
     return spans
 
 
-def clocks(model: Model, point: np.ndarray, log_depth: float) -> list[tuple[dict[str, float], np.ndarray]]:
+def clocks(model: Model, point: np.ndarray) -> list[tuple[dict[str, float], np.ndarray]]:
     """Of each experiment its parameters at a point, and SAMPLES times of the model's clock within its record [s]."""
     found = []
-    for i, (params, span) in enumerate(zip(params_at(model, point, log_depth), _spans(model), strict=True)):
+    for i, (params, span) in enumerate(zip(params_at(model, point), _spans(model), strict=True)):
         first, last = np.maximum(span - params["time_offset"], 0.0)
         found.append((params, instants(model, i, params["time_offset"], first, max(last, first + 1e-9))))
     return found
 
 
-def contacts(model: Model, point: np.ndarray, log_depth: float) -> list[Contact]:
+def contacts(model: Model, point: np.ndarray) -> list[Contact]:
     """When each channel of contact touches within each record, as the model has it at a point."""
     names, found = channel_names(model.scene.members), []
-    for i, (params, times) in enumerate(clocks(model, point, log_depth)):
+    for i, (params, times) in enumerate(clocks(model, point)):
         # Not by the force: the regularisation bears a little across a gap.
         run = ran(model, params, times)
-        inside = depths(run)
+        inside = _side_by_side(run, run.penetration.values())
+        force = np.abs(_side_by_side(run, (f[..., 0] for f in run.force.values())))
         turned = (inside.max(axis=0) > 0) & (inside.argmax(axis=0) < SAMPLES - 1)
-        deepest, peaks = inside.max(axis=0), np.abs(_normal(run)).max(axis=0)
+        deepest, peaks = inside.max(axis=0), force.max(axis=0)
         found += [
             Contact(
                 i, name, params["time_offset"], times, inside[:, k] > 0, bool(turned[k]), float(deepest[k]),
@@ -165,21 +165,15 @@ def instants(model: Model, experiment: int, offset: float, first: float, last: f
     return chosen
 
 
-def depths(run: Run) -> np.ndarray:
-    """Penetrations (T, C) of all channels of contact [m]."""
-    empty = np.zeros((len(run.times), 0))
-    return np.concatenate([empty, *(d.reshape(len(run.times), -1) for d in run.penetration.values())], axis=1)
+def _side_by_side(run: Run, read: Iterable[np.ndarray]) -> np.ndarray:
+    """Readings of contacts, (T,) or (T, members) each, as (T, C) of all channels."""
+    count = len(run.times)
+    return np.concatenate([np.zeros((count, 0)), *(x.reshape(count, -1) for x in read)], axis=1)
 
 
-def _normal(run: Run) -> np.ndarray:
-    """Normal forces (T, C) of all channels of contact [N]."""
-    empty = np.zeros((len(run.times), 0))
-    return np.concatenate([empty, *(f[..., 0].reshape(len(run.times), -1) for f in run.force.values())], axis=1)
-
-
-def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
+def refusal(model: Model, point: np.ndarray) -> str:
     """Why the values at a point are no parameters of the scene, as one that contradicts another; "" if they are."""
-    for params in params_at(model, point, log_depth):
+    for params in params_at(model, point):
         try:
             model.scene.check(model.scene.parameters({name: params[name] for name in model.data.fixed}))
         except InputError as error:
@@ -187,19 +181,19 @@ def refusal(model: Model, point: np.ndarray, log_depth: float) -> str:
     return ""
 
 
-def failure(model: Model, point: np.ndarray, log_depth: float) -> str:
+def failure(model: Model, point: np.ndarray) -> str:
     """Why the simulations at a point do not count, in words."""
-    if refused := refusal(model, point, log_depth):
+    if refused := refusal(model, point):
         return refused
-    for params, (first, last) in zip(params_at(model, point, log_depth), _spans(model), strict=True):
+    for params, (first, last) in zip(params_at(model, point), _spans(model), strict=True):
         run = ran(model, params, np.linspace(min(first, 0.0), max(last, 1e-9), SAMPLES))
         if run.status != "ok":
             return run.reason
     return _NOT_DIFFERENTIABLE
 
 
-def commonest_failure(model: Model, points: np.ndarray, log_depth: float) -> str:
+def commonest_failure(model: Model, points: np.ndarray) -> str:
     """The reason that most of some points share, and how many of them."""
-    found = Counter(failure(model, point, log_depth) for point in points)
+    found = Counter(failure(model, point) for point in points)
     text, count = found.most_common(1)[0]
     return f"{text} ({count} of {len(points)})" if len(found) > 1 else text

@@ -28,9 +28,6 @@ def averaged(evaluate: Evaluate, best: End, covariance: np.ndarray, rotations: i
     rules follows the spikes less. Points beyond the box are taken at its wall; pairs that fail are left out.
 
     Args:
-        evaluate: residuals and Jacobians of points (B, P).
-        best: the optimum.
-        covariance: (P, P) of its coordinates.
         rotations: rules that are averaged, the principal axes' and such of random axes.
     """
     sizes, axes = np.linalg.eigh(covariance)

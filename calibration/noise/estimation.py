@@ -22,16 +22,12 @@ _BESIDE = 1e-3
 
 
 def settle(
-    model: Model, experiments: tuple[Experiment, ...], ends: tuple[End, ...], log_depth: float, accuracy: float
+    model: Model, experiments: tuple[Experiment, ...], ends: tuple[End, ...], accuracy: float
 ) -> tuple[Model, tuple[End, ...], Estimate]:
     """Estimate the noise at the best end and fit with it, in turn, until neither changes; then bring the others along.
 
     Args:
         model: as built, with the weights that ``Channel.deviation`` assumes.
-        experiments: that it is of.
-        ends: best first.
-        log_depth: ln of the reference penetration [m].
-        accuracy: error of the simulated forces as a share of their peak.
 
     Returns:
         The model with settled weights, the ends on it, best first, and the noise.
@@ -39,41 +35,41 @@ def settle(
     if noise_model.known(experiments):
         return model, ends, Estimate({}, {}, [])
     renewed = ends
-    known = limits(model, ends[0].point, log_depth, accuracy)
-    settled, found, best = _settled(model, experiments, ends[0], log_depth, known)
+    known = limits(model, ends[0].point, accuracy)
+    settled, found, best = _settled(model, experiments, ends[0], known)
     for _ in range(2):
         factor = _factor(model, settled)
-        renewed = _ordered(settled, list(_all_moved(settled, ends, log_depth, factor)), log_depth)
+        renewed = _ordered(settled, list(_all_moved(settled, ends, factor)))
         if renewed[0].cost > best.cost - _LOWER:
             break
-        settled, found, best = _settled(model, experiments, renewed[0], log_depth, known)
+        settled, found, best = _settled(model, experiments, renewed[0], known)
     return settled, renewed, found
 
 
 def _settled(
-    model: Model, experiments: tuple[Experiment, ...], end: End, log_depth: float, known: dict[str, Limit]
+    model: Model, experiments: tuple[Experiment, ...], end: End, known: dict[str, Limit]
 ) -> tuple[Model, Estimate, End]:
     found = Estimate({}, {}, [])
     for _ in range(_ROUNDS):
-        new, found = noise_model.estimate(model, experiments, end.point, log_depth, known)
+        new, found = noise_model.estimate(model, experiments, end.point, known)
         factor = _factor(model, new)
         change = _change(model, new)
-        end = _moved(new, end, log_depth, factor)
+        end = _moved(new, end, factor)
         model = new
         if factor is not None or change < _SETTLED:
             break
     return model, found, end
 
 
-def _ordered(model: Model, ends: list[End], log_depth: float) -> tuple[End, ...]:
+def _ordered(model: Model, ends: list[End]) -> tuple[End, ...]:
     """Best first, and the best refined: on another model it may be one that the search left as it was."""
     best, *others = sorted(ends, key=lambda e: (bool(e.failure), e.cost))
     if not best.residuals.size:
-        best = finish(model, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9), log_depth)
+        best = finish(model, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9))
     return best, *others
 
 
-def _all_moved(model: Model, ends: tuple[End, ...], log_depth: float, factor: float | None) -> Iterator[End]:
+def _all_moved(model: Model, ends: tuple[End, ...], factor: float | None) -> Iterator[End]:
     """Every end on the model; those that the search left beside a refined one go where that goes."""
     done: list[tuple[End, End]] = []
     for end in ends:
@@ -84,7 +80,7 @@ def _all_moved(model: Model, ends: tuple[End, ...], log_depth: float, factor: fl
         elif near is not None:
             yield replace(end, point=near.point, cost=near.cost)
         else:
-            new = _moved(model, end, log_depth, factor)
+            new = _moved(model, end, factor)
             done += [(end, new)] if end.residuals.size else []
             yield new
 
@@ -105,15 +101,11 @@ def _factor(old: Model, new: Model) -> float | None:
     return float(ratio[0]) if same and not new.observed_features and new.loss == "linear" else None
 
 
-def _moved(model: Model, end: End, log_depth: float, factor: float | None) -> End:
+def _moved(model: Model, end: End, factor: float | None) -> End:
     """An end on a model with other weights: a common factor moves no optimum."""
     if factor is not None:
         residuals, jacobian = factor * end.residuals, factor * end.jacobian
         return replace(end, residuals=residuals, jacobian=jacobian, cost=factor**2 * end.cost)
     if end.residuals.size:
-        return finish(model, end.start, np.clip(end.point, 1e-9, 1.0 - 1e-9), log_depth)
-    return replace(end, cost=float(model.cost(_residuals(model, end.point, log_depth))))
-
-
-def _residuals(model: Model, point: np.ndarray, log_depth: float) -> np.ndarray:
-    return residuals_and_jacobian(model, point, log_depth)[0]
+        return finish(model, end.start, np.clip(end.point, 1e-9, 1.0 - 1e-9))
+    return replace(end, cost=float(model.cost(residuals_and_jacobian(model, end.point)[0])))

@@ -74,20 +74,15 @@ def known(experiments: tuple[Experiment, ...]) -> bool:
 
 
 def estimate(
-    model: Model,
-    experiments: tuple[Experiment, ...],
-    point: np.ndarray,
-    log_depth: float,
-    limits: dict[str, Limit] | None = None,
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, limits: dict[str, Limit] | None = None
 ) -> tuple[Model, Estimate]:
     """The noise about a point, and the model with weights and memory that follow from it.
 
     Args:
-        model, experiments, point, log_depth: where.
         limits: of the channels, below which a deviation is the integrator's; none where not given.
     """
     limits = limits or {}
-    series, rest = _series(model, experiments, point, log_depth)
+    series, rest = _series(model, experiments, point)
     sigma = {s.channel.observes: 0.0 for s in series if s.channel.sigma is None}
     for name in sigma:
         own = np.concatenate([s.error for s in series if s.channel.sigma is None and s.channel.observes == name])
@@ -110,21 +105,19 @@ def estimate(
     sigma, rows = _converged(series, rest, sigma, times, robust, limits)
     integrator = tuple(name for name in sigma if name in limits and sigma[name] == limits[name].sigma)
     seen = {name: value for name, value in sigma.items() if name not in integrator}
-    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest, robust), integrator)
+    result = Estimate(sigma, times, _moved(series, rows, seen, sigma, times, rest), integrator)
     return _reweighed(model, series, sigma, times), result
 
 
 def _series(
-    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray, log_depth: float
+    model: Model, experiments: tuple[Experiment, ...], point: np.ndarray
 ) -> tuple[list[_Series], tuple[np.ndarray, np.ndarray]]:
     """Series of plain errors, and the weighted residuals of features with their Jacobian."""
     d = model.data
     plain = eqx.tree_at(
-        lambda m: (m.data.weights, m.data.memory),
-        model,
-        (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory)),
+        lambda m: (m.data.weights, m.data.memory), model, (np.where(d.weights > 0, 1.0, 0.0), np.zeros_like(d.memory))
     )
-    errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None], log_depth))
+    errors, jacobian, read = (part[0] for part in evaluation(plain)(np.asarray(point)[None]))
     shape = read.shape
     shaped, slopes = errors[: read.size].reshape(shape), jacobian[: read.size].reshape(*shape, -1)
     found = []
@@ -233,7 +226,6 @@ def _moved(
     sigma: dict[str, float],
     times: dict[str, float],
     rest: tuple,
-    robust: bool,
 ) -> list[tuple[np.ndarray, float]]:
     _, leverage, _ = _projected(rows)
     moved = []

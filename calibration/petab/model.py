@@ -28,14 +28,7 @@ def identifier(name: str) -> str:
 
 
 class SceneModel(Model):
-    """The entities of a scene: its parameters, the inputs of the measuring chain, and the outputs that are read.
-
-    Args:
-        scene: what is simulated.
-        params: values [SI].
-        outputs: channels and features.
-        resolved: the scene's file, as a table.
-    """
+    """The entities of a scene: its parameters, the inputs of the measuring chain, and the outputs that are read."""
 
     type_id = LANGUAGE  # pyright: ignore[reportAssignmentType]
 

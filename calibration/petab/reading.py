@@ -35,7 +35,6 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
     """The problem in a PEtab YAML file.
 
     Args:
-        path: of the YAML file.
         scene: a scene file or a built-in scene's name; None: the model file that the YAML names.
 
     Raises:

@@ -28,7 +28,6 @@ def export(problem: Problem, scene: dict[str, Any], folder: Path) -> Path:
     """Write a problem as PEtab 2; held-out records become a problem of their own in ``held_out``.
 
     Args:
-        problem: what to write.
         scene: the scene's file with every default, as ``scenefile.load(...).resolved``.
         folder: where to; made where there is none.
 

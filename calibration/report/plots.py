@@ -11,10 +11,10 @@ from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops, sides
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, plain, sheet
-from calibration.data.plot import reading_label
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
 from calibration.forward.runs import SAMPLES, ran
+from calibration.impacts.plot import reading_label
 from calibration.problem import Problem, offsets_of
 
 if TYPE_CHECKING:

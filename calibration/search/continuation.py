@@ -63,17 +63,8 @@ class _Leg(NamedTuple):
         return "the optimum" if self.last else f"{self.reached + 1} of {stages}"
 
 
-def continued(
-    model: Model, points: np.ndarray, log_depth: float, size: int, journal: Journal | None = None
-) -> Descents:
+def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Descents:
     """Where all starts (B, P) end, in their order, with costs on all data.
-
-    Args:
-        model: residual function.
-        points: unit-box coordinates of the starts.
-        log_depth: ln of the reference penetration [m].
-        size: of the batches.
-        journal: where finished batches are kept, and taken from.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -87,7 +78,7 @@ def continued(
         before = loosened(until(model, ends[leg.reached - 1])) if leg.missed and leg.reached else None
 
         def descend(block: np.ndarray, part: Model = part, leg: _Leg = leg, before: Model | None = before) -> Descents:
-            return _descend(part, block, log_depth, leg, before)
+            return _descend(part, block, leg, before)
 
         least, stage = np.inf, leg.title(len(ends))
         for first in range(0, len(going), size):
@@ -96,7 +87,7 @@ def continued(
                 done = _once(journal, f"stage {stage} from {first}", at[rows], size, descend)
             except KeyboardInterrupt:
                 finished = f"{len(given_up) + (first if leg.last else 0)} of {count}"
-                values = None if best[1] is None else named(model, best[1], log_depth)
+                values = None if best[1] is None else named(model, best[1])
                 raise Interrupted(finished, values, best[0], stage) from None
             at[rows], costs[rows], converged[rows] = done
             k = int(np.argmin(done.costs))
@@ -112,16 +103,16 @@ def continued(
             hopeless &= ~(costs[going] <= _HOPELESS * max(least, float(np.count_nonzero(part.data.weights))))
             given_up = np.concatenate([given_up, going[hopeless]])
             going = going[~hopeless]
-        leg = _next(model, leg, ends, blocks(at[going], size)[0], log_depth)
+        leg = _next(model, leg, ends, blocks(at[going], size)[0])
     for first in range(0, len(given_up), size):
         rows = given_up[first : first + size]
         name = f"given up from {first}"
-        costs[rows] = _once(journal, name, at[rows], size, lambda b: _evaluated(model, b, log_depth)).costs
+        costs[rows] = _once(journal, name, at[rows], size, lambda b: _evaluated(model, b)).costs
         converged[rows] = False
     return Descents(at, costs, converged)
 
 
-def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, log_depth: float) -> _Leg | None:
+def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray) -> _Leg | None:
     """The leg after one, given the best batch of points; None after the last."""
     whole = len(ends) - 1
     if leg.last:
@@ -130,7 +121,7 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray, l
         return _Leg(whole, False, True)
     if model.scene.traits.turning:  # Contacts come when the drive brings them, never far off.
         return _Leg(leg.reached + 1, False, False)
-    residuals, _ = evaluator(loosened(model), log_depth)(points)
+    residuals, _ = evaluator(loosened(model))(points)
     met = meets(model, residuals, ends)
     # The farthest stage up to which most starts meet every contact.
     reached = leg.reached
@@ -144,13 +135,13 @@ def blocks(points: np.ndarray, size: int) -> list[np.ndarray]:
     return [points[np.arange(first, first + size) % len(points)] for first in range(0, len(points), size)]
 
 
-def named(model: Model, point: np.ndarray, log_depth: float) -> dict[str, float]:
+def named(model: Model, point: np.ndarray) -> dict[str, float]:
     """Parameter values, SI, by name, at a unit-box point."""
     several = model.data.times.shape[0] > 1
     names = [
         f"{s.name}[{s.experiment + 1}]" if several and s.experiment is not None else s.name for s in model.coordinates
     ]
-    return dict(zip(names, model.values(point, log_depth).tolist(), strict=True))
+    return dict(zip(names, model.values(point).tolist(), strict=True))
 
 
 def _once(
@@ -178,13 +169,13 @@ def _fits(known: Any, points: np.ndarray) -> bool:
         return False
 
 
-def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg, before: Model | None) -> Descents:
+def _descend(part: Model, points: np.ndarray, leg: _Leg, before: Model | None) -> Descents:
     """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares.
 
     Args:
         part: the data of this leg; before: those of the leg before, where this one's contacts may be missed.
     """
-    evaluate, means = evaluator(part, log_depth), budget(part.scene)
+    evaluate, means = evaluator(part), budget(part.scene)
     if means.apart:
         return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
     if leg.last:
@@ -198,7 +189,7 @@ def _descend(part: Model, points: np.ndarray, log_depth: float, leg: _Leg, befor
             return impulses(part, residuals), impulses(part, jacobians)
 
         if before is not None and not means.apart:
-            points = _drawn(evaluator(before, log_depth), arrivals, points)
+            points = _drawn(evaluator(before), arrivals, points)
         points = levenberg(arrivals, points, _ARRIVE, means.roughly).points
     return levenberg(evaluate, points, means.descend, means.roughly, enough=_LEFT)
 
@@ -229,6 +220,6 @@ def _drawn(before: Evaluate, arrivals: Evaluate, points: np.ndarray) -> np.ndarr
     return best
 
 
-def _evaluated(model: Model, points: np.ndarray, log_depth: float) -> Descents:
-    costs = cost_of(evaluator(model, log_depth)(points)[0])
+def _evaluated(model: Model, points: np.ndarray) -> Descents:
+    costs = cost_of(evaluator(model)(points)[0])
     return Descents(points, costs, np.zeros(len(points), dtype=bool))

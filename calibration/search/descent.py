@@ -93,8 +93,6 @@ def levenberg(
 
     Args:
         evaluate: residuals and Jacobians; asked at most ``iterations + 1`` times.
-        points: (B, P) where to begin.
-        iterations: limit.
         tolerance: of the promised decrease, in units of cost / number of residuals.
         enough: of the promised decrease itself.
         patience: how many times in a row a point may gain nothing to speak of.

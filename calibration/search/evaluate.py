@@ -19,7 +19,7 @@ def loosened(model: Model) -> Model:
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
-def evaluator(model: Model, log_depth: float) -> Evaluate:
+def evaluator(model: Model) -> Evaluate:
     """Residuals (B, N) and Jacobians (B, N, P) of points (B, P), equal points once.
 
     Of a robust loss they are such that the sum of their squares is the cost. Points of a large scene are taken as many
@@ -28,12 +28,12 @@ def evaluator(model: Model, log_depth: float) -> Evaluate:
     at = evaluation(model)
 
     def over_the_cores(points: np.ndarray) -> Evaluated:
-        found = each(lambda point: at(point[None], log_depth), points)
+        found = each(lambda point: at(point[None]), points)
         return Evaluated(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
     def evaluate(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         different, places = np.unique(points, axis=0, return_inverse=True)
-        found = over_the_cores(different) if budget(model.scene).apart else at(different, log_depth)
+        found = over_the_cores(different) if budget(model.scene).apart else at(different)
         residuals, jacobians = straightened(model.loss, found.residuals, found.jacobians)
         return residuals[places.ravel()], jacobians[places.ravel()]
 

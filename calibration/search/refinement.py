@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -27,7 +29,6 @@ class End:
     """Where one start ended.
 
     Attributes:
-        start, point: unit-box coordinates before and after.
         cost: of the weighted residuals, the sum of their squares or what the loss makes of it.
         residuals, jacobian: at ``point``, of the ends that the trust region refined; else empty.
         converged: whether the optimiser met its own tolerance.
@@ -43,7 +44,7 @@ class End:
     failure: str = ""
 
 
-def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float) -> tuple[End, ...]:
+def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...]:
     """Ends, best first; those that matter brought to their optimum by the trust region."""
     samples = max(int(np.count_nonzero(model.data.weights)), 1)
     ends: list[End] = []
@@ -53,7 +54,7 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
     if budget(model.scene).apart:  # Side by side: each is a run after the other.
         first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
         with ThreadPoolExecutor(len(first) or 1) as pool:
-            done = pool.map(lambda k: finish(model, starts[k], found.points[k], log_depth), first)
+            done = pool.map(lambda k: finish(model, starts[k], found.points[k]), first)
             early = dict(zip(first, done, strict=True))
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
@@ -61,7 +62,7 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
         near = any(np.abs(end.point - point).max() < budget(model.scene).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
-            ends.append(early.get(int(k)) or finish(model, start, point, log_depth))
+            ends.append(early.get(int(k)) or finish(model, start, point))
             best.append(ends[-1])
             log.info("refined start %d: chi2 %.6g", k + 1, ends[-1].cost)
         else:
@@ -73,34 +74,50 @@ def refined(model: Model, starts: np.ndarray, found: Descents, log_depth: float)
     return tuple(sorted(ends, key=lambda end: (end is not first, bool(end.failure), end.cost)))
 
 
-def finish(model: Model, start: np.ndarray, point: np.ndarray, log_depth: float) -> End:
-    """Bounded trust region (SciPy TRF) on residuals and forward-mode Jacobian from one point."""
-    at = evaluation(model)
+class Refined(NamedTuple):
+    """Where a trust region ended: the point (P,), residuals and Jacobian there, and whether it met a tolerance."""
+
+    point: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    converged: bool
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing simulates there."""
+        return bool(np.all(self.residuals == FAILED_RESIDUAL))
+
+
+def trust_region(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], point: np.ndarray, bounds: Any = (0.0, 1.0), **options: Any
+) -> Refined:  # fmt: skip
+    """Least squares within bounds (SciPy TRF) by residuals (N,) and Jacobian (N, P) of a point; ``options`` are SciPy's."""
     seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
 
-    def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        key = u.tobytes()
-        if key not in seen:
+    def kept(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if u.tobytes() not in seen:
             seen.clear()
-            residuals, jacobian = (part[0] for part in at(u[None], log_depth)[:2])
+            residuals, jacobian = evaluate(u)
             if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
                 residuals, jacobian = np.full_like(residuals, FAILED_RESIDUAL), np.zeros_like(jacobian)
-            seen[key] = residuals, jacobian
-        return seen[key]
+            seen[u.tobytes()] = residuals, jacobian
+        return seen[u.tobytes()]
 
-    result = least_squares(
-        lambda u: evaluate(u)[0],
-        point,
-        jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        xtol=budget(model.scene).step,
-        ftol=budget(model.scene).gain,
-        gtol=1e-10,
-        max_nfev=100,
-        loss=model.loss,
-    )
-    residuals, jacobian = evaluate(result.x)
-    failed = np.all(residuals == FAILED_RESIDUAL)
-    failure = "the simulation failed" if failed else refusal(model, result.x, log_depth)
-    return End(start, result.x, float(model.cost(residuals)), residuals, jacobian, result.status > 0, failure)
+    slopes: Any = lambda u: kept(u)[1]  # noqa: E731
+    found = least_squares(lambda u: kept(u)[0], point, jac=slopes, bounds=bounds, x_scale="jac", **options)
+    return Refined(found.x, *kept(found.x), found.status > 0)
+
+
+def finish(model: Model, start: np.ndarray, point: np.ndarray) -> End:
+    """One start brought to its optimum by the trust region, from a point."""
+    at, means = evaluation(model), budget(model.scene)
+
+    def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = at(u[None])
+        return found.residuals[0], found.jacobians[0]
+
+    limits = {"xtol": means.step, "ftol": means.gain, "gtol": 1e-10, "max_nfev": 100}
+    found = trust_region(evaluate, point, loss=model.loss, **limits)
+    failure = "the simulation failed" if found.failed else refusal(model, found.point)
+    cost = float(model.cost(found.residuals))
+    return End(start, found.point, cost, found.residuals, found.jacobian, found.converged, failure)

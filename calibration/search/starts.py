@@ -9,7 +9,7 @@ Nothing here assesses: every start is reported with where it ended, failures inc
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,14 +46,6 @@ class Screen:
     reach: np.ndarray
 
 
-@dataclass(frozen=True)
-class Search:
-    """All starts' ends, best first, and the logarithm of the reference penetration used."""
-
-    ends: tuple[End, ...]
-    log_depth: float
-
-
 def batch_size(count: int) -> int:
     """Size of the batches that ``count`` starts descend in."""
     return -(-count // -(-count // BATCH))
@@ -61,11 +53,6 @@ def batch_size(count: int) -> int:
 
 def screen(model: Model, count: int, seed: int) -> Screen:
     """Evaluate a scrambled Sobol design some eight times as large as the number of starts, in batches.
-
-    Args:
-        model: residual function.
-        count: number of starts to come.
-        seed: of the scrambling.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -81,8 +68,8 @@ def _screened(model: Model, count: int, seed: int) -> Screen:
 
     even = qmc.Sobol(len(model.coordinates), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
     design = np.stack([axis.drawn(u) for axis, u in zip(model.coordinates, even.T, strict=True)], axis=1)
-    ends, depth, reach = stages(model), 0.0, np.zeros(design.shape[1])
-    first, costs = evaluator(loosened(until(model, ends[0])), depth), []
+    ends, reach = stages(model), np.zeros(design.shape[1])
+    first, costs = evaluator(loosened(until(model, ends[0]))), []
     for block in blocks(design, batch_size(count)):
         check()
         residuals, jacobians = first(block)
@@ -92,7 +79,7 @@ def _screened(model: Model, count: int, seed: int) -> Screen:
     if len(ends) > 1 and np.any(reach < 1.0):  # What the first contact does not show, all data may.
         few = np.argsort(costs)[: budget(model.scene).asked]
         for block in blocks(design[few], batch_size(count)):
-            reach = np.maximum(reach, _reach(evaluator(loosened(model), depth)(block)[1]))
+            reach = np.maximum(reach, _reach(evaluator(loosened(model))(block)[1]))
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
     return Screen(design, costs, reach)
 
@@ -103,40 +90,39 @@ def _reach(jacobians: np.ndarray) -> np.ndarray:
 
 def search(
     model: Model, screened: Screen, starts: list[np.ndarray], count: int, journal: Journal | None = None
-) -> Search:
+) -> tuple[Model, tuple[End, ...]]:
     """Descend to optima from the best spread of a screened design.
 
     Args:
-        model: residual function.
-        screened: the design, from ``screen``.
         starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
         journal: where finished batches are kept, and taken from.
+
+    Returns:
+        The model at the reference penetration that the best end gives, and all starts' ends, best first.
 
     Raises:
         Interrupted: on Ctrl-C.
     """
     design, costs = screened.design, screened.costs
-    chosen = np.array([*starts, *model.values(_spread(design, costs, count), 0.0)])[: max(count, len(starts))]
-    log_depth = 0.0
-    if model.referenced and np.isfinite(costs).any():
-        log_depth = reference_depth(model, by_cost(design, costs), log_depth)
-    points = np.clip(model.point(chosen, log_depth), 1e-3, 1 - 1e-3)
-    found = continued(model, points, log_depth, batch_size(len(points)), journal)
-    found = _straight(model, points[: len(starts)], found, log_depth)
-    if model.referenced and np.isfinite(found.costs).any():
-        old, log_depth = log_depth, reference_depth(model, by_cost(found.points, found.costs), log_depth)
-        points, moved = (model.point(model.values(u, old), log_depth) for u in (points, found.points))
+    chosen = np.array([*starts, *model.values(_spread(design, costs, count))])[: max(count, len(starts))]
+    model = referred(model, by_cost(design, costs))
+    points = np.clip(model.point(chosen), 1e-3, 1 - 1e-3)
+    found = continued(model, points, batch_size(len(points)), journal)
+    found = _straight(model, points[: len(starts)], found)
+    old, model = model, referred(model, by_cost(found.points, found.costs))
+    if model is not old:
+        points, moved = (model.point(old.values(u)) for u in (points, found.points))
         found = found._replace(points=np.clip(moved, 0.0, 1.0))
     try:
-        return Search(refined(model, points, found, log_depth), log_depth)
+        return model, refined(model, points, found)
     except KeyboardInterrupt:
         k = int(np.argmin(found.costs))
-        values, all_of_them = named(model, found.points[k], log_depth), f"{len(points)} of {len(points)}"
+        values, all_of_them = named(model, found.points[k]), f"{len(points)} of {len(points)}"
         raise Interrupted(all_of_them, values, float(found.costs[k]), "refinement") from None
 
 
-def _straight(model: Model, points: np.ndarray, found: Descents, log_depth: float) -> Descents:
+def _straight(model: Model, points: np.ndarray, found: Descents) -> Descents:
     """Given starts, fitted to all data at once too, where that ends lower.
 
     Fitted to the first contacts alone, an estimate moves by what these leave open, and of a hard contact that is enough
@@ -146,7 +132,7 @@ def _straight(model: Model, points: np.ndarray, found: Descents, log_depth: floa
         return found
     check()
     means = budget(model.scene)
-    direct = levenberg(evaluator(model, log_depth), points, means.descend, means.tolerance)
+    direct = levenberg(evaluator(model), points, means.descend, means.tolerance)
     lower = np.flatnonzero(direct.costs < found.costs[: len(points)])
     for old, new in zip(found, direct, strict=True):
         old[lower] = new[lower]
@@ -167,12 +153,15 @@ def by_cost(points: np.ndarray, costs: np.ndarray) -> np.ndarray:
     return points[np.argsort(costs, kind="stable")][: np.isfinite(costs).sum()]
 
 
-def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float) -> float:
-    """Force-weighted mean of ln(penetration) over the contact at the first point that is a scene's: inside the data."""
-    point = next((p for p in points if not refusal(model, p, log_depth)), None)
+def referred(model: Model, points: Sequence[np.ndarray] | np.ndarray) -> Model:
+    """The model with its reference penetration inside the data, at the first point that is a scene's.
+
+    Its logarithm is the force-weighted mean of ln(penetration) over the contact; it stays where there is none.
+    """
+    point = next((p for p in points if not refusal(model, p)), None) if model.referenced else None
     if point is None:
-        return log_depth
-    params = params_at(model, point, log_depth)[0]
+        return model
+    params = params_at(model, point)[0]
     last = max(float(model.data.times[0].max()), *(o.end for o in model.observed_features[:1]), 0.0)
     times = instants(model, 0, params["time_offset"], 0.0, last)
     run = ran(loosened(model), params, times)
@@ -180,5 +169,5 @@ def reference_depth(model: Model, points: Iterable[np.ndarray], log_depth: float
     depth = np.concatenate([d.ravel() for d in run.penetration.values()])
     inside = (depth > 0) & (force > 0)
     if not inside.any():
-        return log_depth
-    return float(np.average(np.log(depth[inside]), weights=force[inside]))
+        return model
+    return model.at_depth(float(np.average(np.log(depth[inside]), weights=force[inside])))

@@ -61,13 +61,7 @@ def of_fits(fits: Mapping[str, Fit]) -> Agreement | None:
 
 
 def of_signatures(plain: Fit, law: str, found: Sequence[Found]) -> Agreement | None:
-    """Of a fit and what other losses make of it to first order; None as ``of_fits``.
-
-    Args:
-        plain: with the law of this name.
-        law: its name.
-        found: suspects that are another loss, with their columns.
-    """
+    """Of a fit and what other losses make of it to first order; None as ``of_fits``."""
     if not _law(plain):
         return None
     at, model = plain.optimum, plain.optimum.model
@@ -84,7 +78,7 @@ def of_signatures(plain: Fit, law: str, found: Sequence[Found]) -> Agreement | N
         step = np.linalg.lstsq(columns / scale, -at.end.residuals, rcond=1e-9)[0] / scale
         left = at.end.residuals + columns @ step
         moved = np.clip(at.end.point + step[: at.end.point.size], 0.0, 1.0)
-        found_values = model.values(moved, at.log_depth)
+        found_values = model.values(moved)
         shared = {
             a.name: float(v) for a, v in zip(model.coordinates, found_values, strict=True) if a.experiment is None
         }
@@ -112,7 +106,7 @@ def _elastic(fit: Fit, values: Mapping[str, float], depths: np.ndarray) -> np.nd
 
 def _deepest(fit: Fit) -> float:
     at = fit.optimum
-    return max((c.deepest for c in contacts(at.model, at.end.point, at.log_depth)), default=0.0)
+    return max((c.deepest for c in contacts(at.model, at.end.point)), default=0.0)
 
 
 def heading(found: Agreement) -> str:

@@ -76,7 +76,6 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
     """Fit a calibration file's problem, or its [[model]] tables and choose; then rank its [[candidate]] tables.
 
     Args:
-        path: the file.
         problem, base: what it states without its models.
         options: of every fit, as ``fit``: seed, starts, journal.
 
@@ -100,7 +99,6 @@ def models(path: Path, problem: Problem) -> list[Alternative]:
     """The [[model]] tables of a calibration file; none where there are none.
 
     Args:
-        path: the file.
         problem: what it states without them; every model has its very experiments.
 
     Raises:
@@ -121,7 +119,6 @@ def candidates(path: Path, problem: Problem) -> list[Candidate]:
     """The [[candidate]] tables of a calibration file; none where there are none.
 
     Args:
-        path: the file.
         problem: whose parameters they set; of a file with [[model]], the chosen one's.
 
     Raises:
@@ -154,15 +151,8 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
             raise InputError(f"{where} free.{name}", f"no parameter '{name}'", nearest(name, known))
         free[name] = free_of(name, own, path, every)
     params = {name: float(value) for name, value in base.params.items()}
-    own = replace(
-        problem,
-        scene=base.scene,
-        params=params,
-        free=tuple(free.values()),
-        where=where,
-        tolerances=dict(base.tolerances),
-    )
-    return Alternative(entry.name, own, base)
+    changed = {"scene": base.scene, "params": params, "tolerances": dict(base.tolerances)}
+    return Alternative(entry.name, replace(problem, free=tuple(free.values()), where=where, **changed), base)
 
 
 def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from calibration.fit import Fit, fit
 from calibration.forward.model import Model, divided, whole
 from calibration.noise import noise_model
 from calibration.problem import Experiment, Problem
+from calibration.uncertainty.estimates import briefly
 
 log = logging.getLogger("calibration")
 
@@ -61,7 +62,6 @@ class Rival:
     """One model that was fitted.
 
     Attributes:
-        name, fit: which, and what came out.
         likelihood: None where a robust loss, which is no likelihood, was asked for, or nothing was fitted.
         held_out: rms of held-out errors as a share of each record's peak; None without held-out records.
         seconds: of one prediction of all fitted records.
@@ -94,7 +94,6 @@ def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = N
     """Fit every model to the same data and choose.
 
     Args:
-        models: name and problem of each; the experiments must be the same.
         journal: where finished starts are kept, of every model in a chapter of its own.
         options: of every fit, as ``fit``: seed, starts.
 
@@ -124,20 +123,13 @@ def rival(name: str, problem: Problem, found: Fit) -> Rival:
     likelihood = None if problem.loss != "linear" else likelihood_of(fitted, at.model, at.end.residuals, at.noise)
     errors = [e["rms_error_of_peak"] for e in (found.held_out or {}).values()]
     score = float(np.sqrt(np.mean(np.square(errors)))) if errors else None
-    return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point, at.log_depth))
+    return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point))
 
 
 def likelihood_of(
     fitted: tuple[Experiment, ...], model: Model, residuals: np.ndarray, found: noise_model.Estimate
 ) -> Likelihood:
-    """Likelihood of records at an optimum, with estimated deviations where they are likeliest.
-
-    Args:
-        fitted: the records.
-        model: theirs, with the weights and memory of their noise.
-        residuals: (N,) its white residuals.
-        found: what of the noise was estimated.
-    """
+    """Likelihood of records at an optimum, with estimated deviations where they are likeliest."""
     weights, memory = np.asarray(model.data.weights), np.asarray(model.data.memory)
     seen = weights > 0
     white, own = residuals[: seen.size].reshape(seen.shape), residuals[seen.size :]
@@ -178,9 +170,7 @@ def decided(rivals: Sequence[Rival]) -> Choice:
             return float(r.held_out or 0.0)
         return _bic(r) if by_bic else float(r.fit.residual["rms_of_peak"])
 
-    ranked = tuple(
-        Rival(r.name, r.fit, r.likelihood, r.held_out, r.seconds, r.name in names) for r in sorted(rivals, key=score)
-    )
+    ranked = tuple(replace(r, kept=r.name in names) for r in sorted(rivals, key=score))
     kept = [r for r in ranked if r.kept]
     by = "the held-out prediction" if by_held_out else "BIC" if by_bic else "the size of its residuals"
     if not kept:
@@ -205,18 +195,11 @@ def table(choice: Choice) -> list[list[str]]:
     rows = [["model", "verdict", "held-out rms", "BIC - best", "AICc - best", "numbers found", "time a prediction", ""]]
     for r in choice.rivals:
         remark = "chosen" if r.name == choice.chosen else "" if r.kept else "refused"
-        rows.append(
-            [
-                r.name,
-                r.fit.verdict,
-                "-" if r.held_out is None else f"{r.held_out:.2%} of the peak",
-                f"{r.likelihood.bic - lowest:.1f}" if r.likelihood else "-",
-                f"{r.likelihood.aicc - lowest_aicc:.1f}" if r.likelihood else "-",
-                str(r.likelihood.numbers if r.likelihood else len(r.fit.labels)),
-                format_si(r.seconds, "s"),
-                remark,
-            ]
-        )
+        held_out = "-" if r.held_out is None else f"{r.held_out:.2%} of the peak"
+        found = r.likelihood
+        criteria = [f"{found.bic - lowest:.1f}", f"{found.aicc - lowest_aicc:.1f}"] if found else ["-", "-"]
+        count, seconds = str(found.numbers if found else len(r.fit.labels)), format_si(r.seconds, "s")
+        rows.append([r.name, r.fit.verdict, held_out, *criteria, count, seconds, remark])
     return rows
 
 
@@ -232,19 +215,22 @@ def as_json(choice: Choice) -> dict[str, Any]:
                 "reasons": r.fit.reasons,
                 "kept": r.kept,
                 "held_out_rms_of_peak": r.held_out,
-                "bic": r.likelihood.bic if r.likelihood else None,
-                "aicc": r.likelihood.aicc if r.likelihood else None,
-                "minus_two_log_likelihood": r.likelihood.deviance if r.likelihood else None,
-                "numbers_found": r.likelihood.numbers if r.likelihood else len(r.fit.labels),
-                "samples": r.likelihood.samples if r.likelihood else r.fit.residual["samples"],
+                **_scores(r),
                 "prediction_s": r.seconds,
-                "parameters": {
-                    name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in r.fit.parameters.items()
-                },
+                "parameters": briefly(r.fit.parameters),
             }
             for r in choice.rivals
         ],
     }
+
+
+def _scores(r: Rival) -> dict[str, Any]:
+    """Criteria, numbers found and samples; without a likelihood the latter two alone."""
+    found = r.likelihood
+    criteria = (found.bic, found.aicc, found.deviance) if found else (None, None, None)
+    counts = (found.numbers, found.samples) if found else (len(r.fit.labels), r.fit.residual["samples"])
+    names = ("bic", "aicc", "minus_two_log_likelihood", "numbers_found", "samples")
+    return dict(zip(names, criteria + counts, strict=True))
 
 
 def _bic(r: Rival) -> float:
@@ -270,10 +256,10 @@ def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
     return said
 
 
-def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
+def _seconds(model: Model, point: np.ndarray) -> float:
     """Shortest of three predictions of all records, compiled before."""
     frame, numbers = divided(model)
-    arguments = numbers, np.asarray(point), float(log_depth)
+    arguments = numbers, np.asarray(point)
     predict, _ = program("calibration prediction", _predicted, (frame,), arguments)
     predict(*arguments)
     taken = []
@@ -284,5 +270,5 @@ def _seconds(model: Model, point: np.ndarray, log_depth: float) -> float:
     return min(taken)
 
 
-def _predicted(frame: Model, numbers: tuple[Any, ...], point: Array, log_depth: Array) -> Array:
-    return whole(frame, numbers).predictions(point, log_depth)
+def _predicted(frame: Model, numbers: tuple[Any, ...], point: Array) -> Array:
+    return whole(frame, numbers).predictions(point)

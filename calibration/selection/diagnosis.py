@@ -44,11 +44,8 @@ class Trial:
     """A fit with one or two suspects' lines.
 
     Attributes:
-        names: of the suspects.
-        lines: for the problem file.
         fit: None where it failed, or where there is nothing to fit.
         gain: by how much BIC falls against the plain fit.
-        reason: why there is no fit.
         law: of the laws that are fitted for one suspect, which.
     """
 
@@ -99,12 +96,7 @@ class Diagnosis:
 
 
 def rank(problem: Problem, result: Fit) -> Diagnosis | None:
-    """The suspects by residuals alone: no fit. None of a rough cost, a robust loss, and noise that is the integrator's.
-
-    Args:
-        problem: that was fitted.
-        result: its fit.
-    """
+    """The suspects by residuals alone: no fit. None of a rough cost, a robust loss, and noise that is the integrator's."""
     scene = _scene(problem, result)
     if scene is None:
         return None
@@ -115,12 +107,7 @@ def rank(problem: Problem, result: Fit) -> Diagnosis | None:
 
 
 def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
-    """The suspects, the best confirmed by fits; None as ``rank``.
-
-    Args:
-        problem, result: what was fitted, and its fit.
-        seed: of the fits.
-    """
+    """The suspects, the best confirmed by fits; None as ``rank``."""
     scene = _scene(problem, result)
     if scene is None:
         return None
@@ -154,8 +141,8 @@ def _scene(problem: Problem, result: Fit) -> Scene | None:
         return None
     if at.spread.covariance is None or min(s.rows.size for s in at.series) < _FEWEST:
         return None
-    readings = predictions(at.model, at.end.point, at.log_depth)
-    return scene_of(at.model, at.series, readings, at.end.point, at.log_depth)
+    readings = predictions(at.model, at.end.point)
+    return scene_of(at.model, at.series, readings, at.end.point)
 
 
 def _ranked(problem: Problem, result: Fit, scene: Scene, first: Found | None = None) -> Diagnosis:

@@ -31,7 +31,6 @@ class Candidate:
     """An experiment that might be made.
 
     Attributes:
-        name: of it.
         times: (T,) [s] at which it would be read.
         noise: deviation, SI, by channel ("contact.normal"), or as a share of its predicted peak where ``share``.
         fixed: scene parameters (and nuisances) that make it: known, or where every experiment has its own to be found,
@@ -50,12 +49,10 @@ class Gain(NamedTuple):
     """What a candidate would bring, for the parameters that all experiments share.
 
     Attributes:
-        name: the candidate's.
         information: D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of
             the covariances before and after.
         variance_left: A-optimality, the mean over parameters of the variance after over that before.
         shrink: width of each parameter's interval after over that before, by name.
-        failure: why the candidate could not be simulated; "" if it could.
     """
 
     name: str
@@ -74,9 +71,7 @@ def next_experiment(problem: Problem, fit: Fit, candidates: Sequence[Candidate])
     """Candidates ranked by the information they would add to a fit (D-optimality), best first.
 
     Args:
-        problem: what was fitted.
         fit: its outcome; only the values count.
-        candidates: experiments that might be made.
 
     Raises:
         InputError: for no candidate, an unknown parameter, channel or value, or no parameter that experiments share.
@@ -91,9 +86,9 @@ def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequenc
     fitted = tuple(e for e in problem.experiments if not e.hold_out)
     model = build(problem, fitted)
     own = np.array([values[axis.label(fitted)] for axis in model.coordinates])
-    point = model.point(own, 0.0)
+    point = model.point(own)
     if not noise_model.known(fitted):
-        model, _ = noise_model.estimate(model, fitted, point, 0.0)
+        model, _ = noise_model.estimate(model, fitted, point)
     shared = [i for i, axis in enumerate(model.coordinates) if axis.experiment is None]
     if not shared:
         raise InputError(problem.where, "no parameter is shared by the experiments", "free one without each = true")
@@ -147,10 +142,10 @@ def _gain(
     if any("time_offset" in e.bounds for e in problem.experiments):  # Of clocks of their own there is no usual one.
         usual["time_offset"] = 0.0
     nominal = {**usual, **candidate.fixed}
-    point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]), 0.0)
+    point = other.point(np.array([nominal[axis.name] for axis in other.coordinates]))
     if candidate.share:
         other = _absolute(other, planned, point)
-    residuals, jacobian = residuals_and_jacobian(other, point, 0.0)
+    residuals, jacobian = residuals_and_jacobian(other, point)
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return Gain(candidate.name, float("nan"), float("nan"), {}, "its simulation fails")
     mine = [k for k, axis in enumerate(other.coordinates) if axis.experiment is None]
@@ -171,7 +166,7 @@ def _gain(
 
 def _information(model: Model, point: np.ndarray) -> np.ndarray:
     """Fisher information of all coordinates, that of their bounds included."""
-    _, slopes = residuals_and_jacobian(model, point, 0.0)
+    _, slopes = residuals_and_jacobian(model, point)
     return slopes.T @ slopes + _UNIFORM * np.eye(point.size)
 
 
@@ -200,7 +195,7 @@ def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) ->
 
 def _absolute(model: Model, planned: Experiment, point: np.ndarray) -> Model:
     """The model with noise that is a share of each channel's predicted peak."""
-    read = predictions(model, point, 0.0)[0]
+    read = predictions(model, point)[0]
     shares = np.array([channel.sigma for channel in planned.channels], dtype=float)
     sigma = shares * np.maximum(np.max(np.abs(read), axis=1), 1e-300)
     weights = np.broadcast_to(1.0 / sigma[None, :, None], model.data.weights.shape)

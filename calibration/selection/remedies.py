@@ -13,10 +13,10 @@ from bcfj_jax.contact import laws
 from bcfj_jax.core.quantities import CATALOGUE
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from calibration.data import stated
 from calibration.diagnostics.signatures import Scene
 from calibration.diagnostics.suspects import LOSS, Found
 from calibration.fit import Fit
+from calibration.impacts import stated
 from calibration.problem import OFFSETS, Channel, Free, Problem, units_of
 from calibration.problemfile import FreeTable, free_of
 
@@ -75,13 +75,7 @@ def _plastic(law: Any) -> bool:
 
 
 def lines(f: Found, scene: Scene, problem: Problem, result: Fit) -> str:
-    """What the problem file would say of a suspect; "" where there is nothing to say.
-
-    Args:
-        f: what was found of it.
-        scene: of the optimum, for sizes.
-        problem, result: what was fitted.
-    """
+    """What the problem file would say of a suspect; "" where there is nothing to say."""
     v, span = f.values, max(float(np.ptp(s.clock)) for s in scene.series)
     peak = scene.peak
     if f.name == "bandwidth":

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.core.quantities import Quantity
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.influence import separation
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward.coordinates import Coordinate
 from calibration.forward.losses import straightened
 from calibration.forward.model import Model
@@ -55,6 +57,11 @@ class Parameter:
     with_budget: tuple[float, float] | None = None
 
 
+def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
+    """Estimates with their intervals, for a file."""
+    return {name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in parameters.items()}
+
+
 @dataclass(frozen=True)
 class Reference:
     """The power law where the data are: F_ref at d_ref, with the interval of F_ref (None as in Parameter)."""
@@ -73,65 +80,58 @@ class Reference:
         return replace(self, with_budget=(float(self.force * np.exp(-below)), float(self.force * np.exp(above))))
 
 
-def estimates(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: fit_tests.Spread, rough: bool = False
-) -> tuple[dict[str, Parameter], Reference | None, list[fit_tests.Test]]:
-    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three.
+class Estimates(NamedTuple):
+    """Estimates by name, the reference force where there is one, and the tests of both."""
 
-    ``rough``: whether the integrator's error is what the cost is made of; a joint's always counts.
-    """
-    values = model.values(best.point, log_depth).tolist()
+    parameters: dict[str, Parameter]
+    reference: Reference | None
+    tests: list[fit_tests.Test]
+
+
+def estimates(at: Optimum) -> Estimates:
+    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
+    model, spread = at.model, at.spread
     pair = model.pair() if model.referenced else None
-    z, slopes = placed(model, best, log_depth)
-    reference = _reference(model, best, log_depth, spread)
-    parameters: dict[str, Parameter] = {}
-    tests: list[fit_tests.Test] = []
-    reaches: list[float] = []
-    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
-        half = spread.half_width(slopes[i])
-        widest = fit_tests.widest(axis)
-        identifiable = bool(half < widest)
-        quantity = _quantity(model, axis)
-        edges, reach = _edges(axis, quantity, values[i], z[i], half)
+    z, slopes = placed(model, at.end)
+    parameters, tests, reaches = {}, [], []
+    for i, (axis, label) in enumerate(zip(model.coordinates, at.labels, strict=True)):
+        value, half, widest = float(model.values(at.end.point)[i]), spread.half_width(slopes[i]), fit_tests.widest(axis)
+        known, quantity = bool(half < widest), _quantity(model, axis)
+        edges, reach = _edges(axis, quantity, value, z[i], half)
         reaches.append(reach)
-        interval = edges if identifiable else None
         # Of many decades the lowest are no thousandth of the range.
-        margin = 1e-3 * (min(axis.upper - axis.lower, values[i]) if axis.decades else axis.upper - axis.lower)
+        margin = 1e-3 * (min(axis.upper - axis.lower, value) if axis.decades else axis.upper - axis.lower)
         at_bound = "lower" if z[i] < axis.lower + margin else "upper" if z[i] > axis.upper - margin else ""
         kind = "derived" if pair and i == pair[0] else "fitted"
-        parameters[label] = Parameter(values[i], quantity.unit, interval, identifiable, at_bound, kind)  # type: ignore[arg-type]
-        reason = f"the data do not determine {label}: they allow a factor or share beyond the limit"
-        tests.append(fit_tests.Test(f"{label} determined", half, widest, identifiable, reason))
-        tests.append(
-            fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, f"{label} is at its {at_bound} bound")
-        )
+        parameters[label] = Parameter(value, quantity.unit, edges if known else None, known, at_bound, kind)
+        tests.append(fit_tests.determined_test(label, half, axis))
+        inside = f"{label} is at its {at_bound} bound"
+        tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
-        for slope, label, reach in zip(slopes, labels, reaches, strict=True):
-            if not spread.half_width(slope) > 0.0:  # It is held where it is.
-                continue
-            ratio = _curvature(model, best, log_depth, spread, slope, (-reach, 1.0), rough)
-            tests.append(fit_tests.curvature_test(label, ratio))
+        for slope, label, reach in zip(slopes, at.labels, reaches, strict=True):
+            if spread.half_width(slope) > 0.0:  # Else it is held where it is.
+                tests.append(fit_tests.curvature_test(label, _curvature(at, slope, (-reach, 1.0))))
     tests.append(fit_tests.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
-        names = [labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
+        names = [at.labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
         reason = f"the weakest direction of the data is in {' and '.join(names)}"
         reason += f"; what would separate them: {separation(names)}" if len(names) > 1 else ""
         tests.append(fit_tests.Test("weak direction", spread.condition, 0, False, reason))
-    return parameters, reference, tests
+    return Estimates(parameters, _reference(at), tests)
 
 
-def placed(model: Model, best: End, log_depth: float) -> tuple[np.ndarray, np.ndarray]:
+def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates (P,) on their scales, and how they move with the unit box (P, P).
 
     A stiffness that is searched as a reference force goes from ln F_ref to ln K = ln F_ref - n ln d_ref.
     """
-    values = model.values(best.point, log_depth)
-    lower, width = model.box(log_depth)
+    values = model.values(best.point)
+    lower, width = model.box
     slopes, z, pair = np.diag(width), lower + best.point * width, model.pair() if model.referenced else None
     if pair:
         k, n = pair
-        z[k] -= values[n] * log_depth
-        slopes[k, n] = -log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
+        z[k] -= values[n] * model.log_depth
+        slopes[k, n] = -model.log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
     return z, slopes
 
 
@@ -146,16 +146,16 @@ def _edges(
     return (float(np.exp(low)), float(np.exp(high))) if axis.log else (float(low), float(high)), reach
 
 
-def ends_of(
-    model: Model, labels: tuple[str, ...], best: End, log_depth: float, spread: fit_tests.Spread
-) -> tuple[dict[str, tuple[float, float] | None], tuple[float, float] | None]:
-    """Intervals by name for another spread of the same estimate, and that of the reference force, however wide."""
-    z, slopes = placed(model, best, log_depth)
-    values, found = model.values(best.point, log_depth).tolist(), {}
-    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
-        half, quantity = spread.half_width(slopes[i]), _quantity(model, axis)
-        found[label] = _edges(axis, quantity, values[i], z[i], half)[0] if np.isfinite(half) else None
-    reference = _reference(model, best, log_depth, spread)
+def ends_of(at: Optimum) -> tuple[dict[str, tuple[float, float] | None], tuple[float, float] | None]:
+    """Intervals by name, however wide, and that of the reference force."""
+    z, slopes = placed(at.model, at.end)
+    found = {}
+    for i, (axis, label, value) in enumerate(
+        zip(at.model.coordinates, at.labels, at.model.values(at.end.point).tolist(), strict=True)
+    ):
+        half = at.spread.half_width(slopes[i])
+        found[label] = _edges(axis, _quantity(at.model, axis), value, z[i], half)[0] if np.isfinite(half) else None
+    reference = _reference(at)
     return found, reference and reference.ci95
 
 
@@ -173,38 +173,30 @@ def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
 
-def _reference(model: Model, best: End, log_depth: float, spread: fit_tests.Spread) -> Reference | None:
+def _reference(at: Optimum) -> Reference | None:
     """F_ref, a coordinate of its own, where stiffness and exponent are both searched."""
+    model = at.model
     if not model.referenced:
         return None
-    (lower, width), k = model.box(log_depth), model.pair()[0]
-    centre, half = float(lower[k] + best.point[k] * width[k]), spread.half_width(np.diag(width)[k])
+    (lower, width), k = model.box, model.pair()[0]
+    centre, half = float(lower[k] + at.end.point[k] * width[k]), at.spread.half_width(np.diag(width)[k])
     interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
     known = half < np.log(fit_tests.WIDEST_FACTOR)
-    return Reference(float(np.exp(log_depth)), float(np.exp(centre)), interval if known else None)
+    return Reference(float(np.exp(model.log_depth)), float(np.exp(centre)), interval if known else None)
 
 
-def _curvature(
-    model: Model,
-    best: End,
-    log_depth: float,
-    spread: fit_tests.Spread,
-    slope: np.ndarray,
-    reaches: tuple[float, float],
-    rough: bool,
-) -> float:
+def _curvature(at: Optimum, slope: np.ndarray, reaches: tuple[float, float]) -> float:
     """Rise of the cost at the ends of an interval, the other parameters following, over the quadratic rise.
 
     ``reaches``: where those ends are, in half-widths; one that is no way off has no information.
     """
-    assert spread.covariance is not None
-    quantile, along = spread.quantile_of(slope), spread.covariance @ slope
+    assert at.spread.covariance is not None
+    quantile, along, model, best = at.spread.quantile_of(slope), at.spread.covariance @ slope, at.model, at.end
     shares = np.array([r for r in reaches if abs(r) > _NEAR])
-    expected = quantile**2 * spread.rise * shares**2
+    expected = quantile**2 * at.spread.rise * shares**2
     steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
-    ends = best.point + steps
-    residuals, jacobians = evaluator(model, log_depth)(ends)
-    if rough or budget(model.scene).rough:
+    residuals, jacobians = evaluator(model)(best.point + steps)
+    if at.noise.integrator or budget(model.scene).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.

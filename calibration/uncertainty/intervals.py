@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,17 +11,18 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
 from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward.coordinates import Coordinate
-from calibration.forward.model import Model
-from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
-from calibration.uncertainty.estimates import Parameter, Reference, ends_of
+from calibration.uncertainty.estimates import Estimates, ends_of
 from calibration.uncertainty.law_miss import NEXT_RUN
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
 
 KINDS = ("covariance", "profile", "posterior")
+# Intervals by the name of what they are of; None where there is none.
+Ends = Mapping[str, tuple[float, float] | None]
 
 
 @dataclass(frozen=True)
@@ -71,82 +72,62 @@ def check_kind(kind: str) -> None:
         library(posterior.LIBRARY, "intervals = posterior", "uq")
 
 
-def revised(
-    kind: str,
-    model: Model,
-    labels: Sequence[str],
-    place: np.ndarray,
-    log_depth: float,
-    quality: fit_tests.Spread,
-    parameters: dict[str, Parameter],
-    reference: Reference | None,
-    tests: list[fit_tests.Test],
-    *,
-    estimated: Sequence[str],
-    batch: int,
-    seed: int,
-) -> tuple[dict[str, Parameter], Reference | None, list[fit_tests.Test], Evidence]:
+def revised(kind: str, at: Optimum, found: Estimates, batch: int, seed: int) -> tuple[Estimates, Evidence]:
     """Estimates and their tests with the intervals that were asked for.
 
     With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead,
     if that is all that fails.
 
     Args:
-        kind: one of ``KINDS``.
-        model, labels, place, log_depth, quality: of the optimum.
-        parameters, reference, tests: as the covariance has them, from ``estimates``.
-        estimated: channels whose noise has an estimated deviation.
+        found: as the covariance has them, from ``estimates``.
         batch: points evaluated together.
         seed: of the sampler.
     """
     if kind == "posterior":
-        if quality.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
-            return parameters, reference, tests, Evidence()
-        drawn = posterior.of_model(
-            model, place, log_depth, quality.covariance, labels, estimated=estimated, chains=Chains(seed)
-        )
-        ends, why = drawn.intervals, dict.fromkeys(labels, drawn.refusal)
-        content = f"posterior: {drawn.refusal}"
-        mixed = fit_tests.Test(
-            "chains of the posterior", float(np.max(drawn.rhat)), WORST_RHAT, not drawn.refusal, content
-        )
-        parameters, reference = _replaced(kind, model, labels, parameters, reference, ends)
-        return parameters, reference, [*_retested(model, labels, tests, ends, why), mixed], Evidence(posterior=drawn)
-    failed = {t.name for t in tests if not t.passed}
-    bent = {name for name in labels if f"interval of {name}" in failed}
+        if at.spread.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
+            return found, Evidence()
+        drawn = posterior.of_optimum(at, Chains(seed))
+        why = dict.fromkeys(at.labels, drawn.refusal)
+        worst, content = float(np.max(drawn.rhat)), f"posterior: {drawn.refusal}"
+        mixed = fit_tests.Test("chains of the posterior", worst, WORST_RHAT, not drawn.refusal, content)
+        found = replaced(kind, at, found, drawn.intervals, why)
+        return found._replace(tests=[*found.tests, mixed]), Evidence(posterior=drawn)
+    failed = {t.name for t in found.tests if not t.passed}
+    bent = {name for name in at.labels if f"interval of {name}" in failed}
     # Where more fails no interval will be given, whatever a profile says; and a rough cost makes it a profile of noise.
-    if kind == "covariance" and (len(failed) > len(bent) or budget(model.scene).rough):
-        return parameters, reference, tests, Evidence()
-    names = [*labels, "reference_force"] if kind == "profile" else sorted(bent)
+    if kind == "covariance" and (len(failed) > len(bent) or budget(at.model.scene).rough):
+        return found, Evidence()
+    names = [*at.labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:
-        return parameters, reference, tests, Evidence()
-    allowed = profile.rise_allowed(quality)
-    found = profile.of_model(model, place, log_depth, allowed, labels, only=names, batch=batch)
-    ends = {name: p.interval for name, p in found.items()}
-    why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in found.items()}
-    parameters, reference = _replaced("profile", model, labels, parameters, reference, ends)
-    return parameters, reference, _retested(model, labels, tests, ends, why), Evidence(found)
+        return found, Evidence()
+    profiles = profile.of_optimum(at, only=names, batch=batch)
+    ends = {name: p.interval for name, p in profiles.items()}
+    why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in profiles.items()}
+    return replaced("profile", at, found, ends, why), Evidence(profiles)
 
 
-def _replaced(
-    kind: str,
-    model: Model,
-    labels: Sequence[str],
-    parameters: dict[str, Parameter],
-    reference: Reference | None,
-    ends: Mapping[str, tuple[float, float] | None],
-) -> tuple[dict[str, Parameter], Reference | None]:
-    """Estimates with other intervals; one wider than what counts as determined is none."""
-    changed = dict(parameters)
-    for axis, name in zip(model.coordinates, labels, strict=True):
-        if name in ends:
-            known = half(ends[name], axis.log) < fit_tests.widest(axis)
-            own = ends[name] if known else None
-            changed[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
+def replaced(kind: str, at: Optimum, found: Estimates, ends: Ends, why: Mapping[str, str]) -> Estimates:
+    """Estimates with other intervals, each with its test; one wider than what counts as determined is none.
+
+    Tests of the covariance's intervals give way to those of the intervals that replace them; ``why`` there is none.
+    """
+    parameters, tests, reference = dict(found.parameters), [], found.reference
+    for axis, name in zip(at.model.coordinates, at.labels, strict=True):
+        if name not in ends:
+            continue
+        reason = why.get(name, "") if ends[name] is None else ""
+        tests.append(fit_tests.determined_test(name, half(ends[name], axis.log), axis, reason))
+        known = tests[-1].passed
+        own = ends[name] if known else None
+        parameters[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
     if reference and "reference_force" in ends:
         known = half(ends["reference_force"], True) < np.log(fit_tests.WIDEST_FACTOR)
         reference = replace(reference, ci95=ends["reference_force"] if known else None, interval_kind=kind)
-    return changed, reference
+    gone = {f"interval of {name}" for name in ends} | {t.name for t in tests}
+    # That direction is the covariance's: where every parameter turns out bounded it is not weak.
+    if set(at.labels) <= set(ends) and all(t.passed for t in tests):
+        gone.add("weak direction")
+    return Estimates(parameters, reference, [t for t in found.tests if t.name not in gone] + tests)
 
 
 def half(ends: tuple[float, float] | None, log: bool) -> float:
@@ -156,45 +137,15 @@ def half(ends: tuple[float, float] | None, log: bool) -> float:
     return 0.5 * float(np.log(ends[1] / ends[0]) if log else ends[1] - ends[0])
 
 
-def _retested(
-    model: Model,
-    labels: Sequence[str],
-    tests: list[fit_tests.Test],
-    ends: Mapping[str, tuple[float, float] | None],
-    why: Mapping[str, str],
-) -> list[fit_tests.Test]:
-    """Tests of the covariance's intervals give way to those of the intervals that replace them."""
-    changed = []
-    for axis, name in zip(model.coordinates, labels, strict=True):
-        if name in ends:
-            own, limit = half(ends[name], axis.log), fit_tests.widest(axis)
-            reason = f"the data do not determine {name}: they allow a factor or share beyond the limit"
-            reason = why[name] if ends[name] is None else reason
-            changed.append(fit_tests.Test(f"{name} determined", own, limit, own < limit, reason))
-    gone = {f"interval of {name}" for name in ends} | {t.name for t in changed}
-    # That direction is the covariance's: where every parameter turns out bounded it is not weak.
-    if set(labels) <= set(ends) and all(t.passed for t in changed):
-        gone.add("weak direction")
-    return [t for t in tests if t.name not in gone] + changed
-
-
-def headlined(
-    model: Model,
-    labels: tuple[str, ...],
-    best: End,
-    log_depth: float,
-    misses: dict[str, fit_tests.Spread],
-    parameters: dict[str, Parameter],
-    reference: Reference | None,
-    given: bool,
-) -> tuple[dict[str, Parameter], Reference | None]:
+def headlined(at: Optimum, misses: Mapping[str, fit_tests.Spread], found: Estimates, given: bool) -> Estimates:
     """Estimates with their intervals by kind, and the headline: the widest.
 
     Args:
         misses: spreads beside the noise's; none where the law is the noise.
+        found: as the noise has them.
         given: whether there is one: not after a search that failed, nor where the data allow another answer.
     """
-    kinds = {kind: ends_of(model, labels, best, log_depth, spread) for kind, spread in misses.items()}
+    kinds = {kind: ends_of(replace(at, spread=spread)) for kind, spread in misses.items()}
 
     def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
         if not given or any(ends is None for ends in by_kind.values()):
@@ -203,18 +154,18 @@ def headlined(
         kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
         return by_kind[kind], kind
 
-    shown = {}
-    for axis, name in zip(model.coordinates, labels, strict=True):
-        p = parameters[name]
-        by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
+    parameters, reference = {}, found.reference
+    for axis, name in zip(at.model.coordinates, at.labels, strict=True):
+        by_kind = {"noise": found.parameters[name].ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
         ends, kind = headline(by_kind)
         if ends and _everything(ends, axis):
             ends, kind = None, ""
-        shown[name] = replace(p, ci95=ends, headline=kind, intervals=by_kind if given else {})
+        shown = by_kind if given else {}
+        parameters[name] = replace(found.parameters[name], ci95=ends, headline=kind, intervals=shown)
     if reference:
         by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
         reference = replace(reference, ci95=headline(by_kind)[0])
-    return shown, reference
+    return found._replace(parameters=parameters, reference=reference)
 
 
 def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:

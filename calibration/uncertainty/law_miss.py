@@ -48,12 +48,7 @@ _WORST = 1e7
 
 
 class Discrepancy(NamedTuple):
-    """What the law misses.
-
-    Attributes:
-        spread: of the estimate; share: the process's deviation as a share of a contact's peak.
-        length: over which it changes, as a share of a contact.
-    """
+    """What the law misses: the spread of the estimate, the size of the miss as a share of a contact's peak, and its length."""
 
     spread: Spread
     share: float
@@ -66,7 +61,6 @@ def discrepancy(
     """The Gaussian process over the phase; None where no contact is resolved.
 
     Args:
-        series: white residuals by record and channel, with clock and readings.
         residuals, jacobian: (N,), (N, P), white and of variance 1.
         noise: spread of the noise alone, whose directions are kept.
     """
@@ -75,12 +69,14 @@ def discrepancy(
     basis, inside = _cosines(series, residuals.size)
     if inside < _FEW or not np.any(residuals[basis[:, 0] != 0.0]):
         return None
-    gram, cross, own = basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian
-    push, square = basis.T @ residuals, float(residuals @ residuals)
     count = int(np.count_nonzero(np.abs(jacobian).any(axis=1) | (residuals != 0)))
+    sums = _Sums(
+        basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals, float(residuals @ residuals), count
+    )  # fmt: skip
+    gram, cross, own = sums[:3]
 
     def cost(x: np.ndarray, power: np.ndarray) -> float:
-        return _restricted(np.exp(2.0 * x[0]), np.exp(2.0 * x[1]) * power, gram, cross, own, push, square, count)
+        return _restricted(sums, np.exp(2.0 * x[0]), np.exp(2.0 * x[1]) * power)
 
     # Without a process, and with one of each length.
     nothing = _power(_LENGTHS[0])
@@ -141,15 +137,24 @@ def _power(length: float) -> np.ndarray:
     return density / (density[0] + 0.5 * np.sum(density[1:]))
 
 
-def _restricted(
-    noise: float, power: np.ndarray, gram: np.ndarray, cross: np.ndarray, own: np.ndarray, push: np.ndarray,
-    square: float, count: int,
-) -> float:  # fmt: skip
-    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T, by the matrices that B, J, r make.
+class _Sums(NamedTuple):
+    """B^T B, B^T J, J^T J, B^T r, r^T r of the cosines B, the Jacobian J and the residuals r, and their number."""
+
+    gram: np.ndarray
+    cross: np.ndarray
+    own: np.ndarray
+    push: np.ndarray
+    square: float
+    count: int
+
+
+def _restricted(sums: _Sums, noise: float, power: np.ndarray) -> float:
+    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T.
 
     With L = power^1/2 (noise 1 + power^1/2 B^T B power^1/2)^-1 power^1/2: S^-1 = (1 - B L B^T)/noise, of the
     residuals of a least-squares fit, whose J^T r is 0.
     """
+    gram, cross, own, push, square, count = sums
     root = np.sqrt(power)
     inner = np.eye(power.size) + root[:, None] * gram * root / noise
     middle = root[:, None] * np.linalg.solve(inner, np.diag(root)) / noise

@@ -18,6 +18,7 @@ from jax import Array
 
 from bcfj_jax.core.extras import library
 from bcfj_jax.solve.batched_jvp import with_jacobian
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward.losses import loss_of
 from calibration.forward.model import Model
 
@@ -36,12 +37,19 @@ class Chains(NamedTuple):
     draws: int = 1000
 
 
+class Around(NamedTuple):
+    """An optimum: unit-box coordinates (P,), their covariance, the first guess of the sampler's metric, and their names."""
+
+    place: np.ndarray
+    covariance: np.ndarray
+    labels: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class Posterior:
     """Draws and what they are worth.
 
     Attributes:
-        labels: (P,) names.
         draws: (chains, draws, P) of the parameters, SI.
         rhat, effective: per parameter, potential scale reduction of split chains and effective sample size.
         divergences: number of transitions that diverged.
@@ -64,57 +72,31 @@ class Posterior:
         return {name: (float(low), float(high)) for name, (low, high) in zip(self.labels, ends, strict=True)}
 
 
-def of_model(
-    model: Model,
-    place: np.ndarray,
-    log_depth: float,
-    covariance: np.ndarray,
-    labels: Sequence[str],
-    *,
-    estimated: Sequence[str] = (),
-    chains: Chains | None = None,
-) -> Posterior:
-    """Sample a problem's parameters around its optimum; with a reference force, that follows the others.
-
-    Args:
-        model: residual function.
-        place: the optimum, unit-box coordinates (P,).
-        log_depth: ln of the reference penetration [m].
-        covariance: of the coordinates at the optimum (P, P): the first guess of the sampler's metric.
-        labels: of the model's coordinates.
-        estimated: names of the channels whose noise has an estimated deviation.
-        chains: what the sampler does.
-    """
-    found = sample(
-        lambda u: model.residuals(u, jnp.asarray(log_depth)), place, covariance, labels,
-        owners=_owners(model, estimated), loss=model.loss, chains=chains,
-    )  # fmt: skip
-    values = model.values(found.draws, log_depth)
-    names = tuple(labels)
+def of_optimum(at: Optimum, chains: Chains | None = None) -> Posterior:
+    """Sample a problem's parameters around its optimum; with a reference force, that follows the others."""
+    assert at.spread.covariance is not None
+    model, names = at.model, at.labels
+    owners = _owners(model, list(at.noise.sigma))
+    around = Around(at.end.point, at.spread.covariance, names)
+    found = sample(model.residuals, around, owners=owners, loss=model.loss, chains=chains)
+    values = model.values(found.draws)
     if model.referenced:
         k, n = model.pair()
-        values = np.concatenate([values, (values[..., k] * np.exp(values[..., n] * log_depth))[..., None]], axis=-1)
-        names = (*names, "reference_force")
+        force = values[..., k] * np.exp(values[..., n] * model.log_depth)
+        values, names = np.concatenate([values, force[..., None]], axis=-1), (*names, "reference_force")
     return _summary(names, values, found.divergences)
 
 
 def sample(
-    residuals: Callable[[Array], Array],
-    place: np.ndarray,
-    covariance: np.ndarray,
-    labels: Sequence[str],
-    *,
-    owners: np.ndarray | None = None,
-    loss: str = "linear",
+    residuals: Callable[[Array], Array], around: Around, *, owners: np.ndarray | None = None, loss: str = "linear",
     chains: Chains | None = None,
-) -> Posterior:
+) -> Posterior:  # fmt: skip
     """Sample unit-box coordinates with density exp(-cost/2), and cost^(-n/2) for samples whose deviation is estimated.
 
     Args:
         residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
         owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are
             stated.
-        loss: name of the loss.
 
     Raises:
         InputError: where NumPyro is not installed.
@@ -127,9 +109,9 @@ def sample(
         return energy(u) - jnp.sum(jnp.log(u) + jnp.log1p(-u))
 
     # Logits make the box unbounded; their covariance is that of u over the slope of the sigmoid.
-    centre = np.clip(place, 1e-4, 1.0 - 1e-4)
+    centre = np.clip(around.place, 1e-4, 1.0 - 1e-4)
     stretch = 1.0 / (centre * (1.0 - centre))
-    metric = covariance * np.outer(stretch, stretch)
+    metric = around.covariance * np.outer(stretch, stretch)
     # Starts wider apart than the posterior, without which agreement of the chains would mean little.
     wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains.count)
     kernel = infer.NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
@@ -140,7 +122,7 @@ def sample(
     first = jnp.asarray(np.log(centre / (1 - centre)) + wide)
     sampler.run(jax.random.key(chains.seed), init_params=first, extra_fields=("diverging",))
     points = np.asarray(jax.nn.sigmoid(sampler.get_samples(group_by_chain=True)))
-    return _summary(tuple(labels), points, int(np.sum(sampler.get_extra_fields()["diverging"])))
+    return _summary(around.labels, points, int(np.sum(sampler.get_extra_fields()["diverging"])))
 
 
 def _owners(model: Model, estimated: Sequence[str]) -> np.ndarray:

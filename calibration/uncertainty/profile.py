@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward.model import Model
-from calibration.search.starts import evaluator
+from calibration.search.evaluate import evaluator
 from calibration.uncertainty.walk import Residuals, Side, Target, together, walk
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
@@ -28,7 +29,6 @@ class Profile:
         ends: where the threshold is met below and above the estimate; None where it is not.
         quadratic: where the covariance puts those ends.
         shape: "bounded", "one-sided", "flat" or "multimodal".
-        log: whether the parameter is searched in its logarithm.
         notes: in words, why an end is missing, and bounds of other parameters that an end rests on.
     """
 
@@ -50,33 +50,20 @@ class Profile:
         return None if low is None or high is None else (low, high)
 
 
-def of_model(
-    model: Model,
-    place: np.ndarray,
-    log_depth: float,
-    allowed: Callable[[np.ndarray], float],
-    labels: Sequence[str],
-    only: Sequence[str] | None = None,
-    batch: int | None = None,
-) -> dict[str, Profile]:
+def of_optimum(at: Optimum, only: Sequence[str] | None = None, batch: int | None = None) -> dict[str, Profile]:
     """Profiles of a problem's parameters around its optimum, by label.
 
     With a reference force, "reference_force" is its profile and "stiffness" that of K = F_ref / d_ref^n, for which
     K is held and F_ref follows n.
 
     Args:
-        model: residual function.
-        place: the optimum, unit-box coordinates (P,).
-        log_depth: ln of the reference penetration [m].
-        allowed: rise of the cost at the ends of the interval of a combination of coordinates (P,); ``rise_allowed``.
-        labels: of the model's coordinates.
         only: labels wanted; by default all.
         batch: points evaluated together; by default one a walk.
     """
-    targets = [t for t in _targets(model, log_depth, labels) if only is None or t.name in only]
-    at = np.asarray(place, float)
-    thresholds = [allowed(np.eye(at.size)[t.index] - t.shift(at)[1]) for t in targets]
-    found = profiles(evaluator(model, log_depth), targets, at, thresholds, labels=labels, batch=batch)
+    targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
+    place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
+    asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
+    found = profiles(evaluator(at.model), asked, place, labels=at.labels, batch=batch)
     return {p.name: p for p in found}
 
 
@@ -94,22 +81,22 @@ def rise_allowed(quality: Spread) -> Callable[[np.ndarray], float]:
     return allowed
 
 
-def _targets(model: Model, log_depth: float, labels: Sequence[str]) -> list[Target]:
-    lower, width = model.box(log_depth)
+def _targets(model: Model, labels: Sequence[str]) -> list[Target]:
+    lower, width = model.box
     pair = model.pair() if model.referenced else None
     targets = []
     for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
         name = "reference_force" if pair and i == pair[0] else label
         targets.append(coordinate(name, i, lower=lower[i], width=width[i], log=axis.log))
     if pair:
-        k, n = pair
+        (k, n), depth = pair, model.log_depth
         exponent_is_log = model.coordinates[n].log
 
         def shift(u: np.ndarray) -> tuple[float, np.ndarray]:
             z = lower[n] + u[n] * width[n]
             exponent = np.exp(z) if exponent_is_log else z
             rate = exponent * width[n] if exponent_is_log else width[n]
-            return exponent * log_depth / width[k], np.eye(u.size)[n] * rate * log_depth / width[k]
+            return exponent * depth / width[k], np.eye(u.size)[n] * rate * depth / width[k]
 
         # The box of F_ref is wider than that of K: K keeps its own.
         low, high = ((b - lower[k]) / width[k] for b in (model.coordinates[k].lower, model.coordinates[k].upper))
@@ -125,27 +112,17 @@ def coordinate(name: str, index: int, *, lower: float = 0.0, width: float = 1.0,
 
 
 def profiles(
-    residuals: Residuals,
-    targets: Sequence[Target],
-    place: np.ndarray,
-    thresholds: Sequence[float],
-    *,
-    labels: Sequence[str],
-    batch: int | None = None,
-    scouts: int = 3,
-) -> tuple[Profile, ...]:
+    residuals: Residuals, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
+    batch: int | None = None, scouts: int = 3,
+) -> tuple[Profile, ...]:  # fmt: skip
     """Profile likelihood of every target around an optimum.
 
     Args:
         residuals: batched residual function on the unit box; NaN where a simulation fails.
-        targets: what to hold fixed.
-        place: the optimum (P,).
-        thresholds: rise of the sum of squares that bounds each target's interval.
-        labels: names of the P coordinates, for the notes.
+        asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
         batch: points in a call of ``residuals``; by default one a walk.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
-    asked = list(zip(targets, thresholds, strict=True))
     walks = [walk(target, sign, place, threshold, scouts) for target, threshold in asked for sign in (-1.0, 1.0)]
     sides = together(walks, residuals, batch or len(walks))
     pairs = zip(asked, sides[::2], sides[1::2], strict=True)

@@ -101,9 +101,9 @@ class Ambiguity(NamedTuple):
 class _Sampled:
     """Predictions of a model and their derivatives, filtered: residuals and Jacobian as the model weighs them."""
 
-    def __init__(self, model: Model, experiments: tuple[Experiment, ...], log_depth: float, duration: float) -> None:
+    def __init__(self, model: Model, experiments: tuple[Experiment, ...], duration: float) -> None:
         d = model.data
-        self.model, self.log_depth, self.counts = model, log_depth, [e.times.size for e in experiments]
+        self.model, self.counts = model, [e.times.size for e in experiments]
         steps = [float(np.median(np.diff(e.times))) for e in experiments if e.times.size > 1]
         wanted = int(np.ceil(_SAMPLES * max(steps) / duration))
         self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
@@ -128,7 +128,7 @@ class _Sampled:
         count, shape = point.size, self.weights.shape
         rows = []
         for model in self.models:
-            found = evaluation(model)(point[None], self.log_depth)
+            found = evaluation(model)(point[None])
             size = int(np.prod(shape))
             both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
             rows.append(both.reshape(*shape, count + 1))
@@ -204,7 +204,7 @@ def _once(values: np.ndarray, passed: Filter, cutoff: float, step: float) -> np.
 
 
 def ambiguity(
-    model: Model, experiments: tuple[Experiment, ...], series: list[Series], end: End, log_depth: float,
+    model: Model, experiments: tuple[Experiment, ...], series: list[Series], end: End,
     halves: np.ndarray,
 ) -> Ambiguity | None:  # fmt: skip
     """What filters leave open; None where the model has no contact.
@@ -212,20 +212,19 @@ def ambiguity(
     Args:
         model, experiments: what was fitted, with the weights of its noise.
         series, end: of the optimum.
-        log_depth: ln of the reference penetration [m].
         halves: (K,) half widths of the intervals there, as of ``Ambiguity.low``.
     """
     longest = [s.longest for s in series if np.isfinite(s.longest) and s.longest > 0.0]
     if not longest:
         return None
     plain = Tried(None, np.inf, end.point, float(end.residuals @ end.residuals), end.residuals, end.jacobian)
-    chains = _chains(_Sampled(model, experiments, log_depth, max(longest)), plain, series, max(longest))
+    chains = _chains(_Sampled(model, experiments, max(longest)), plain, series, max(longest))
     best = min((one for chain in chains for one in chain), key=lambda one: one.square)
     low, high = np.full(halves.size, np.inf), np.full(halves.size, -np.inf)
     slowest: Tried | None = None
-    own = _scaled(model, plain, end, log_depth)[1]
+    own = _scaled(model, plain, end)[1]
     for chain in chains:
-        places, deviations = map(np.stack, zip(*(_scaled(model, one, end, log_depth) for one in chain), strict=True))
+        places, deviations = map(np.stack, zip(*(_scaled(model, one, end) for one in chain), strict=True))
         excess = np.array([_excess(one, best, series) for one in chain])
         # Between two cut-offs as on a straight line.
         at = np.linspace(0.0, len(chain) - 1.0, (len(chain) - 1) * _BETWEEN + 1)
@@ -268,11 +267,11 @@ def _excess(one: Tried, best: Tried, series: list[Series]) -> float:
     return by_size if any(s.estimated for s in series) else min(by_size, one.square - best.square)
 
 
-def _scaled(model: Model, one: Tried, end: End, log_depth: float) -> tuple[np.ndarray, np.ndarray]:
+def _scaled(model: Model, one: Tried, end: End) -> tuple[np.ndarray, np.ndarray]:
     """Estimates (K,) on their scales, and their deviations for residuals of variance 1."""
-    z, slopes = placed(model, replace(end, point=one.point), log_depth)
+    z, slopes = placed(model, replace(end, point=one.point))
     if model.referenced:
-        lower, width = model.box(log_depth)
+        lower, width = model.box
         k = model.pair()[0]
         z, slopes = np.append(z, lower[k] + one.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
     size = np.linalg.norm(one.jacobian, axis=0)

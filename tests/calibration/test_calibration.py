@@ -84,12 +84,12 @@ def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     depth, exponent = float(np.log(found.reference.penetration)), found.parameters["exponent"].value
     # The same optimum by (ln K, ln n, t0): a step of ln n at fixed K is one at fixed F_ref = K d_ref^n and one of
     # ln F_ref by n ln d_ref, so that column of the Jacobian changes, and J^T J gives the covariance afresh.
-    built = model.build(demo, demo.experiments)
+    built = model.build(demo, demo.experiments).at_depth(depth)
     assert built.coordinates[n].log
     values = np.array([found.parameters[name].value for name in found.labels])
-    point = jnp.asarray(built.point(values, depth))
-    jacobian = np.array(model.residuals_and_jacobian(built, point, jnp.asarray(depth))[1])
-    jacobian /= np.asarray(built.box(jnp.asarray(depth))[1])
+    point = jnp.asarray(built.point(values))
+    jacobian = np.array(model.residuals_and_jacobian(built, point)[1])
+    jacobian /= np.asarray(built.box[1])
     jacobian[:, n] += jacobian[:, k] * exponent * depth
     # Built with independent deviations of 1 % of the peak; the noise that was found is correlated.
     (one,) = demo.experiments
@@ -100,7 +100,7 @@ def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     covariance = np.linalg.inv(jacobian.T @ np.linalg.solve(error, jacobian))
     assert covariance[k, n] / np.sqrt(covariance[k, k] * covariance[n, n]) > 0.95
     # ln K = ln F_ref - n ln d_ref along the coordinates of the box.
-    width = np.asarray(built.box(jnp.asarray(depth))[1])
+    width = np.asarray(built.box[1])
     slope = width * (np.eye(3)[k] - exponent * depth * np.eye(3)[n])
     half = found.optimum.spread.quantile_of(slope) * np.sqrt(covariance[k, k])
     # Student's quantile is above that of samples less parameters: the correlation is only known from them, too.
@@ -134,11 +134,11 @@ def test_intervals_cover_the_truth_and_the_verdict_is_identified():
 
 
 def test_jacobian_against_central_differences():
-    built = model.build(problem(experiment(CLEAN)), (experiment(CLEAN),))
-    depth, point, step = jnp.log(2e-4), np.array([0.5, 0.45, 0.5]), 1e-5
-    _, jacobian = model.residuals_and_jacobian(built, jnp.asarray(point), depth)
+    built = model.build(problem(experiment(CLEAN)), (experiment(CLEAN),)).at_depth(float(np.log(2e-4)))
+    point, step = np.array([0.5, 0.45, 0.5]), 1e-5
+    _, jacobian = model.residuals_and_jacobian(built, jnp.asarray(point))
     for k, unit in enumerate(np.eye(3)):
-        ends = [model.residuals_and_jacobian(built, jnp.asarray(point + s * step * unit), depth)[0] for s in (-1, 1)]
+        ends = [model.residuals_and_jacobian(built, jnp.asarray(point + s * step * unit))[0] for s in (-1, 1)]
         difference = np.asarray(ends[1] - ends[0]) / (2 * step)
         # Relative to the column's largest: the steps of the integrator differ from point to point.
         np.testing.assert_allclose(jacobian[:, k], difference, atol=1e-5 * np.abs(difference).max(), rtol=0)

@@ -11,11 +11,13 @@ from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import fit_tests, influence
 from calibration.diagnostics.clearance import clearance_tests, gap_of, whole_contact_test
+from calibration.diagnostics.optimum import Optimum
 from calibration.fit import AllStartsFailed
 from calibration.forward import model
 from calibration.forward.runs import contacts, failure, refusal
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import End
-from calibration.search.starts import reference_depth
+from calibration.search.starts import referred
 from calibration.uncertainty.estimates import estimates
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -46,7 +48,7 @@ def at(free, values, times=TIMES):
     made = problem(free, times)
     built = model.build(made, made.experiments)
     order = [s.name for s in built.coordinates]
-    return made, built, built.point(np.array([values[name] for name in order]), 0.0), tuple(order)
+    return made, built, built.point(np.array([values[name] for name in order])), tuple(order)
 
 
 @pytest.mark.full
@@ -56,14 +58,14 @@ def test_directions_that_trade_are_named_with_what_separates_them():
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "mass": MASS, "approach_speed": SPEED}, TIMES)
     built = jax.tree_util.tree_map(lambda x: x, built)
     built.data.fixed["clearance_contact"] = jnp.zeros(1)
-    told = influence.at_start(made, built, labels, point, 0.0, np.zeros(3), 1.0)
+    told = influence.at_start(made, built, labels, point, np.zeros(3))
     assert told["singular_values"][-1] < 1e-2 < 1.0 < told["singular_values"][1]
     (weak,) = told["weak"]
     assert set(weak["parameters"]) == set(labels)
     assert "trade against each other here" in weak["text"]
     assert "weighed mass" in weak["remedy"]
     # Their ranges are equal on a logarithmic scale; K and m rise together and v falls as much.
-    jacobian = np.asarray(model.residuals_and_jacobian(built, jnp.asarray(point), jnp.asarray(0.0))[1])
+    jacobian = np.asarray(model.residuals_and_jacobian(built, jnp.asarray(point))[1])
     direction = np.linalg.svd(jacobian)[2][-1]
     np.testing.assert_allclose(direction / direction[0], [1.0, 1.0, -1.0], atol=1e-2)
 
@@ -74,11 +76,11 @@ def test_what_moves_nothing_by_the_noise_is_refused():
     free = (Free("stiffness", 0.9995 * STIFFNESS, 1.0005 * STIFFNESS), LAW[1])
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": GAP})
     with pytest.raises(InputError, match=r"\[free.stiffness\].*moves no residual by more than"):
-        influence.at_start(made, built, labels, point, 0.0, np.zeros(2), 1.0)
+        influence.at_start(made, built, labels, point, np.zeros(2))
     # Ten times the range and it is not.
     free = (Free("stiffness", 0.995 * STIFFNESS, 1.005 * STIFFNESS), LAW[1])
     made, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": GAP})
-    assert influence.at_start(made, built, labels, point, 0.0, np.zeros(2), 1.0)["reach"]["stiffness"] > 1.0
+    assert influence.at_start(made, built, labels, point, np.zeros(2))["reach"]["stiffness"] > 1.0
 
 
 def test_data_that_no_model_explains_are_refused():
@@ -107,7 +109,7 @@ def test_a_clearance_must_be_seen_crossed(last, gap, passed, words):
     free = (LAW[0], Free("clearance_contact", 0.0, 3e-3))
     times = np.linspace(1e-4, last, 50)
     _, built, point, _ = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap}, times)
-    seen = contacts(built, point, 0.0)
+    seen = contacts(built, point)
     (test,) = clearance_tests(built, seen)
     assert test.passed == passed and words in test.reason
     if passed:
@@ -123,14 +125,15 @@ def test_how_well_a_clearance_is_known_does_not_depend_on_how_large_it_comes_out
     known = 0.5e-3
     free = (LAW[0], Free("clearance_contact", 1e-4, 3e-3))
     assert free[1].log and not free[1].as_share and free[0].as_share
-    _, built, point, labels = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap})
+    made, built, point, _ = at(free, {"stiffness": STIFFNESS, "clearance_contact": gap})
     assert built.coordinates[1].drawn(np.array([0.0, 0.5, 1.0])) == pytest.approx(
         [0.0, (3e-7**0.5 - 1e-4) / 2.9e-3, 1.0]
     )
     width = np.array([np.log(100.0), 2.9e-3])
     jacobian = np.diag(width / [0.1, known])
     best = End(point, point, 0.0, np.zeros(2), jacobian, True)
-    found, _, _ = estimates(built, labels, best, 0.0, fit_tests.spread(best, 50, [], "linear"))
+    spread = fit_tests.spread(best, 50, [], "linear")
+    found = estimates(Optimum(built, made.experiments, best, Estimate({}, {}, []), spread)).parameters
     gap_found, half = found["clearance_contact"], 1.96 * known
     assert gap_found.identifiable
     # Not beyond the bounds that were given.
@@ -162,7 +165,7 @@ def test_a_failed_simulation_is_given_its_reason(monkeypatch):
     honest = model.plan
     monkeypatch.setattr(model, "plan", lambda scene, accuracy, max_steps: honest(scene, accuracy, max_steps=2))
     _, built, point, _ = at(LAW, {"stiffness": STIFFNESS, "clearance_contact": GAP})
-    assert failure(built, point, 0.0) == "the step budget of 2 steps was spent"
+    assert failure(built, point) == "the step budget of 2 steps was spent"
 
 
 @pytest.mark.slow
@@ -201,9 +204,10 @@ def test_a_point_whose_values_contradict_each_other_is_named_and_passed_over():
     params = {k: float(v) for k, v in scene.parameters(mass=MASS, bottoming_penetration=1e-3).items()}
     experiment = Experiment("a", TIMES, (Channel("contact.normal", force(TIMES), 1.0),))
     built = model.build(Problem(scene, params, (experiment,), free), (experiment,))
-    wide, narrow = (built.point(np.array([STIFFNESS, 1.0, width]), 0.0) for width in (5e-3, 1e-4))
-    assert not refusal(built, narrow, 0.0)
+    wide, narrow = (built.point(np.array([STIFFNESS, 1.0, width])) for width in (5e-3, 1e-4))
+    assert not refusal(built, narrow)
     told = "bottoming_width = 0.005 is more than bottoming_penetration = 0.001"
-    assert told in refusal(built, wide, 0.0) and told in failure(built, wide, 0.0)
-    assert reference_depth(built, [wide, narrow], 0.5) == reference_depth(built, [narrow], 0.5) != 0.5
-    assert reference_depth(built, [wide], 0.5) == 0.5
+    assert told in refusal(built, wide) and told in failure(built, wide)
+    far = built.at_depth(0.5)
+    assert referred(far, [wide, narrow]).log_depth == referred(far, [narrow]).log_depth != 0.5
+    assert referred(far, [wide]).log_depth == 0.5

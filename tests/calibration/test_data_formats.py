@@ -12,10 +12,10 @@ import pytest
 from bcfj_jax import InputError
 from bcfj_jax.io.plots import COLOURS
 from calibration.data import child
-from calibration.data.plot import data
-from calibration.data.preparation import Recipe, prepare
 from calibration.data.readers import read
 from calibration.data.table import Table
+from calibration.impacts.plot import data
+from calibration.impacts.preparation import Recipe, prepare
 
 h5py = pytest.importorskip("h5py", reason="the extra io is not installed")
 nptdms = pytest.importorskip("nptdms", reason="the extra io is not installed")

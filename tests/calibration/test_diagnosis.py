@@ -15,10 +15,10 @@ from scipy.signal import lsim
 
 from bcfj_jax import InputError, scenes, simulate
 from calibration import Channel, Experiment, Fit, Free, Problem, command, fit, load
-from calibration.data import stated
 from calibration.diagnostics import signatures, suspects
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.observables import low_pass, resonant
+from calibration.impacts import stated
 from calibration.report.diagnosis import as_json, sections, sentence
 from calibration.selection.diagnosis import diagnose, rank
 from calibration.selection.remedies import altered, joined

@@ -15,10 +15,10 @@ from bcfj_jax.io.opening import MEGABYTE
 from benchmarks.calibration.dialects import File, files, record, write
 from calibration import fit, load
 from calibration.data.numbers import decimal_marks, parsed
-from calibration.data.proposal import understood
 from calibration.data.readers import read
 from calibration.data.table import split
 from calibration.data.textfile import Stated
+from calibration.impacts.proposal import understood
 from calibration.problemfile import prepared
 
 pytest.importorskip("python_calamine", reason="the extra io is not installed")

@@ -10,11 +10,13 @@ from bcfj_jax.core.quantities import Quantity
 from calibration import Channel, Experiment, Free, Problem
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward import model
 from calibration.forward.coordinates import Coordinate
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import End
 from calibration.uncertainty import estimates, intervals, profile, unstated_filter
-from calibration.uncertainty.estimates import Parameter, Reference
+from calibration.uncertainty.estimates import Estimates, Parameter, Reference
 
 DEPTH = 2e-4
 FREE = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("mass", 0.05, 0.2, scale="linear"))
@@ -28,13 +30,19 @@ def built(request):
     params = {k: float(v) for k, v in scene.parameters(mass=0.1, approach_speed=1.0, stiffness=1e8).items()}
     one = Experiment("a", np.linspace(0.0, 1e-3, 20), (Channel("contact.normal", np.ones(20), 1.0),))
     free = (FREE[0], Free("exponent", 1.0, 2.5, scale=request.param), FREE[2])
-    found = model.build(Problem(scene, params, (one,), free), (one,))
+    found = model.build(Problem(scene, params, (one,), free), (one,)).at_depth(float(np.log(DEPTH)))
     assert found.referenced
     return found
 
 
 def optimum(point) -> End:
     return End(point, point, 0.0, np.zeros(3), np.eye(3), True)
+
+
+def at(built, point, known: Spread) -> Optimum:
+    """An optimum whose coordinates are NAMES."""
+    one = Experiment("a", np.zeros(0), ())
+    return Optimum(built, (one,), optimum(point), Estimate({}, {}, []), known)
 
 
 def spread(seed: int) -> Spread:
@@ -46,10 +54,10 @@ def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
     point = np.array([0.4, 0.6, 0.3])
 
     def scaled(u):
-        values = built.values(u, np.log(DEPTH))
+        values = built.values(u)
         return np.array([np.log(v) if a.log else v for v, a in zip(values, built.coordinates, strict=True)])
 
-    z, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
+    z, slopes = estimates.placed(built, optimum(point))
     assert z == pytest.approx(scaled(point), rel=1e-12)
     steps = 1e-6 * np.eye(3)
     wanted = np.stack([(scaled(point + step) - scaled(point - step)) / 2e-6 for step in steps], axis=1)
@@ -59,9 +67,9 @@ def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
 def test_intervals_are_about_the_estimates_on_their_scales(built):
     """By a linear propagation of the covariance; the reference force at its penetration, K d^n."""
     point, known = np.array([0.4, 0.6, 0.3]), spread(1)
-    values = built.values(point, np.log(DEPTH))
-    _, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
-    found, force = estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), known)
+    values = built.values(point)
+    _, slopes = estimates.placed(built, optimum(point))
+    found, force = estimates.ends_of(at(built, point, known))
     halves = 1.959964 * np.sqrt(np.diag(slopes @ known.covariance @ slopes.T))
     for name, axis, value, half in zip(NAMES, built.coordinates, values, halves, strict=True):
         ends = value * np.exp([-half, half]) if axis.log else value + np.array([-half, half])
@@ -73,7 +81,7 @@ def test_intervals_are_about_the_estimates_on_their_scales(built):
     assert force == pytest.approx(tuple(values[0] * DEPTH ** values[1] * np.exp([-half, half])), rel=1e-6)
     # What is not determined to a factor of two has none.
     wide = known._replace(covariance=1e6 * known.covariance)
-    assert estimates.ends_of(built, NAMES, optimum(point), np.log(DEPTH), wide)[1] is None
+    assert estimates.ends_of(at(built, point, wide))[1] is None
 
 
 def test_ends_stay_where_the_quantity_can_be_and_within_the_bounds():
@@ -98,25 +106,30 @@ def test_intervals_that_replace_others_bring_their_own_tests(built):
     old = {name: Parameter(1.0, "", (0.9, 1.1), True, "") for name in NAMES}
     force = Reference(DEPTH, 2.0, (1.0, 4.0))
     ends = {"stiffness": (1e8, 3.9e8), "mass": (0.06, 0.22), "reference_force": (1.1, 4.0)}
-    found, reference = intervals._replaced("profile", built, NAMES, old, force, ends)
+    place = at(built, np.full(3, 0.5), spread(1))
+    tests = [
+        fit_tests.Test(name, 1.0, 1.0, False, "old")
+        for name in ("interval of mass", "mass determined", "weak direction", "x")
+    ]
+
+    def other(ends, why):
+        return intervals.replaced("profile", place, Estimates(old, force, tests), ends, why)
+
+    found, reference, _ = other(ends, {})
     assert found["exponent"] == old["exponent"]
     assert found["stiffness"].ci95 == ends["stiffness"] and found["stiffness"].interval_kind == "profile"
     assert found["mass"].ci95 is None and not found["mass"].identifiable
     assert reference.ci95 == ends["reference_force"] and reference.interval_kind == "profile"
     wide = {"reference_force": (1.0, 4.1), "stiffness": None, "mass": (0.06, 0.2)}
-    found, reference = intervals._replaced("profile", built, NAMES, old, force, wide)
+    found, reference, again = other(wide, {"stiffness": "it is flat"})
     assert found["stiffness"].ci95 is None and found["mass"].ci95 == (0.06, 0.2) and reference.ci95 is None
-    tests = [
-        fit_tests.Test(name, 1.0, 1.0, False, "old")
-        for name in ("interval of mass", "mass determined", "weak direction", "x")
-    ]
-    again = {t.name: t for t in intervals._retested(built, NAMES, tests, wide, {"stiffness": "it is flat"})}
+    again = {t.name: t for t in again}
     assert set(again) == {"weak direction", "x", "stiffness determined", "mass determined"}
     assert again["mass determined"].passed and again["mass determined"].value == pytest.approx(0.07)
     assert not again["stiffness determined"].passed and again["stiffness determined"].reason == "it is flat"
     # Where every parameter is bounded no direction is weak.
     whole = {"stiffness": (1e8, 3.9e8), "exponent": (1.4, 1.6), "mass": (0.06, 0.2)}
-    again = {t.name: t for t in intervals._retested(built, NAMES, tests, whole, {})}
+    again = {t.name: t for t in other(whole, {}).tests}
     assert "weak direction" not in again and all(again[f"{name} determined"].passed for name in NAMES)
 
 
@@ -124,11 +137,11 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
     """Of the estimates and, last, of the logarithm of the reference force; of residuals of variance 1."""
     point, jacobian = np.array([0.4, 0.6, 0.3]), np.random.default_rng(2).standard_normal((9, 3)) * [1.0, 1e3, 1e-2]
     one = unstated_filter.Tried(None, np.inf, point, 0.0, np.zeros(9), jacobian)
-    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)), np.log(DEPTH))
-    where, slopes = estimates.placed(built, optimum(point), np.log(DEPTH))
-    values = built.values(point, np.log(DEPTH))
+    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)))
+    where, slopes = estimates.placed(built, optimum(point))
+    values = built.values(point)
     assert z == pytest.approx([*where, np.log(values[0] * DEPTH ** values[1])], rel=1e-9)
-    covariance, width = np.linalg.inv(jacobian.T @ jacobian), built.box(np.log(DEPTH))[1]
+    covariance, width = np.linalg.inv(jacobian.T @ jacobian), built.box[1]
     wanted = np.sqrt([*np.diag(slopes @ covariance @ slopes.T), width[0] ** 2 * covariance[0, 0]])
     np.testing.assert_allclose(deviations, wanted, rtol=1e-6)
 
@@ -136,10 +149,10 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
 def test_what_a_profile_holds_is_the_value_of_its_name(built):
     """The stiffness by a combination of reference force and exponent, between its own bounds; slopes by differences."""
     rng, values = np.random.default_rng(3), {}
-    targets = profile._targets(built, np.log(DEPTH), NAMES)
+    targets = profile._targets(built, NAMES)
     assert [t.name for t in targets] == ["stiffness", "reference_force", "exponent", "mass"]
     for point in rng.uniform(0.1, 0.9, (3, 3)):
-        values = dict(zip(NAMES, built.values(point, np.log(DEPTH)), strict=True))
+        values = dict(zip(NAMES, built.values(point), strict=True))
         values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
         for t in targets:
             shift, slope = t.shift(point)

@@ -126,9 +126,9 @@ def test_a_filter_far_above_the_contact_is_none(tmp_path):
     problem = written(tmp_path, 'filter = { cutoff = "1 GHz" }')
     plain = replace(problem, filter="none", experiments=tuple(replace(e, fixed={
         k: v for k, v in e.fixed.items() if k != "cutoff"}) for e in problem.experiments))  # fmt: skip
-    at = [build(p, p.experiments) for p in (problem, plain)]
+    at = [build(p, p.experiments).at_depth(np.log(1e-3)) for p in (problem, plain)]
     point = np.full(len(at[0].coordinates), 0.45)
-    with_it, without = (predictions(model, point, np.log(1e-3)) for model in at)
+    with_it, without = (predictions(model, point) for model in at)
     np.testing.assert_allclose(with_it, without, atol=1e-5 * np.abs(without).max())
 
 

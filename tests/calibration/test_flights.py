@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from bcfj_jax.cli import app
 from bcfj_jax.contact import laws
 from calibration import load
-from calibration.data.events import Event
-from calibration.data.flights import contradicted, loss, restitutions
+from calibration.impacts.events import Event
+from calibration.impacts.flights import contradicted, loss, restitutions
 
 VALUES = {"stiffness": 1e6, "exponent": 1.5, "damping": 0.05, "mass": 0.2}
 

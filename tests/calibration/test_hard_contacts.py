@@ -9,7 +9,7 @@ from benchmarks.calibration import hard_bounces
 from calibration import Channel, Experiment, Free, Problem
 from calibration.forward.model import build
 from calibration.forward.runs import SAMPLES, contacts
-from calibration.search.starts import reference_depth
+from calibration.search.starts import referred
 
 TRUTH = {"stiffness": 6.4e8, "exponent": 1.1, "damping": 0.385}
 
@@ -28,14 +28,14 @@ def test_a_contact_of_a_thousandth_of_the_flight_is_seen():
     given, share = problem(TRUTH, 3)
     assert share < 1e-3
     model = build(given, given.experiments)
-    point = model.point(np.array([TRUTH["stiffness"], TRUTH["exponent"]]), 0.0)
-    (seen,) = contacts(model, point, 0.0)
+    point = model.point(np.array([TRUTH["stiffness"], TRUTH["exponent"]]))
+    (seen,) = contacts(model, point)
     assert seen.times.size == SAMPLES and np.all(np.diff(seen.times) > 0)
     assert len(seen.durations) == 3 and np.count_nonzero(seen.touching) > 100
     # And the reference penetration lies inside them: below the depth at which all speed is gone.
     speed = np.sqrt(2.0 * hard_bounces.GRAVITY * hard_bounces.HEIGHT)
     deepest = (hard_bounces.MASS * speed**2 * 2.1 / (2.0 * TRUTH["stiffness"])) ** (1.0 / 2.1)
-    assert 0.2 * deepest < np.exp(reference_depth(model, [point], 0.0)) < deepest
+    assert 0.2 * deepest < np.exp(referred(model, [point]).log_depth) < deepest
 
 
 @pytest.mark.slow

@@ -34,8 +34,8 @@ def clean():
     """Forces (6, T): residuals of deviation 1 against a record of nothing."""
     empty = problem(np.zeros((6, TIMES.size)), np.ones(6))
     model = build(empty, empty.experiments)
-    point = jnp.asarray(model.point(np.array([TRUTH[axis.name] for axis in model.coordinates]), 0.0))
-    return np.asarray(residuals_and_jacobian(model, point, jnp.asarray(0.0))[0]).reshape(6, -1)
+    point = jnp.asarray(model.point(np.array([TRUTH[axis.name] for axis in model.coordinates])))
+    return np.asarray(residuals_and_jacobian(model, point)[0]).reshape(6, -1)
 
 
 def noisy(clean, noise, seed) -> Problem:
@@ -66,8 +66,8 @@ def test_points_side_by_side_are_those_one_by_one(clean):
     made = noisy(clean, 0.01, 0)
     model = build(made, made.experiments)
     points = np.random.default_rng(0).uniform(0.4, 0.6, (3, 3))[[2, 1, 0, 2]]
-    residuals, jacobians = evaluator(model, 0.0)(points)
+    residuals, jacobians = evaluator(model)(points)
     for point, r, j in zip(points, residuals, jacobians, strict=True):
-        alone = residuals_and_jacobian(model, jnp.asarray(point), jnp.asarray(0.0))
+        alone = residuals_and_jacobian(model, jnp.asarray(point))
         assert np.array_equal(r, alone[0])
         assert np.array_equal(j, alone[1])

@@ -124,7 +124,7 @@ def test_the_restricted_likelihood_is_that_of_its_dense_covariance():
     residuals -= jacobian @ np.linalg.lstsq(jacobian, residuals)[0]
     products = (basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals)
     for noise, power in ((1.0, np.ones(5)), (0.3, rng.uniform(0.1, 4.0, 5)), (2.0, 1e-9 * np.ones(5))):
-        found = law_miss._restricted(noise, power, *products, float(residuals @ residuals), 30)
+        found = law_miss._restricted(law_miss._Sums(*products, float(residuals @ residuals), 30), noise, power)
         assert found == pytest.approx(dense(noise, power, basis, jacobian, residuals), rel=1e-9)
 
 

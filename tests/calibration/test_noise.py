@@ -38,7 +38,7 @@ def history() -> np.ndarray:
     one = Experiment("a", TIMES, (Channel("contact.normal", np.ones(COUNT), 1.0),))
     problem = Problem(SCENE, PARAMS, (one,), FREE)
     built = model.build(problem, (one,))
-    return np.asarray(model.predictions(built, jnp.array([0.5, 0.5]), jnp.asarray(0.0)))[0, 0]
+    return np.asarray(model.predictions(built, jnp.array([0.5, 0.5])))[0, 0]
 
 
 FREE = (Free("gain", 0.5, 1.5, scale="linear"), Free("force_offset", -100.0, 100.0))
@@ -55,8 +55,8 @@ def solved(*channels: Channel, loss: str = "linear"):
     problem = Problem(SCENE, PARAMS, records, SHARED if len(records) > 1 else FREE, loss=loss)
     built = model.build(problem, records)
     start = np.full(len(built.coordinates), 0.5)
-    ends = (finish(built, start, start, 0.0),)
-    settled, ends, found = settle(built, records, ends, 0.0, problem.accuracy)
+    ends = (finish(built, start, start),)
+    settled, ends, found = settle(built, records, ends, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(r.samples for r in records), found.moved, loss)
     return settled, ends[0], found, spread
 
@@ -381,7 +381,7 @@ def test_a_correlation_time_is_between_the_finest_step_and_the_longest_record(mo
     monkeypatch.setattr(noise_model, "_series", lambda *_: (series, rest))
     monkeypatch.setattr(noise_model, "_reweighed", lambda model, *_: model)
     model: Any = SimpleNamespace(loss="linear")
-    _, found = noise_model.estimate(model, (), np.zeros(1), 0.0)
+    _, found = noise_model.estimate(model, (), np.zeros(1))
     # The deviation of phi is sqrt(0.19/1500) = 0.011, of the deviation 8 %.
     assert np.exp(-1.0 / found.correlation["f"]) == pytest.approx(0.9, abs=0.035)
     assert found.sigma["f"] == pytest.approx(1.0, rel=0.25)
@@ -413,12 +413,12 @@ def test_ends_follow_the_refined_one_beside_them():
     beside, apart = (End(np.zeros(2), np.full(2, 0.5 + d), 9.0, none[:, 0], none, True) for d in (5e-4, 2e-3))
     stopped, failed = replace(beside, converged=False, cost=1.0), replace(beside, failure="no", cost=0.1)
     ends = (refined, beside, apart, stopped, failed)
-    moved = list(estimation._all_moved(weighed((1.0, 1.0, 1.0)), ends, 0.0, 3.0))
+    moved = list(estimation._all_moved(weighed((1.0, 1.0, 1.0)), ends, 3.0))
     assert [end.cost for end in moved] == pytest.approx([72.0, 72.0, 81.0, 9.0, 0.1])
     assert np.array_equal(moved[0].residuals, [6.0, 6.0]) and np.array_equal(moved[0].jacobian, 3.0 * np.eye(2))
     assert np.array_equal(moved[1].point, refined.point) and np.array_equal(moved[2].point, apart.point)
     # The failed one last, whatever its cost.
-    last = estimation._ordered(weighed((1.0, 1.0, 1.0)), [failed, replace(apart, cost=99.0), refined], 0.0)
+    last = estimation._ordered(weighed((1.0, 1.0, 1.0)), [failed, replace(apart, cost=99.0), refined])
     assert [end.cost for end in last] == [8.0, 99.0, 0.1]
 
 
@@ -459,16 +459,16 @@ def test_noise_below_the_integrators_error_is_the_integrators(accuracy):
     problem = Problem(scene, {k: float(v) for k, v in params.items()}, (one,), free, accuracy)
     built = model.build(problem, (one,))
     at = np.full(2, 0.5)
-    settled, ends, found = settle(built, (one,), (finish(built, at + 0.01, at + 0.01, 0.0),), 0.0, accuracy)
+    settled, ends, found = settle(built, (one,), (finish(built, at + 0.01, at + 0.01),), accuracy)
     assert found.integrator == ("contact.normal",) and not found.moved
     floor = found.sigma["contact.normal"]
     # The error itself, known here: what is left at the truth.
-    left = np.asarray(model.predictions(built, jnp.asarray(at), jnp.asarray(0.0)))[0, 0] - 100.0 * np.sin(omega * times)
+    left = np.asarray(model.predictions(built, jnp.asarray(at)))[0, 0] - 100.0 * np.sin(omega * times)
     assert floor >= max(3.0 * np.linalg.norm(left), 0.99e-5 * 100.0)
     spread = fit_tests.spread(ends[0], COUNT, found.moved, "linear")
     for k, unit in enumerate(np.eye(2)):
         assert abs(ends[0].point[k] - 0.5) < spread.half_width(unit)
-    error = errors(settled, ends[0].point, 0.0, ends[0].residuals)
+    error = errors(settled, ends[0].point, ends[0].residuals)
     assert np.linalg.norm(error) < 0.5 and fit_tests.integration_test(error, ends[0].jacobian).passed
     # Taken for noise, it would be seen not to be white.
     series = Series(np.arange(COUNT), np.ones(COUNT, dtype=bool), 0.01, estimated=True)

@@ -78,14 +78,14 @@ def test_a_slow_sensor_reads_the_filtered_force(bandwidth):
     one = Experiment("a", times, (Channel("contact.normal", half_sine(times), 1.0),), fixed={"gain": 2.0})
     free = (Free("stiffness", 1e4, 1e6), Free("bandwidth", 10.0, 1e4))
     built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free, 1e-6), (one,))
-    point = jnp.asarray(built.point(np.array([STIFFNESS, bandwidth]), 0.0))
-    read = np.asarray(model.predictions(built, point, jnp.asarray(0.0)))[0, 0]
+    point = jnp.asarray(built.point(np.array([STIFFNESS, bandwidth])))
+    read = np.asarray(model.predictions(built, point))[0, 0]
     dense = np.linspace(0.0, times[-1], 40_001)
     rate = 2 * np.pi * bandwidth
     _, out, _ = lsim(([rate], [1.0, rate]), half_sine(dense), dense)
     np.testing.assert_allclose(read, 2.0 * np.interp(times, dense, out), atol=2e-4 * PEAK)
-    _, jacobian = model.residuals_and_jacobian(built, point, jnp.asarray(0.0))
-    ends = [model.residuals_and_jacobian(built, point.at[1].add(s * 1e-4), jnp.asarray(0.0))[0] for s in (-1, 1)]
+    _, jacobian = model.residuals_and_jacobian(built, point)
+    ends = [model.residuals_and_jacobian(built, point.at[1].add(s * 1e-4))[0] for s in (-1, 1)]
     np.testing.assert_allclose(jacobian[:, 1], (ends[1] - ends[0]) / 2e-4, atol=1e-3 * np.abs(jacobian[:, 1]).max())
 
 
@@ -107,8 +107,8 @@ def test_features_are_those_of_the_closed_form():
     one = Experiment("a", np.zeros(0), (), features=wanted, span=span)
     problem = Problem(BOUNCE, params(BOUNCE, drop_height=DROP, gravity=GRAVITY), (one,), FREE, 1e-8)
     built = model.build(problem, (one,))
-    point = jnp.asarray(built.point(np.array([STIFFNESS, MASS]), 0.0))
-    residuals, jacobian = model.residuals_and_jacobian(built, point, jnp.asarray(0.0))
+    point = jnp.asarray(built.point(np.array([STIFFNESS, MASS])))
+    residuals, jacobian = model.residuals_and_jacobian(built, point)
     # In units of 1 % each: a contact is some 100 of 10001 samples long.
     np.testing.assert_allclose(residuals, 0.0, atol=0.05)
     # ln K by its box: dF/d ln K is F/2 but for the weight, and the period's is -contact/2 but for gravity.
@@ -158,7 +158,7 @@ def test_period_and_delay_of_a_joint_are_those_of_its_rotation():
     one = Experiment("a", np.zeros(0), (), features=wanted, span=4.2 * period)
     given = {k: float(v) for k, v in scene.parameters(drive_speed=speed, load_ramp=1e-6).items()}
     built = model.build(Problem(scene, given, (one,), (Free("drive_speed", speed / 2, 2 * speed),)), (one,))
-    residuals, jacobian = model.residuals_and_jacobian(built, jnp.array([0.5]), jnp.asarray(0.0))
+    residuals, jacobian = model.residuals_and_jacobian(built, jnp.array([0.5]))
     np.testing.assert_allclose(residuals, 0.0, atol=1.0)
     # Every time goes with 1/w; the box is ln 4 wide.
     np.testing.assert_allclose(jacobian[:, 0], -1000 * np.log(4) * np.array([1, -1 / 6, -1 / 3]), rtol=0.02)
@@ -173,7 +173,7 @@ def test_features_beside_a_history_weigh_as_they_are_stated():
     one = Experiment("a", times, (Channel("contact.normal", readings, sigma),), features=(peak,))
     free = (Free("gain", 0.5, 1.5, scale="linear"),)
     built = model.build(Problem(IMPACT, params(IMPACT, approach_speed=SPEED), (one,), free), (one,))
-    end = finish(built, np.array([0.5]), np.array([0.5]), 0.0)
+    end = finish(built, np.array([0.5]), np.array([0.5]))
     known = np.sum(half_sine(times) ** 2) / sigma**2 + PEAK**2 / peak.sigma**2
     best = (half_sine(times) @ readings / sigma**2 + PEAK * peak.value / peak.sigma**2) / known
     assert 0.5 + end.point[0] == pytest.approx(best, abs=1e-5)

@@ -18,9 +18,9 @@ from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.command import text
-from calibration.data.events import alone, contacts
-from calibration.data.preparation import _first_contact as onset
 from calibration.diagnostics.signatures import weight
+from calibration.impacts.events import alone, contacts
+from calibration.impacts.preparation import _first_contact as onset
 from calibration.noise.noise_model import _ratios as ratios
 from calibration.noise.scatter import scatter
 from calibration.problemfile import prepared
@@ -267,7 +267,7 @@ def test_weight_is_in_the_budget_of_an_impact_that_knows_none_and_may_be_asked_f
     problem = Problem(plain, {k: float(v) for k, v in plain.parameters(params).items()}, runs, free)
     found = fit(problem)
     at = found.optimum
-    seen = 0.05 * weight(at.model, at.series, at.end.point, at.log_depth, 0.02)
+    seen = 0.05 * weight(at.model, at.series, at.end.point, 0.02)
     expected = force(0.02) - force(0.0)
     assert np.sqrt(np.mean((seen - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2))
     assert "gravity" in [line.error for line in found.systematic.lines]

@@ -13,7 +13,7 @@ from scipy.stats import norm, t
 
 from bcfj_jax.solve.batched_jvp import together
 from calibration.uncertainty import posterior
-from calibration.uncertainty.posterior import Chains
+from calibration.uncertainty.posterior import Around, Chains
 
 pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
 
@@ -77,7 +77,7 @@ def test_linear_problem_has_the_covariance_intervals(estimated):
     quantile = float(t.ppf(0.975, freedom) if estimated else norm.ppf(0.975))
     owners = np.zeros(12, dtype=int) if estimated else None
     covariance = scale * np.linalg.inv(MATRIX.T @ MATRIX)
-    found = posterior.sample(linear, BEST, covariance, NAMES, owners=owners, chains=Chains(draws=1500))
+    found = posterior.sample(linear, Around(BEST, covariance, NAMES), owners=owners, chains=Chains(draws=1500))
     assert not found.refusal and found.divergences == 0
     assert np.all(found.rhat < 1.01) and np.all(found.effective > 2000)
     for k, name in enumerate(NAMES):
@@ -93,8 +93,8 @@ def test_residuals_whose_tangents_come_together_can_be_sampled():
         return (linear(u), jnp.zeros(())), changes @ jnp.asarray(MATRIX).T
 
     joint = together(lambda u: (linear(u), jnp.zeros(())), ahead)
-    few = {"covariance": np.linalg.inv(MATRIX.T @ MATRIX), "labels": NAMES, "chains": Chains(warmup=50, draws=50)}
-    found, plain = (posterior.sample(f, BEST, **few) for f in (lambda u: joint(u)[0], linear))
+    around, few = Around(BEST, np.linalg.inv(MATRIX.T @ MATRIX), NAMES), Chains(warmup=50, draws=50)
+    found, plain = (posterior.sample(f, around, chains=few) for f in (lambda u: joint(u)[0], linear))
     assert found.draws == pytest.approx(plain.draws, rel=1e-6)
 
 
@@ -102,7 +102,9 @@ def test_residuals_whose_tangents_come_together_can_be_sampled():
 def test_two_modes_are_refused():
     # Chains that begin on either side of a ridge of 200 sigma squared stay there.
     twin = lambda u: jnp.array([2000 * (u[0] - 0.4) * (u[0] - 0.6)])  # noqa: E731
-    found = posterior.sample(twin, np.array([0.5]), np.array([[0.02]]), ("a",), chains=Chains(warmup=200, draws=200))
+    found = posterior.sample(
+        twin, Around(np.array([0.5]), np.array([[0.02]]), ("a",)), chains=Chains(warmup=200, draws=200)
+    )
     assert found.refusal and found.intervals == {"a": None}
     assert np.all(found.rhat > posterior.WORST_RHAT)
 
@@ -111,5 +113,7 @@ def test_two_modes_are_refused():
 def test_failing_simulations_are_refused():
     # A tenth of a sigma from the optimum nothing simulates.
     half = lambda u: jnp.where(u < 0.501, 100 * (u - 0.5), jnp.nan)  # noqa: E731
-    found = posterior.sample(half, np.array([0.5]), np.array([[1e-4]]), ("a",), chains=Chains(1, warmup=200, draws=200))
+    found = posterior.sample(
+        half, Around(np.array([0.5]), np.array([[1e-4]]), ("a",)), chains=Chains(1, warmup=200, draws=200)
+    )
     assert found.divergences > 0 and "diverged" in found.refusal and found.intervals == {"a": None}

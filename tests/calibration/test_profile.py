@@ -12,6 +12,7 @@ from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import fit_tests
 from calibration.report import plots_uncertainty
 from calibration.uncertainty import intervals, posterior, profile
+from calibration.uncertainty.estimates import Estimates
 
 NORMAL = 1.959963984540054
 THRESHOLD = NORMAL**2
@@ -44,7 +45,7 @@ def analytic(function, jacobian, calls=None):
 
 def found_by(residuals, targets, best, **more):
     """Profiles with the threshold of stated noise."""
-    return profile.profiles(residuals, targets, best, [THRESHOLD] * len(targets), **more)
+    return profile.profiles(residuals, [(target, THRESHOLD) for target in targets], best, **more)
 
 
 def box(count):
@@ -228,12 +229,10 @@ def test_fit_states_profiles_as_the_kind_of_its_intervals(profiled_fit):
 
 @pytest.mark.slow
 def test_bent_interval_gives_way_to_its_profile(profiled_fit):
-    at, names = profiled_fit.optimum, profiled_fit.labels
+    at = profiled_fit.optimum
     before = [fit_tests.curvature_test("stiffness", 1.1), fit_tests.curvature_test("exponent", 5.0)]
-    parameters, reference, tests, evidence = intervals.revised(
-        "covariance", at.model, names, at.end.point, at.log_depth, at.spread, profiled_fit.parameters,
-        profiled_fit.reference, before, estimated=(), batch=4, seed=0,
-    )  # fmt: skip
+    known = Estimates(profiled_fit.parameters, profiled_fit.reference, before)
+    (parameters, reference, tests), evidence = intervals.revised("covariance", at, known, 4, 0)
     assert evidence.profiles.keys() == {"exponent"}
     assert parameters["exponent"].ci95 == pytest.approx(profiled_fit.parameters["exponent"].ci95, rel=1e-6)
     assert parameters["stiffness"] is profiled_fit.parameters["stiffness"] and reference is profiled_fit.reference
@@ -243,8 +242,7 @@ def test_bent_interval_gives_way_to_its_profile(profiled_fit):
 @pytest.mark.slow
 def test_posterior_of_a_well_conditioned_fit_has_the_covariance_s_intervals(profiled_fit):
     pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
-    at, names = profiled_fit.optimum, profiled_fit.labels
-    drawn = posterior.of_model(at.model, at.end.point, at.log_depth, at.spread.covariance, names)
+    drawn = posterior.of_optimum(profiled_fit.optimum)
     assert not drawn.refusal, drawn.refusal
     for name, found in profiled_fit.evidence.profiles.items():
         low, high = found.quadratic

@@ -87,15 +87,15 @@ def test_other_numbers_bounds_losses_and_horizons_share_one_program(demo, found)
 
 @pytest.mark.slow
 def test_a_point_is_the_same_alone_and_among_others(demo):
-    built = model.build(demo, demo.experiments)
+    built = model.build(demo, demo.experiments).at_depth(-8.0)
     points = np.random.default_rng(0).uniform(0.2, 0.8, (15, 3))
-    together = model.evaluation(built)(points, -8.0)
+    together = model.evaluation(built)(points)
     assert together.jacobians.shape == (15, 24, 3)
     for k in (0, 11, 12, 14):
-        residuals, jacobian = model.residuals_and_jacobian(built, points[k], -8.0)
+        residuals, jacobian = model.residuals_and_jacobian(built, points[k])
         np.testing.assert_array_equal(together.residuals[k], residuals)
         np.testing.assert_array_equal(together.jacobians[k], jacobian)
-        np.testing.assert_array_equal(together.readings[k], model.predictions(built, points[k], -8.0))
+        np.testing.assert_array_equal(together.readings[k], model.predictions(built, points[k]))
 
 
 @pytest.mark.slow
@@ -103,6 +103,6 @@ def test_runs_beside_the_residuals_share_one_program(demo, found):
     """Contacts, failures and the pictures' runs are of as many samples each."""
     optimum = found.optimum
     before = list(programs.traced)
-    assert contacts(optimum.model, optimum.end.point, optimum.log_depth)
-    assert failure(optimum.model, optimum.end.point, optimum.log_depth)
+    assert contacts(optimum.model, optimum.end.point)
+    assert failure(optimum.model, optimum.end.point)
     assert programs.traced == before

@@ -9,7 +9,10 @@ from scipy.interpolate import CubicSpline
 from test_profile import NORMAL, impact
 
 from calibration import Free
+from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.forward import model
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import finish
 from calibration.uncertainty import profile
 
@@ -25,13 +28,10 @@ def test_estimates_and_profiles_equal_pypestos():
 
     free = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.2, 1.8))
     problem = impact(free)
-    built = model.build(problem, problem.experiments)
-    log_depth = float(np.log(2e-4))
-    depth = jnp.asarray(log_depth)
-    labels = tuple(axis.label(problem.experiments) for axis in built.coordinates)
+    built = model.build(problem, problem.experiments).at_depth(float(np.log(2e-4)))
 
     def both(u):
-        return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u), depth))
+        return (np.asarray(a) for a in model.residuals_and_jacobian(built, jnp.asarray(u)))
 
     def cost(u):
         residuals, _ = both(u)
@@ -42,8 +42,9 @@ def test_estimates_and_profiles_equal_pypestos():
         return jacobian.T @ residuals
 
     middle = np.full(2, 0.5)
-    best = finish(built, middle, middle, log_depth)
-    ours = profile.of_model(built, best.point, log_depth, lambda slope: NORMAL**2, labels)
+    best = finish(built, middle, middle)
+    spread = fit_tests.spread(best, problem.experiments[0].samples, [], "linear")
+    ours = profile.of_optimum(Optimum(built, problem.experiments, best, Estimate({}, {}, []), spread))
 
     theirs = pypesto.Problem(
         pypesto.Objective(fun=cost, grad=gradient),
@@ -57,7 +58,7 @@ def test_estimates_and_profiles_equal_pypestos():
     )
     sigma = np.sqrt(np.diag(np.linalg.inv(best.jacobian.T @ best.jacobian)))
     assert result.optimize_result[0].x == pytest.approx(best.point, abs=1e-3 * sigma.min())
-    lower, width = (np.asarray(a) for a in built.box(depth))
+    lower, width = (np.asarray(a) for a in built.box)
     for i, name in enumerate(("reference_force", "exponent")):
         steps = {f"{kind}_step_size_absolute": 0.4 * sigma[i] for kind in ("default", "min", "max")}
         steps |= {f"{kind}_step_size_relative": 0.0 for kind in ("default", "min", "max")}

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 
 from bcfj_jax import InputError
 from calibration import fit, load
-from calibration.data.events import contacts, rest
-from calibration.data.inspection import check_channel
+from calibration.impacts.events import contacts, rest
+from calibration.impacts.inspection import check_channel
 from calibration.problemfile import prepared
 
 pytestmark = pytest.mark.filterwarnings("error")

@@ -78,11 +78,11 @@ def test_a_sensors_own_numbers_are_shared_and_a_records_are_not():
 @pytest.mark.slow
 def test_derivatives_by_numbers_of_sensor_and_record_are_those_of_differences():
     model = shared_and_own()
-    point = model.point(np.array([1e8, 4e3, 1.1, 0.5, -0.5]), 0.0)
-    _, jacobian = residuals_and_jacobian(model, point, 0.0)
+    point = model.point(np.array([1e8, 4e3, 1.1, 0.5, -0.5]))
+    _, jacobian = residuals_and_jacobian(model, point)
     for k in range(5):
         step = np.where(np.arange(5) == k, 1e-5, 0.0)
-        ends = [residuals_and_jacobian(model, point + s * step, 0.0)[0] for s in (-1, 1)]
+        ends = [residuals_and_jacobian(model, point + s * step)[0] for s in (-1, 1)]
         slope = (ends[1] - ends[0]) / 2e-5
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-5 * np.abs(slope).max() + 1e-9)
 
@@ -91,7 +91,7 @@ def test_a_known_sensor_is_part_of_the_prediction():
     """Beside SciPy's at a hundred times the resolution."""
     problem = two_runs(resonance=3e3, resonance_damping=0.1)
     model = build(problem, problem.experiments)
-    read = predictions(model, model.point(np.array([1e8]), 0.0), 0.0)[0, 0]
+    read = predictions(model, model.point(np.array([1e8])))[0, 0]
     dense = np.linspace(0.0, TIMES[-1], 8001)
     force = np.asarray(simulate(SCENE, PARAMS, dense).force["contact"][:, 0])
     w = 6e3 * np.pi

@@ -46,7 +46,7 @@ def coarse():
     one = Experiment("a", times, (Channel("contact.normal", 100.0 * np.sin(omega * times), SIGMA),))
     problem = Problem(scene, {k: float(v) for k, v in params.items()}, (one,), FREE, 1e-2)
     built = model.build(problem, (one,))
-    return built, finish(built, np.full(2, 0.51), np.full(2, 0.51), 0.0)
+    return built, finish(built, np.full(2, 0.51), np.full(2, 0.51))
 
 
 def deviations(built, end):
@@ -58,12 +58,12 @@ def deviations(built, end):
 @pytest.mark.slow
 def test_a_coarse_solver_that_moves_the_estimates_is_tightened(coarse):
     built, end = coarse
-    errors = integration.errors(built, end.point, 0.0, end.residuals)
+    errors = integration.errors(built, end.point, end.residuals)
     first = fit_tests.shift(errors, end.jacobian)
     # The record has no noise: all that an estimate is off by is the solver's.
     assert deviations(built, end).max() > 1.0
     assert not fit_tests.integration_test(errors, end.jacobian).passed
-    found = corrected(built, end, 0.0, errors)
+    found = corrected(built, end, errors)
     assert deviations(found.model, found.end).max() < LITTLE
     assert fit_tests.integration_test(found.errors, found.end.jacobian).value < LITTLE
     assert float(found.model.how.tolerance) < float(built.how.tolerance) / 50.0
@@ -75,10 +75,10 @@ def test_a_coarse_solver_that_moves_the_estimates_is_tightened(coarse):
 def test_a_solver_that_is_good_enough_is_left_as_it_is(coarse):
     built, end = coarse
     errors = np.zeros(end.residuals.size)
-    found = corrected(built, end, 0.0, errors)
+    found = corrected(built, end, errors)
     assert found.model is built and found.end is end and found.errors is errors and not found.notes
     # Nor where nothing is known of it: the test of the fit says that.
-    unknown = corrected(built, end, 0.0, errors + np.nan)
+    unknown = corrected(built, end, errors + np.nan)
     assert unknown.model is built and unknown.end is end and not unknown.notes
 
 
@@ -92,6 +92,6 @@ def test_the_joint_with_all_options_runs_at_the_accuracy_asked_for_next():
     free = tuple(Free(name, truth[name] / 3, truth[name] * 3) for name in ("stiffness", "clearance_cage_ball"))
     problem = Problem(scene, truth, (record,), free, 3e-4)
     built = model.build(problem, (record,))
-    at = built.point(np.array([truth[axis.name] for axis in built.coordinates]), 0.0)
-    residuals, jacobian = model.residuals_and_jacobian(built, at, 0.0)
+    at = built.point(np.array([truth[axis.name] for axis in built.coordinates]))
+    residuals, jacobian = model.residuals_and_jacobian(built, at)
     assert built.how.tangents and np.isfinite(residuals).all() and np.isfinite(jacobian).all()

@@ -16,9 +16,11 @@ from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import systematic
 from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
-from calibration.diagnostics.systematic import Budget, Error, budget_of
+from calibration.diagnostics.systematic import Budget, Error, Moving, budget_of
 from calibration.forward.coordinates import Coordinate
+from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import End
 from calibration.uncertainty.estimates import Parameter, Reference, widened
 
@@ -154,7 +156,8 @@ class Linear:
     def budget(self, end: End, alone=()) -> Budget:
         errors = [Error(n, "", m, s) for n, m, s in zip("abc", self.most, self.signatures.T, strict=True)]
         spread = Spread(np.linalg.inv(self.jacobian.T @ self.jacobian), 1.96, 58, np.zeros(2), 1.0)
-        return budget_of(MODEL, NAMES, end, spread, errors, self.slopes, np.ones(2), alone)
+        at = Optimum(MODEL, (), end, Estimate({}, {}, []), spread)
+        return budget_of(at, errors, Moving(NAMES, self.slopes, np.ones(2)), alone)
 
 
 def test_errors_together_are_least_squares_with_what_is_known_of_them():

@@ -7,7 +7,7 @@ import pytest
 
 from bcfj_jax import InputError, scenes
 from calibration import Experiment, Free, Problem, fit, load
-from calibration.data.trains import observations
+from calibration.impacts.trains import observations
 
 # Half sines: impulse 2 F T/pi, centre in the middle, width T (1/4 - 2/pi^2)^(1/2).
 PEAKS, LENGTH = (40.0, 30.0, 20.0), 10e-3

@@ -120,13 +120,11 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     plain = kept[0][0]
     monkeypatch.setattr(unstated_filter, "_Sampled", lambda *_: None)
     monkeypatch.setattr(unstated_filter, "_chains", lambda *_: kept)
-    monkeypatch.setattr(
-        unstated_filter, "_scaled", lambda model, one, end, depth: places.get(id(one), places[id(plain)])
-    )
+    monkeypatch.setattr(unstated_filter, "_scaled", lambda model, one, end: places.get(id(one), places[id(plain)]))
     end = End(np.zeros(1), np.zeros(1), 52.0, plain.residuals, plain.jacobian, True)
     halves = np.array([0.5, 0.7])
     model: Any = None
-    found = unstated_filter.ambiguity(model, (), series, end, 0.0, halves)
+    found = unstated_filter.ambiguity(model, (), series, end, halves)
     assert found is not None and found.plain == pytest.approx(50.0 * np.log(1.04)) and found.best is kept[0][1]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for chain in chains:
@@ -142,6 +140,6 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     assert found.slowest is kept[1][1]
     # Where the slowest filter of a kind is not excluded, there is no end.
     monkeypatch.setattr(unstated_filter, "_chains", lambda *_: [kept[0][:2]])
-    found = unstated_filter.ambiguity(model, (), series, end, 0.0, halves)
+    found = unstated_filter.ambiguity(model, (), series, end, halves)
     assert found is not None and np.array_equal(found.low, [-np.inf] * 2) and np.array_equal(found.high, [np.inf] * 2)
-    assert unstated_filter.ambiguity(model, (), [series[0]._replace(longest=np.inf)], end, 0.0, halves) is None
+    assert unstated_filter.ambiguity(model, (), [series[0]._replace(longest=np.inf)], end, halves) is None

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +18,11 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
-from calibration.data.events import Event, contacts, rest, telling
-from calibration.data.flights import Loss, loss
-from calibration.data.inspection import check_clock
 from calibration.data.numbers import is_missing, is_number
 from calibration.data.table import RUN_COLUMNS, Table, split
+from calibration.impacts.events import Event, contacts, rest
+from calibration.impacts.flights import Loss, loss
+from calibration.impacts.inspection import check_clock
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 _KINDS = ("s", "N", "m/s^2", "m/s", "m")
@@ -40,16 +42,10 @@ _GIVEN = {
     ),
 }  # fmt: skip
 _TANGENTIAL = {
-    "tangential",
-    "friction",
-    "shear",
-    "ft",
-    "lateral",
-    "tangentialkraft",
-    "reibkraft",
-    "reibungskraft",
-    "querkraft",
-}
+    "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
+}  # fmt: skip
+# Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
+_READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 _MOST_RUNS = 50
 # Readings that are a channel.
 _FEWEST = 3
@@ -100,10 +96,7 @@ class Understood:
     """What a table holds.
 
     Attributes:
-        path, table: the file, and which table in it.
-        time: header of the clock.
         columns: header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
-        others: headers that were not understood.
         runs: the column that numbers runs, and how many.
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
@@ -138,49 +131,49 @@ def understood(table: Table) -> Understood:
     headers = ", ".join(h for h in table.header if h)
     if "s" not in found:
         faults.found.append(InputError(where, f"no column is a time: {headers}", 'head one as "time [s]"'))
-    time = found.pop("s", "")
-    units = [u for u in ("N", "tangential", "m/s^2", "m/s", "m") if u in found]
-    if not set(units) & {"N", "m/s^2", "m/s", "m"}:
+    if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
         remedy = 'head one with its unit, as in "force [N]"'
         faults.found.append(InputError(where, f"{kinds}: {headers}", remedy))
-    raw = []
-    for label, part in parts[:_MOST_RUNS]:
-        readings: dict[str, np.ndarray] = {}
-        clock = np.arange(float(part.lines.size))
-        with faults:
-            clock = part.numbers(time, "s", where, blank=False) if time else clock
-            check_clock(clock, part, time)
-        for u in units:
-            with faults:
-                readings[u] = part.numbers(found[u], _si(u), where, True)
-        raw.append((label, clock, readings))
+    time = found.pop("s", "")
+    found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
+    raw = [_read(part, time, found, faults) for _, part in parts[:_MOST_RUNS]]
     faults.refuse(where)
-    units = [u for u in units if max(np.isfinite(r[u]).sum() for _, _, r in raw) >= _FEWEST]
-    found = {u: found[u] for u in units}
-    if not units:
+    found = {u: h for u, h in found.items() if max(np.isfinite(r[u]).sum() for _, r in raw) >= _FEWEST}
+    if not found:
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
-    signs = _signs(raw, units)
-    records = []
-    for label, clock, readings in raw:
+    signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
+    unit, records = next(u for u in _READ if u in found), []
+    kind = "contact.normal" if unit in ("N", "m/s^2") else _READ[unit]
+    for (label, _), (clock, readings) in zip(parts, raw, strict=False):
         turned = {u: signs.get(u, 1.0) * v for u, v in readings.items()}
-        names = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
-        best = telling([names[u] for u in turned if u in names])[0]
-        unit = next(u for u, n in names.items() if n == best)
-        events = contacts("contact.normal" if unit in ("N", "m/s^2") else best, clock, turned[unit] * _push(unit))
+        events = contacts(kind, clock, -turned[unit] if unit == "m/s^2" else turned[unit])
         if not events:
-            raise InputError(
-                where, f"{label}: no contact is found in '{found[unit]}'", "choose a record that holds one"
-            )
+            missing = f"{label}: no contact is found in '{found[unit]}'"
+            raise InputError(where, missing, "choose a record that holds one")
         records.append(Record(label, clock, turned, events))
     given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]])
-    shown = {u: ("-" if signs.get(u, 1.0) < 0 else "") + h for u, h in found.items()}
+    shown = {u: ("-" if signs[u] < 0 else "") + h for u, h in found.items()}
     known = {time, run, given[0], *found.values(), *rows}
     others = [h for h in table.header if h and h not in known]
     many = (run, len(parts) if run else 1)
     return Understood(
         table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds
     )  # fmt: skip
+
+
+def _read(
+    part: Table, time: str, found: dict[str, str], faults: Faults
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:  # fmt: skip
+    """Clock (N,) [s] and readings (N,) by unit of one run; what is wrong with them is put to ``faults``."""
+    readings, clock = {}, np.arange(float(part.lines.size))
+    with faults:
+        clock = part.numbers(time, "s", part.name, blank=False) if time else clock
+        check_clock(clock, part, time)
+    for unit, header in found.items():
+        with faults:
+            readings[unit] = part.numbers(header, "N" if unit == "tangential" else unit, part.name, True)
+    return clock, readings
 
 
 def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
@@ -216,15 +209,6 @@ def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
         if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
             return {h: whole[0]}, table.where(texts == whole[0])
     return {}, table
-
-
-def _push(unit: str) -> float:
-    """An acceleration of a body that moves along +x is negative in contact."""
-    return -1.0 if unit == "m/s^2" else 1.0
-
-
-def _si(unit: str) -> str:
-    return "N" if unit == "tangential" else unit
 
 
 def _name(header: str) -> str:
@@ -302,48 +286,32 @@ def _is_numeric(cells: np.ndarray) -> bool:
     return sum(map(is_number, seen)) > 0.5 * len(seen)
 
 
-def _signs(raw: list[tuple[str, np.ndarray, dict[str, np.ndarray]]], units: list[str]) -> dict[str, float]:
-    """Which columns to flip: a force pushes; an approach is along +x, and the acceleration in contact against it."""
-    signs: dict[str, float] = {}
+def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """-1 of a column to flip: a force pushes; an approach is along +x, and the acceleration in contact against it."""
 
-    def vote(unit: str, wanted: float, measure) -> None:
-        votes = [measure(clock, readings[unit]) for _, clock, readings in raw]
-        signs[unit] = wanted if np.nansum(np.sign(votes)) >= 0 else -wanted
+    def vote(clock: np.ndarray, values: np.ndarray) -> float:
+        seen = values[np.isfinite(values)]
+        if unit == "m/s":
+            return float(seen[: max(3, values.size // 20)].mean())
+        if unit == "m":  # Upwards at first, before it turns?
+            return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
+        level = seen - (rest(seen) or 0.0)  # Further upwards from its rest than downwards?
+        return float(np.max(level) + np.min(level))
 
-    for unit in units:
-        if unit in ("N", "tangential"):
-            vote(unit, 1.0, lambda t, v: _lopsided(v))
-        elif unit == "m/s^2":
-            vote(unit, -1.0, lambda t, v: _lopsided(v))
-        elif unit == "m/s":
-            vote(unit, 1.0, lambda t, v: v[np.isfinite(v)][: max(3, v.size // 20)].mean())
-        else:
-            vote(unit, 1.0, _turning)
-    return signs
+    upwards = np.nansum(np.sign([vote(*record) for record in records])) >= 0
+    return 1.0 if upwards != (unit == "m/s^2") else -1.0
 
 
-def _lopsided(values: np.ndarray) -> float:
-    """Positive where a channel leaves its rest upwards more than downwards."""
-    seen = values[np.isfinite(values)]
-    level = seen - (rest(seen) or 0.0)
-    return float(np.max(level) + np.min(level))
+class Sizes(NamedTuple):
+    """What the first contacts say, by medians: peak [N], impulse [N s], duration [s], samples in contact and step [s].
 
+    Of records without a force, peak and impulse are per mass; NaN where neither is read.
 
-def _turning(clock: np.ndarray, values: np.ndarray) -> float:
-    """Positive where a position moves upwards at first, before it turns."""
-    seen = values[np.isfinite(values)]
-    turn = int(np.argmax(np.abs(seen - seen[0])))
-    return float(seen[turn] - seen[0])
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """What the first contacts say: peak [N], impulse [N s], duration [s], samples in contact, step [s], contacts a run.
-
-    Of records without a force, peak and impulse are per mass; ``impulses`` and ``after``: the least and the largest impulse, and
-    time to the second contact [s], of all records. ``speed`` and ``restitution`` from a velocity or position,
-    ``mass`` from the impulse over the change of the speed, or from force over acceleration; None where no reading gives them.
-    ``loss``: what flights say.
+    Attributes:
+        contacts, flights: of the run that has most, their number and the times between them [s].
+        speed: least and largest before contact [m/s], from a velocity or position; None where neither is read.
+        mass: from the impulse over the change of the speed, or from force over acceleration, or None.
+        impulses, after: least and largest impulse, and time to the second contact [s], of all records.
     """
 
     peak: float
@@ -353,56 +321,60 @@ class Sizes:
     step: float
     contacts: int
     speed: tuple[float, float] | None
-    restitution: float | None
     mass: float | None
     flights: list[float]
-    begin: float
     impulses: tuple[float, float]
     after: tuple[float, float]
     loss: Loss | None
 
 
 def sizes(found: Understood) -> Sizes:
-    """The sizes of all records together, by their medians."""
-    records = found.records
-    events = [r.events[0] for r in records]
-    specific = [r if "N" in r.readings else _specific(r) for r in records]
-    has = [r for r in specific if "N" in r.readings]
+    """The sizes of all records together."""
+    records, events = found.records, [r.events[0] for r in found.records]
+    has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s for r in records if (s := r.speeds()) is not None and s[0] > 0]
-    mass = None
-    force = all("N" in r.readings for r in records)
-    if force and speeds:
-        changes = [(r.impulse(), s[0] - s[1]) for r in records if (s := r.speeds()) is not None and s[0] > s[1]]
-        mass = float(np.median([j / c for j, c in changes])) if changes else None
-    elif force and all("m/s^2" in r.readings for r in records):
-        pairs = [(r.readings["N"] - r.rest("N"), -(r.readings["m/s^2"] - r.rest("m/s^2"))) for r in records]
-        f, a = (np.nan_to_num(np.concatenate(x)) for x in zip(*pairs, strict=True))
-        mass = float(f @ a / (a @ a)) if a @ a > 0 else None
-    longest = max(records, key=lambda r: len(r.events))
+    longest = max(records, key=lambda r: len(r.events)).events
     pushed = [r.impulse() for r in has]
     flown = [float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]
+
+    def middle(values: list[float]) -> float:
+        return float(np.median(values)) if values else float("nan")
+
+    def ends(values: list[float]) -> tuple[float, float]:
+        return min(values, default=np.nan), max(values, default=np.nan)
+
     return Sizes(
-        peak=float(np.median([r.events[0].peak if "N" in r.readings else np.nan for r in has]))
-        if has
-        else float("nan"),
-        impulse=float(np.median([r.impulse() for r in has])) if has else float("nan"),
-        duration=float(np.median([e.duration for e in events])),
+        peak=middle([r.events[0].peak for r in has]),
+        impulse=middle(pushed),
+        duration=middle([e.duration for e in events]),
         samples=int(np.median([e.last - e.first + 1 for e in events])),
-        step=float(np.median([e.step for e in events])),
-        contacts=len(longest.events),
-        speed=(min(s[0] for s in speeds), max(s[0] for s in speeds)) if speeds else None,
-        restitution=float(np.median([-s[1] / s[0] for s in speeds])) if speeds else None,
-        mass=mass,
-        flights=[float(b.begin - a.end) for a, b in zip(longest.events, longest.events[1:], strict=False)],
-        begin=float(longest.events[0].begin),
-        impulses=(min(pushed, default=np.nan), max(pushed, default=np.nan)),
-        after=(min(flown, default=np.nan), max(flown, default=np.nan)),
-        loss=loss(longest.events),
+        step=middle([e.step for e in events]),
+        contacts=len(longest),
+        speed=ends([s[0] for s in speeds]) if speeds else None,
+        mass=_mass(records, bool(speeds)),
+        flights=[float(b.begin - a.end) for a, b in pairwise(longest)],
+        impulses=ends(pushed),
+        after=ends(flown),
+        loss=loss(longest),
     )
+
+
+def _mass(records: list[Record], moving: bool) -> float | None:
+    """Mass by the force: of impulses over changes of speed, or of the acceleration; None where neither is read."""
+    if not all("N" in r.readings for r in records):
+        return None
+    if moving:
+        changes = [(r.impulse(), s[0] - s[1]) for r in records if (s := r.speeds()) is not None and s[0] > s[1]]
+        return float(np.median([j / c for j, c in changes])) if changes else None
+    if not all("m/s^2" in r.readings for r in records):
+        return None
+    pairs = [(r.readings["N"] - r.rest("N"), -(r.readings["m/s^2"] - r.rest("m/s^2"))) for r in records]
+    f, a = (np.nan_to_num(np.concatenate(x)) for x in zip(*pairs, strict=True))
+    return float(f @ a / (a @ a)) if a @ a > 0 else None
 
 
 def _specific(record: Record) -> Record:
     """A record of an acceleration as one of a force per mass."""
-    if "m/s^2" not in record.readings:
+    if "N" in record.readings or "m/s^2" not in record.readings:
         return record
     return replace(record, readings={**record.readings, "N": -record.readings["m/s^2"]})

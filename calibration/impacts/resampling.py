@@ -6,7 +6,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import format_si
-from calibration.data.events import Event
+from calibration.impacts.events import Event
 
 # A contact of more than so many samples is averaged down to at least as many, where the record has more than so many.
 _ENOUGH, _MANY = 250, 3000
@@ -28,9 +28,7 @@ def thinned(
     mean does to a contact of _ENOUGH samples is below 1e-5 of its peak. Far from contacts whole blocks are left out.
 
     Args:
-        clock: (N,) [s].
         channels: (N,) each, NaN where nothing was measured.
-        events: contacts in it.
         averaged: whether means are taken; else every m-th sample, for noise that remembers itself.
 
     Returns:
@@ -74,8 +72,6 @@ def resampled(
         clock: (N,) [s].
         jumps: rows after which it jumps.
         channels: (N,) each, NaN where nothing was measured.
-        rate: wanted [Hz].
-        where: the experiment, for messages.
 
     Returns:
         Times (T,), channels (T,) each, and notes.

@@ -24,9 +24,9 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from calibration.data.events import Event, contacts, quantity, telling
-from calibration.data.preparation import Prepared
 from calibration.filters import Filter
+from calibration.impacts.events import Event, contacts, quantity, telling
+from calibration.impacts.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
 
 # Bounds of the clock about the first contact: shares of a contact's duration before and after, by what is read.
@@ -54,7 +54,6 @@ class Sensor:
     """What was freed of the sensors of all records.
 
     Attributes:
-        names: of the nuisances that are free within proposed bounds.
         bounds: of each by the place of its record.
         notes: of each record, in words, likewise.
     """
@@ -92,9 +91,6 @@ def proposed(
     """Bounds of one nuisance from one record, or why there are none.
 
     Args:
-        name: of the nuisance.
-        record: as prepared.
-        scene, params: of the record, SI.
         free: what else is searched, with its bounds.
         passed: the filter between sensor and record.
     """

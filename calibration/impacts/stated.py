@@ -40,9 +40,6 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
 
     Args:
         stated: a number, SI, a text, or a table of these by channel.
-        observes: the channel.
-        values: (T,) its readings, SI.
-        where: place, for messages.
 
     Raises:
         InputError: for what states no noise above 0, or not this channel's.

@@ -12,9 +12,9 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, format_si, scale_of
-from calibration.data.events import contacts
-from calibration.data.preparation import Prepared
 from calibration.data.table import Table
+from calibration.impacts.events import contacts
+from calibration.impacts.preparation import Prepared
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.

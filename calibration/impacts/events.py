@@ -100,8 +100,6 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
     """Every contact that a channel (T,) shows, in order; of a velocity or a position the first.
 
     Args:
-        observes: the reading.
-        times: (T,) [s].
         values: (T,), NaN where nothing was read.
     """
     seen = np.flatnonzero(np.isfinite(values))

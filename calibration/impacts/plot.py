@@ -10,20 +10,15 @@ import numpy as np
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.inspection import TOUCHING
-from calibration.data.preparation import Prepared
+from calibration.impacts.inspection import TOUCHING
+from calibration.impacts.preparation import Prepared
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 def data(records: list[Prepared], path: Path) -> Picture | None:
-    """Every channel of every record on a panel of its own; no picture of none.
-
-    Args:
-        records: as ``problemfile.prepared`` gives them.
-        path: of the PNG.
-    """
+    """Every channel of every record on a panel of its own; no picture of none."""
     shown = [(record, observes) for record in records for observes in record.readings]
     if not shown:
         return None

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import format_si
-from calibration.data.events import Event
+from calibration.impacts.events import Event
 
 # Flights from which on a loss can be told to grow with the speed or not; a loss within so many deviations is none.
 _FEWEST, _SEEN = 4, 3.0
@@ -82,9 +82,6 @@ def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c:
     """Why a law loses energy with the speed otherwise than a drop's flights do; "" where it does not, or nothing is known.
 
     Args:
-        name: of the record.
-        events: its contacts.
-        law: of the contact.
         c: coefficients to be expected, and ``mass``.
     """
     seen = loss(events)

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration.data.events import contacts, rest
+from calibration.impacts.events import contacts, rest
 from calibration.problem import Observation
 
 # Samples about a contact that belong to it, as a share of its duration; and the fewest in it.
@@ -44,7 +44,6 @@ def observations(
     The record must begin before the first contact of the run. A contact that its end cuts is left out.
 
     Args:
-        observes: the reading, ``<contact>.normal``.
         times, values: (T,) [s], [N]; NaN where nothing was read.
         sigma: deviation of the noise [N]; None: that of the samples apart from contacts.
         relative: part of it that grows with the reading.

@@ -15,8 +15,9 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.events import alone, contacts, quantity, rest, rise, steady, telling, turning
-from calibration.data.inspection import (
+from calibration.data.table import Table
+from calibration.impacts.events import alone, contacts, quantity, rest, rise, steady, telling, turning
+from calibration.impacts.inspection import (
     TOUCHING,
     channel_notes,
     check_channel,
@@ -25,8 +26,7 @@ from calibration.data.inspection import (
     clock_note,
     jumps,
 )
-from calibration.data.resampling import resampled, thinned
-from calibration.data.table import Table
+from calibration.impacts.resampling import resampled, thinned
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,11 @@ class Prepared:
     """A record, and what was understood of it.
 
     Attributes:
-        name: of the experiment.
-        source: file and rows.
         clock: (N,) time of every row [s], aligned.
         gaps: pairs of times [s] between which nothing was sampled.
         times: (T,) of the samples kept [s].
         readings: by what each observes.
         first_contact: what alignment took from the clock [s], or None.
-        window: as asked [s].
-        notes: in words, for people.
         averaged: so many successive samples are one.
     """
 
@@ -96,12 +92,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     """One record out of its table.
 
     Args:
-        name: of the experiment.
-        part: its rows.
         time: header of the clock's column.
         observe: header of a column, "-" before it to flip its sign, by the reading it is of.
-        recipe: what to do.
-        where: the experiment in its problem file, for messages.
 
     Raises:
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
@@ -117,52 +109,42 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
     saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     wrong = {o: _wrong(o, values, clock) & ~saturated[o] for o, values in raw.items()}
     masked = {o: saturated[o] | wrong[o] for o in raw}
-    for observes, values in raw.items():
+    for o, values in raw.items():
         with faults:
-            zero = _zero(values, recipe)
-            check_channel(observes, values, masked[observes], zero, _place(part, observe[observes]))
+            check_channel(o, values, masked[o], _zero(values, recipe), _place(part, observe[o]))
     faults.refuse(part.name)
     first = next(iter(raw), "")
-    first_contact = (
-        _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
-    )
-    clock = clock - (first_contact or 0.0)
+    begun = _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
+    clock = clock - (begun or 0.0)
     breaks = jumps(clock)
-    notes = [clock_note(clock)]
-    if breaks.size:
-        longest = format_si(float(np.diff(clock).max()), "s", 3)
-        gaps = f"{breaks.size} gaps in time, the longest of" if breaks.size > 1 else "a gap in time of"
-        notes.append(f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}")
-    for observes, values in raw.items():
-        notes += channel_notes(observes, values, saturated[observes])
-        notes += _wrong_notes(observes, values[wrong[observes]], clock[wrong[observes]])
+    notes = [clock_note(clock), *_gap_notes(clock, breaks)]
+    for o, values in raw.items():
+        notes += channel_notes(o, values, saturated[o]) + _wrong_notes(o, values[wrong[o]], clock[wrong[o]])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
     if recipe.resample is not None:
         times, values, said = resampled(clock, breaks, values, recipe.resample, where)
         notes += said
-    keep = _inside(times, recipe.window, name, where)
+    keep, averaged = _inside(times, recipe.window, name, where), 1
     times, values = times[keep], {o: v[keep] for o, v in values.items()}
-    averaged = 1
     if recipe.thin and recipe.resample is None:
         events = next((e for o in telling(list(values)) if (e := contacts(o, times, values[o]))), [])
         times, values, averaged, said = thinned(times, values, events, recipe.thin == "mean")
         notes += said
-    for observes, kept in values.items():
-        if recipe.impact and observes.endswith(".normal"):
-            cut, place = recipe.window is not None, _place(part, observe[observes])
-            notes += [f"{observes}: {said}" for said in check_contact(times, kept, _zero(kept, recipe), cut, place)]
-    return Prepared(
-        name=name,
-        source=part.span,
-        clock=clock,
-        gaps=tuple((float(clock[k]), float(clock[k + 1])) for k in breaks),
-        times=times,
-        readings={o: Reading(raw[o], masked[o], values[o]) for o in raw},
-        first_contact=first_contact,
-        window=recipe.window,
-        notes=tuple(notes),
-        averaged=averaged,
-    )
+    for o, kept in values.items():
+        if recipe.impact and o.endswith(".normal"):
+            cut, place = recipe.window is not None, _place(part, observe[o])
+            notes += [f"{o}: {said}" for said in check_contact(times, kept, _zero(kept, recipe), cut, place)]
+    readings = {o: Reading(raw[o], masked[o], values[o]) for o in raw}
+    gaps = tuple((float(clock[k]), float(clock[k + 1])) for k in breaks)
+    return Prepared(name, part.span, clock, gaps, times, readings, begun, recipe.window, tuple(notes), averaged)
+
+
+def _gap_notes(clock: np.ndarray, breaks: np.ndarray) -> list[str]:
+    if not breaks.size:
+        return []
+    longest = format_si(float(np.diff(clock).max()), "s", 3)
+    gaps = f"{breaks.size} gaps in time, the longest of" if breaks.size > 1 else "a gap in time of"
+    return [f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}"]
 
 
 def _place(part: Table, header: str) -> str:

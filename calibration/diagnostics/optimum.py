@@ -1,0 +1,40 @@
+"""Where a fit ended: what its tests, its intervals and its diagnosis are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.residual_tests import Series
+from calibration.forward.model import Model
+from calibration.noise.noise_model import Estimate
+from calibration.problem import Experiment
+from calibration.search.refinement import End
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best end of a search.
+
+    Attributes:
+        model: with the weights of the noise as it was found, and its reference penetration.
+        end: unit-box point, white residuals and their Jacobian.
+        series: white residuals by record and channel.
+    """
+
+    model: Model
+    experiments: tuple[Experiment, ...]
+    end: End
+    noise: Estimate
+    spread: Spread
+    series: list[Series] = field(default_factory=list)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coordinates in results."""
+        return tuple(axis.label(self.experiments) for axis in self.model.coordinates)
+
+    @property
+    def samples(self) -> int:
+        """Readings and features that were fitted."""
+        return sum(e.samples for e in self.experiments)
