@@ -168,7 +168,8 @@ def text(result: Fit) -> str:
     lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
     if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
-    if result.reference:
+    # Of a fit that knows nothing but on a condition the line above has it.
+    if result.reference and (result.reference.ci95 or not result.conditional):
         lines += [
             "",
             f"force at {brief(result.reference.penetration, 'm')}: {_interval(result.reference, 'N')}"

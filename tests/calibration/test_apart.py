@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.signal import butter, sosfilt
 
 from bcfj_jax import scenes
 from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.command import as_json, text
 from calibration.data.events import contacts
 from calibration.data.flights import passages
-from calibration.selection.apart import _known, _passages, single_impacts
+from calibration.selection.apart import _known, _passages, rows, single_impacts, with_contacts_apart
 
 G, FINE = 9.80665, 2e-5
 
@@ -131,6 +133,46 @@ def test_the_contacts_become_impacts_that_lose_what_flights_say():
     )  # fmt: skip
     assert all("mass" not in e.fixed for e in single_impacts(stated, _passages(stated)).experiments)
     assert single_impacts(stated, _passages(stated)).params["mass"] == 0.16
+
+
+@pytest.mark.full
+def test_a_fit_that_knows_nothing_says_what_its_contacts_do(monkeypatch):
+    """Of a fit that failed, with that of its contacts."""
+    drop = Drop(cutoff=0.0, seed=3, power=1.5, loss=3e4, rate=4000.0)
+    problem = drop.problem(filter="none")
+    one = fit(single_impacts(problem, _passages(problem)), starts=4)
+    low, high = one.parameters["stiffness"].with_budget
+    assert one.verdict in ("identified", "adequate") and low < drop.stiffness < high
+    bare = {name: replace(one.parameters[name], ci95=None, intervals={}) for name in ("stiffness", "exponent")}
+    failed = replace(one, verdict="not_converged", parameters={**bare, "mass": bare["stiffness"]}, conditional=None)
+    monkeypatch.setattr("calibration.selection.apart.fitted", lambda *_: one)
+    found = with_contacts_apart(problem, failed)
+    assert found.verdict == "not_converged" and found.parameters == failed.parameters
+    given = found.conditional.parameters
+    assert given["stiffness"].ci95 == one.parameters["stiffness"].ci95 and not any("[" in name for name in given)
+    low, high = given["mass"].with_budget
+    assert low < drop.mass < high and given["mass"].headline == "flights"
+    printed = text(found)
+    assert "if bodies fall freely between contacts and each contact loses" in printed and "; exponent 1." in printed
+    assert [row[0] for row in rows(found)] == ["record", *["ball"] * 4]
+    assert len(as_json(found)["check"]["flights"]) == 4
+    # Where the contacts cannot be fitted the mass is still known; a fit that stands is left alone.
+    monkeypatch.setattr("calibration.selection.apart.fitted", lambda *_: None)
+    alone = with_contacts_apart(problem, failed).conditional
+    assert alone.condition == "bodies fall freely between contacts" and set(alone.parameters) == {"mass"}
+    stands = with_contacts_apart(problem, one)
+    assert stands.parameters == one.parameters and stands.conditional is None and rows(stands) == []
+
+
+@pytest.mark.slow
+def test_a_drop_behind_a_filter_with_another_loss_is_not_left_without_an_answer():
+    drop = Drop(seed=7)
+    problem = drop.problem()
+    found = with_contacts_apart(problem, fit(problem, starts=6))
+    assert found.verdict not in ("identified", "adequate") and "filter" in " ".join(found.reasons)
+    for name, true in {"mass": drop.mass, "stiffness": drop.stiffness, "exponent": drop.exponent}.items():
+        low, high = found.conditional.parameters[name].with_budget
+        assert low < true < high
 
 
 SEEN = [
