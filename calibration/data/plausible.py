@@ -78,7 +78,7 @@ def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> tuple[
         "speed, a unit or the gain is wrong; where both bodies are free, give mass and struck_mass, or their effective mass "
         f"m1 m2/(m1 + m2): impulse and speed imply {format_si(least, 'kg', 2)} to {format_si(most, 'kg', 2)}"
     )
-    return text, least, most
+    return text, float(least), float(most)
 
 
 def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:
@@ -97,7 +97,7 @@ def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:
         "each = true in [free.approach_speed]"
     )
     least, most = min(a for a, _ in ends) / (_MOST + _MARGIN), max(b for _, b in ends) / (_LEAST - _MARGIN)
-    return text, max(least, _FAINT * most), most
+    return text, float(max(least, _FAINT * most)), float(most)
 
 
 def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: float) -> str:
