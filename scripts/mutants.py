@@ -28,7 +28,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parent.parent
 _UNCERTAINTY = ("law_miss", "systematic", "estimates", "unstated_filter", "noise", "profile", "posterior", "filters")
 # Those whose files end within twenty seconds: the others compile for minutes.
-_SOLVE = ("crossings", "program", "bdf")
+_SOLVE = ("crossings", "program", "bdf", "steps")
 # Sources and tests of each folder.
 FOLDERS = {
     "contact": (("bcfj_jax/contact",), ("tests/contact/test_[fgls]*.py", "tests/contact/test_re[gs]*.py")),
