@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import diffrax as dfx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import bcfj_jax as bj
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Proximity
 from bcfj_jax.mechanism.structure import Dense
-from bcfj_jax.solve import integrate, landing, seeking
+from bcfj_jax.solve import crossings, integrate, landing, seeking
 from bcfj_jax.solve.crossings import Watch
 from bcfj_jax.solve.landing import Landing, Look
 from bcfj_jax.solve.plan import plan
@@ -103,6 +104,20 @@ def test_the_shortest_step_is_a_share_of_the_run():
         float(integrate.problem(scene, params, jnp.asarray(t), how, False).shortest_step) for t in (2.0, 1e5)
     )
     assert second == pytest.approx(5e4 * first, rel=1e-12) and 0.0 < first < 1e-15
+
+
+def test_a_derivative_by_a_coefficient_alone_has_a_row_of_states():
+    """Traced, not run: of a start that the coefficient does not move."""
+    scene = bj.scenes.impact()
+    params, times = scene.parameters(), jnp.linspace(0.0, 1e-3, 7)
+    model = scene.suited(params, 1e-3, "bdf")
+    how = plan(model, solver="bdf")
+
+    def states(stiffness):
+        return crossings.solved(model, {**params, "stiffness": stiffness}, times, how, 2)[0].states
+
+    value, tangent = jax.eval_shape(lambda k: jax.jvp(states, (k,), (jnp.ones(()),)), params["stiffness"])
+    assert value.shape == tangent.shape == (7, model.initial_state(params).size)
 
 
 def test_the_interpolant_of_sdirk_has_the_slopes_of_both_ends():
