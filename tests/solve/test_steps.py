@@ -60,6 +60,7 @@ def test_a_force_is_greatest_at_the_start_from_when_on_it_is_sought(since, monke
     control = Landing(inner, jnp.asarray(1e-9), 2, 3, jnp.asarray(since))
     first, kept = control.init(None, jnp.asarray(0.0), 1.0, jnp.zeros(5), None, (None, None), None, None)
     expected = np.array([[5.0, -3.0], [-5.0, 3.0]]) if since == 0.0 else np.full((2, 2), -np.inf)
+    assert kept.tops is not None
     np.testing.assert_array_equal(kept.tops.size, expected)
     assert first == 0.1 and kept.tops.state.shape == (2, 2, 3)
 
@@ -97,13 +98,16 @@ def test_a_state_that_the_slopes_do_not_lead_to_is_refused(begin, good, monkeypa
     assert bool(np.all(np.isfinite(error))) is good
 
 
-def test_the_shortest_step_is_a_share_of_the_run():
+def test_the_shortest_step_is_a_share_of_the_run_and_not_of_its_first_step():
     scene = bj.scenes.impact()
-    params, how = scene.parameters(), plan(scene)
-    first, second = (
-        float(integrate.problem(scene, params, jnp.asarray(t), how, False).shortest_step) for t in (2.0, 1e5)
-    )
-    assert second == pytest.approx(5e4 * first, rel=1e-12) and 0.0 < first < 1e-15
+    how, end = plan(scene), jnp.asarray(2.0)
+    soft, hard = (
+        integrate.problem(scene, scene.parameters({"stiffness": k}), end, how, False) for k in (1e4, 1e12)
+    )  # fmt: skip
+    assert float(soft.first_step) > 2.0 * float(hard.first_step)
+    assert float(soft.shortest_step) == float(hard.shortest_step) < 1e-15
+    longer = integrate.problem(scene, scene.parameters(), 10.0 * end, how, False)
+    assert float(longer.shortest_step) == pytest.approx(10.0 * float(soft.shortest_step), rel=1e-12)
 
 
 def test_a_derivative_by_a_coefficient_alone_has_a_row_of_states():
