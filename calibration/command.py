@@ -29,7 +29,7 @@ from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
 from calibration.report.diagnosis import sections
 from calibration.search.starts import Interrupted
-from calibration.selection import agreement, choice, diagnosis
+from calibration.selection import agreement, apart, choice, diagnosis
 from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
@@ -52,6 +52,7 @@ MEANING = {
     "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",
     unstated_filter.KIND: "a filter that nobody stated",
+    apart.KIND: "contacts differ: no law",
     NEXT_RUN: "the estimate of one more run by itself",
 }
 _BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"
@@ -187,7 +188,9 @@ def text(result: Fit) -> str:
     lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
     if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
-    if force := result.reference:
+    force = result.reference
+    # Of a fit that knows nothing but on a condition the line above has it.
+    if force and (force.ci95 or not result.conditional):
         wider = f", with the errors below {_ends(force.with_budget, 'N')}" if force.with_budget else ""
         where = "the power law where the data are; the stiffness is derived from it"
         lines += [
@@ -212,11 +215,11 @@ def _on_condition(result: Fit) -> list[str]:
     found = result.conditional
     if found is None:
         return []
-    shared, force = _shared(result), found.reference
+    told, force = {*_shared(result), *(found.parameters.keys() - result.parameters.keys())}, found.reference
     known = [
         f"{name} {_interval(p.value, p.ci95, p.unit)}"
         for name, p in found.parameters.items()
-        if p.ci95 and name in shared
+        if p.ci95 and name in told
     ]
     if force and force.ci95:
         known.append(f"force at {brief(force.penetration, 'm')} {_interval(force.force, force.ci95, 'N')}")
@@ -252,7 +255,7 @@ def _budget_rows(result: Fit) -> list[list[str]]:
     """What each estimate moves by for every error, a share of itself, and for all together."""
     found = result.systematic
     assert found is not None
-    names = [*([REFERENCE] if REFERENCE in found.names else []), *_shared(result)]
+    names = [name for name in (REFERENCE, *_shared(result)) if name in found.names]
     rows = [
         [line.error, line.limit, *(_moved(line.moves[name], result, name) for name in names)] for line in found.lines
     ]
@@ -344,8 +347,9 @@ def _force(reference: Reference | None) -> dict[str, Any] | None:
 
 
 def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
-    """Tables of models and of candidates, with what is said of them."""
-    found = []
+    """Tables of contacts between flights, of models and of candidates, with what is said of them."""
+    seen = apart.rows(outcome.fit)
+    found = [(apart.HEADING, seen)] if seen else []
     if outcome.choice:
         found.append((f"Models: {'; '.join(outcome.choice.reasons)}", choice.table(outcome.choice)))
         if agreed := agreement.of_choice(outcome.choice):
@@ -361,7 +365,10 @@ def _diagnosed(outcome: Outcome, diagnose: bool, seed: int) -> diagnosis.Diagnos
     if diagnose:
         with stage("diagnosis"):
             return diagnosis.diagnose(outcome.problem, outcome.fit, seed)
-    return None if outcome.fit.law.answer == "consistent" else diagnosis.rank(outcome.problem, outcome.fit)
+    # A search that failed beside contacts, or values that the record contradicts, leave residuals that say nothing of it.
+    failed = outcome.fit.search.answer != "converged" and bool(apart.rows(outcome.fit))
+    failed = failed or (outcome.fit.conditional is not None and any(doubt.name for doubt in outcome.problem.doubts))
+    return None if failed or outcome.fit.law.answer == "consistent" else diagnosis.rank(outcome.problem, outcome.fit)
 
 
 def _write(done: _Done) -> None:

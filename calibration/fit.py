@@ -179,7 +179,8 @@ def _doubted(problem: Problem, found: Fit) -> Fit:
     text = "; ".join(doubt.text for doubt in problem.doubts)
     if not text or text in found.reasons:
         return found
-    return _refused(found, text, " and ".join(dict.fromkeys(doubt.condition for doubt in problem.doubts)))
+    conditions = [f"{d.name} is as it is given" if d.name else d.condition for d in problem.doubts]
+    return _refused(found, text, " and ".join(dict.fromkeys(conditions)))
 
 
 def with_budget(problem: Problem, found: Fit) -> Fit:

@@ -257,10 +257,18 @@ class Free:
 
 
 class Doubt(NamedTuple):
-    """Why values that were given may be wrong, in words, and on what condition an estimate holds: "if ``condition``"."""
+    """Why values that were given may be wrong, in words, and on what condition an estimate holds: "if ``condition``".
+
+    ``name``, ``lower``, ``upper`` [SI], ``each``: the parameter that is free if the doubt is right, as in ``Free``; then the
+    condition is that of a fit with it, ``selection.supposed``. "" for none: the condition is that the doubt is wrong.
+    """
 
     text: str
     condition: str
+    name: str = ""
+    lower: float = 0.0
+    upper: float = 0.0
+    each: bool = False
 
 
 @dataclass(frozen=True)

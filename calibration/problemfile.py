@@ -362,22 +362,33 @@ def _doubts(
         return ()
     if {"impact_angle", "struck_mass"} & free.keys() or "impact_angle" in names:
         return ()
-    found = []
+    found, masses, bodies = [], [], {}
+    speed = free.get("approach_speed")
     for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
         if record is None or part is None or entry.events:
             continue
         own = problem.params | e.fixed
         mass = plausible.effective(own["mass"], own.get("struck_mass"))
-        speed, known = free.get("approach_speed"), "mass" in e.tolerances
+        known = "mass" in e.tolerances
+        masses += [(record, mass)] if "approach_speed" not in e.fixed else []
         usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
         bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
-        if said := plausible.impulse(record, mass, bounds):
-            found.append(Doubt(said, "mass, speed and gain are right as they are given"))
+        said, least, most = plausible.impulse(record, mass, bounds)
+        if said:
+            # With one free body the mass that impulse and speed imply is its own.
+            right = "mass, speed and gain are right as they are given"
+            alone = _STRUCK not in own and not speed
+            found.append(Doubt(said, "speed and gain are right", "mass", least, most) if alone else Doubt(said, right))
             continue
         open_ = speed and not known and not entry.held and _STRUCK not in names
         open_ = open_ and set(entry.observe) == {"contact.normal"}
         if open_ and (said := plausible.other_body(record, part, entry.observe, mass)):
-            found.append(Doubt(said, "the struck body is fixed"))
+            bodies.setdefault(said, []).append(record.name)
+    found += [Doubt(f"{', '.join(n)}: {said}", "the struck body is fixed") for said, n in bodies.items()]
+    if speed and not speed.per_experiment:
+        said, least, most = plausible.speeds(masses)
+        own = "each record has a speed of its own"
+        found += [Doubt(said, own, "approach_speed", least, most, True)] if said else []
     return tuple(dict.fromkeys(found))
 
 

@@ -27,11 +27,13 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 _UNCERTAINTY = ("law_miss", "systematic", "estimates", "unstated_filter", "noise", "profile", "posterior", "filters")
+# Those whose files end within twenty seconds: the others compile for minutes.
+_SOLVE = ("crossings", "program", "bdf", "steps")
 # Sources and tests of each folder.
 FOLDERS = {
     "contact": (("bcfj_jax/contact",), ("tests/contact/test_[fgls]*.py", "tests/contact/test_re[gs]*.py")),
     "mechanism": (("bcfj_jax/mechanism",), ("tests/mechanism/test_[!a]*.py", "tests/models/test_mechanism_energy.py")),
-    "solve": (("bcfj_jax/solve",), ("tests/solve",)),
+    "solve": (("bcfj_jax/solve",), tuple(f"tests/solve/test_{name}.py" for name in _SOLVE)),
     "uncertainty": (
         ("calibration/uncertainty", "calibration/diagnostics/systematic.py"),
         tuple(f"tests/calibration/test_{name}.py" for name in _UNCERTAINTY),

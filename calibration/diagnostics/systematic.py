@@ -39,10 +39,12 @@ class _Error(NamedTuple):
     nuisance: str
 
 
+# Of itself.
+GAIN = 0.01
 # Its amplitude is 1/w^2.
 _RESONANCE = "resonance"
 _SENSOR = {
-    "gain": _Error("of itself", 0.01, "gain"),
+    "gain": _Error("of itself", GAIN, "gain"),
     "bend of the gain": _Error("of the peak, at the peak", 0.05, "gain_bend"),
     "lag": _Error("of a contact's duration", 0.1, "bandwidth"),
     _RESONANCE: _Error("of a contact's duration squared", 0.01, "resonance"),

@@ -24,6 +24,9 @@ _FEWEST, _SEEN = 4, 3.0
 _APART = 0.4
 # A contact by the law lasts no longer, in times in which the approach speed crosses the elastic penetration.
 _LONGEST = 30.0
+# Of a contact between two flights: samples beside it that show its rest, over so many durations, and the least that are
+# enough; its window in durations on either side; flights are longer than so many.
+_BESIDE, _ENOUGH, _AROUND, _APART_BY = 10.0, 4, 1.0, 4.0
 # What a law has to read, and no more, for its loss to be foretold.
 _READ = {"stiffness", "exponent", "damping"}
 
@@ -35,6 +38,63 @@ class Loss(NamedTuple):
     speeds: np.ndarray
     exponent: float
     deviation: float
+
+
+class Passage(NamedTuple):
+    """A contact between two flights: what is known of it without a law, SI.
+
+    Attributes:
+        begin: its first sample's time.
+        speed: before it, v = g t/2 of a flight of the length t.
+        kept: restitution, by the flights before and after.
+        impulse: of the force above its rest.
+        mass: impulse over change of speed: 2 J/(g (t_1 + t_2)), t from the middle of a contact to that of the next, which
+            holds the weight's impulse, too.
+        duration, peak: as it was read.
+        clock, force: (k,) its window, the clock from half a sample before ``begin`` on, the force above its rest.
+    """
+
+    begin: float
+    speed: float
+    kept: float
+    impulse: float
+    mass: float
+    duration: float
+    peak: float
+    clock: np.ndarray
+    force: np.ndarray
+
+
+def passages(clock: np.ndarray, force: np.ndarray, events: Sequence[Event], gravity: float = GRAVITY) -> list[Passage]:
+    """Every contact between two flights that are several times as long as it; the rest is a line through what is beside it.
+
+    No low-pass with a gain of 1 at rest changes speed, restitution, impulse and mass: it delays every contact alike.
+    """
+    seen = np.isfinite(force)
+    clock, force = clock[seen], force[seen]
+    found = []
+    for before, e, after in zip(events, events[1:], events[2:], strict=False):
+        around = _AROUND * e.duration
+        middles = [0.5 * (one.begin + one.end) for one in (before, e, after)]
+        first, second = np.diff(middles)
+        if min(first, second) < _APART_BY * e.duration:
+            continue
+        flying = (clock > before.end + 2.0 * around) & (clock < e.begin - around)
+        flying |= (clock > e.end + 2.0 * around) & (clock < after.begin - around)
+        beside = flying & (np.abs(clock - middles[1]) < _BESIDE * e.duration)
+        inside = (clock > e.begin - around) & (clock < e.end + around)
+        if min(np.count_nonzero(beside & (clock < e.begin)), np.count_nonzero(beside & (clock > e.end))) < _ENOUGH:
+            continue
+        own = clock - (e.begin - 0.5 * e.step)
+        read = force - np.polyval(np.polyfit(own[beside], force[beside], 1), own)
+        impulse = float(np.trapezoid(read[inside], own[inside]))
+        found.append(
+            Passage(
+                e.begin, 0.5 * gravity * (first - e.duration), (second - e.duration) / (first - e.duration), impulse,
+                2.0 * impulse / (gravity * (first + second)), e.duration, float(read[inside].max()), own[inside], read[inside],
+            )
+        )  # fmt: skip
+    return found
 
 
 def loss(events: Sequence[Event]) -> Loss | None:

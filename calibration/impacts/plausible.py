@@ -6,7 +6,7 @@ law: J/(m v) lies between 1 and 2. Where both bodies are free, m is their effect
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from calibration.noise.scatter import scatter
 _LEAST, _MOST, _MARGIN, _LEVEL = 1.0, 2.0, 0.03, 0.01
 # A mass is that of a column of accelerations to this share; a force explains such a column from this correlation on.
 _SAME, _ALIKE = 0.25, 0.7
+# The least mass or speed that is searched where noise hides the impulse, over the largest.
+_FAINT = 1e-3
+# Impulses over mass that differ by more than this ratio, beyond their doubts, are of several speeds.
+_ONE_SPEED = 1.1
 
 
 def effective(mass: float, struck: float | None) -> float:
@@ -28,39 +32,72 @@ def effective(mass: float, struck: float | None) -> float:
     return mass if struck is None else mass * struck / (mass + struck)
 
 
-def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> str:
-    """Why an impact's mass [kg] and the bounds of its speed [m/s] contradict its impulse; "" where they do not.
+def pushed(record: Prepared) -> tuple[float, float] | None:
+    """Impulse of the first contact [N s], and by how much it may be wrong.
 
-    Nothing is said of a record whose first contact is not whole, and of one that does not show the normal force alone.
+    None of a record whose first contact is not whole, and of one that does not show the normal force alone.
     """
     reading = record.readings.get("contact.normal")
-    if reading is None or not speed[0] > 0.0 or not mass > 0.0:
-        return ""
+    if reading is None:
+        return None
     seen = np.isfinite(reading.values)
     clock, values = record.times[seen], reading.values[seen]
     found = contacts("contact.normal", record.times, reading.values)
     if not found or clock.size < 8:
-        return ""
+        return None
     first = found[0]
     longer = max(0.25 * first.duration, 2.0 * first.step)
     end = first.end + longer if len(found) == 1 else min(first.end + longer, found[1].before)
     inside = (clock >= first.begin - longer) & (clock <= end)
     before = values[clock < first.begin - longer]
     if before.size < 4 or clock[-1] < end:
-        return ""
-    pushed = float(np.trapezoid(values[inside] - np.mean(before), clock[inside]))
+        return None
     noise = scatter(values)
     span = first.duration + 2.0 * longer
     doubt = 3.0 * noise * float(np.sqrt(span * first.step + span**2 / before.size)) + _LEVEL * first.peak * span
-    low, high = (pushed - doubt) / (mass * speed[1]), (pushed + doubt) / (mass * speed[0])
+    return float(np.trapezoid(values[inside] - np.mean(before), clock[inside])), doubt
+
+
+def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> tuple[str, float, float]:
+    """Why an impact's mass [kg] and the bounds of its speed [m/s] contradict its impulse; "" where they do not.
+
+    Behind it the effective mass that the impulse and the speed leave, from least to most [kg].
+    """
+    seen = pushed(record)
+    if seen is None or not speed[0] > 0.0 or not mass > 0.0:
+        return "", 0.0, 0.0
+    push, doubt = seen
+    low, high = (push - doubt) / (mass * speed[1]), (push + doubt) / (mass * speed[0])
     if high > _LEAST - _MARGIN and low < _MOST + _MARGIN:
-        return ""
-    ratio = pushed / (mass * float(np.sqrt(speed[0] * speed[1])))
-    return (
+        return "", 0.0, 0.0
+    ratio = push / (mass * float(np.sqrt(speed[0] * speed[1])))
+    most = mass * high / (_LEAST - _MARGIN)
+    least = max(mass * low / (_MOST + _MARGIN), _FAINT * most)
+    text = (
         f"{record.name}: impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass ({format_si(mass, 'kg', 3)}), "
         "speed, a unit or the gain is wrong; where both bodies are free, give mass and struck_mass, or their effective mass "
-        "m1 m2/(m1 + m2)"
+        f"m1 m2/(m1 + m2): impulse and speed imply {format_si(least, 'kg', 2)} to {format_si(most, 'kg', 2)}"
     )
+    return text, float(least), float(most)
+
+
+def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:
+    """Why impacts of masses [kg] cannot have one speed: of one law they would have one impulse over mass; "" where they may.
+
+    Behind it the speeds that the impulses leave, from least to most [m/s].
+    """
+    found = [(record.name, mass, push) for record, mass in seen if mass > 0.0 and (push := pushed(record))]
+    ends = [((push - doubt) / mass, (push + doubt) / mass) for _, mass, (push, doubt) in found]
+    low, high = max((a for a, _ in ends), default=0.0), min((b for _, b in ends), default=0.0)
+    if len(ends) < 2 or not low > _ONE_SPEED * high or not high > 0.0:
+        return "", 0.0, 0.0
+    shown = ", ".join(f"{name} {format_si(push / mass, 'm/s', 3)}" for name, mass, (push, _) in found)
+    text = (
+        f"impulse / mass is {shown}, and of one approach_speed it would be one number: give each record its own, "
+        "each = true in [free.approach_speed]"
+    )
+    least, most = min(a for a, _ in ends) / (_MOST + _MARGIN), max(b for _, b in ends) / (_LEAST - _MARGIN)
+    return text, float(max(least, _FAINT * most)), float(most)
 
 
 def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: float) -> str:
@@ -91,9 +128,10 @@ def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: 
         ends = sorted((abs(product) / square, size / abs(product)))
         if ends[0] * (1.0 - _SAME) <= mass <= ends[1] * (1.0 + _SAME):
             return (
-                f"{record.name}: the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the "
+                f"the mass given, {format_si(mass, 'kg', 3)}, is force over '{header}', the mass of the "
                 "body with that sensor, and forces alone do not show whether the other body is free: then the contact feels "
-                "m1 m2/(m1 + m2), and the stiffness is wrong by a power of it. Give mass and struck_mass (the mass of the "
+                "m1 m2/(m1 + m2): the stiffness goes as its power n, the exponent, the damping as it, speeds as its inverse. "
+                "Give mass and struck_mass (the mass of the "
                 'body that is struck, or "fixed"), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
             )
     return ""

@@ -32,8 +32,10 @@ from bcfj_jax.mechanism.channels import unit_of
 from calibration.fit import Fit, fit, with_budget
 from calibration.problem import NUISANCES, Problem, nuisances, units_of
 from calibration.problemfile import FreeTable, free_of, options_of
+from calibration.selection.apart import with_contacts_apart
 from calibration.selection.choice import Choice, choose
 from calibration.selection.next_experiment import Candidate, Gain, next_experiment
+from calibration.selection.supposed import with_doubts_right
 
 
 class _Model(tables.Table):
@@ -91,6 +93,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
         chosen = next(r for r in rivals if r.name == choice.chosen)
         problem, base = chosen.problem, chosen.base
     found = with_budget(problem, choice.fit) if choice else fit(problem, **options)
+    found = with_doubts_right(problem, with_contacts_apart(problem, found), options.get("starts", 12))
     planned = candidates(path, problem)
     return Outcome(found, problem, base, choice, next_experiment(problem, found, planned) if planned else [])
 

@@ -122,13 +122,15 @@ class _Sampled:
             between[i, : count - 1], between[i, count - 1] = own, np.median(own)
         self.clocks = [times + between * k / self.parts for k in range(self.parts)]
         self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
+        # Asked some thousand times: which program each needs is found once.
+        self.evaluations = [evaluation(model) for model in self.models]
 
     def at(self, point: np.ndarray, passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N,) and their Jacobian (N, P); not finite where the simulation fails."""
         count, shape = point.size, self.weights.shape
         rows = []
-        for model in self.models:
-            found = evaluation(model)(point[None])
+        for evaluated in self.evaluations:
+            found = evaluated(point[None])
             size = int(np.prod(shape))
             both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
             rows.append(both.reshape(*shape, count + 1))

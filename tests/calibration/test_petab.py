@@ -92,7 +92,10 @@ def test_a_filter_and_what_is_known_of_values_come_back(tmp_path):
 
     told = experiment("run 1", fixed={"approach_speed": 0.7}, tolerances={"approach_speed": 0.014})
     more = {"filter": Filter("bessel", 3, True), "adequate": 0.02, "tolerances": {"mass": 0.01}, "loss": "linear"}
-    more |= {"doubts": (Doubt("the mass is wrong", "the mass is right"),), "experiments": (told, experiment("run 2"))}
+    more |= {
+        "doubts": (Doubt("the mass is wrong", "the mass is right"), Doubt("two", "so", "mass", 0.1, 0.2, True)),
+        "experiments": (told, experiment("run 2")),
+    }
     one = problem(**more, free=(*FREE, Free("cutoff", 100.0, 1e4)))
     path = export(one, BASE.resolved, tmp_path / "out")
     same(one, load(path))

@@ -24,6 +24,7 @@ from calibration.impacts.preparation import _first_contact as onset
 from calibration.noise.noise_model import _ratios as ratios
 from calibration.noise.scatter import scatter
 from calibration.problemfile import prepared
+from calibration.selection.supposed import STANDS, freed, with_doubts_right
 
 pytestmark = pytest.mark.filterwarnings("error")
 TRUTH = {"stiffness": 3e6, "exponent": 1.45, "damping": 0.22}
@@ -176,6 +177,75 @@ BLOCK = ",block acceleration [m/s^2]"
 def test_masses_that_the_impulse_or_another_sensor_contradicts_are_said(tmp_path, known, more, columns, said):
     doubts = written(tmp_path, known, more, columns).doubts
     assert bool(doubts) == bool(said) and all(said in doubt.text for doubt in doubts)
+
+
+def hits(folder: Path, speeds: tuple[float, ...], known: str, speed: str, struck: float = 3.5) -> Problem:
+    """A hammer of .3 kg at several speeds on a free block, by force and the block's acceleration."""
+    rng, rows = np.random.default_rng(5), []
+    for k, v in enumerate(speeds):
+        force, block = pair(CLOCK, 0.3, struck, v)
+        force = force + 0.004 * force.max() * rng.standard_normal(CLOCK.size)
+        block = block + 0.01 * block.max() * rng.standard_normal(CLOCK.size)
+        rows.append(np.stack([CLOCK, np.full(CLOCK.size, k + 1), force, block], axis=1))
+    header = "time [s],hit,force [N],block acceleration [m/s^2]"
+    np.savetxt(folder / "hits.csv", np.concatenate(rows), "%.9g", ",", header=header, comments="")
+    more = f"approach_speed = {speed}"
+    content = FILE.format(known=known, more=more if speed else "").replace("run.csv", "hits.csv")
+    (folder / "hits.toml").write_text(content)
+    return load(folder / "hits.toml")
+
+
+@pytest.mark.parametrize("speeds", [(1.0, 1.2), (0.4, 1.6, 0.9), (2.0, 2.02)])
+@pytest.mark.parametrize("struck", [3.5, 0.8])
+def test_records_of_several_speeds_cannot_share_one(tmp_path, speeds, struck):
+    mass = 'mass = "3.5 kg +- 1 %"'
+    shared = hits(tmp_path, speeds, mass, "[0.001, 9.0]", struck)
+    if max(speeds) < 1.1 * min(speeds):
+        assert not shared.doubts
+        return
+    (doubt,) = shared.doubts
+    assert "each = true" in doubt.text and doubt.name == "approach_speed" and doubt.each
+    # The speeds that the mass as it is given implies, between impulse over mass and half of it.
+    effective = 0.3 * struck / (0.3 + struck)
+    assert doubt.lower < effective * min(speeds) / 3.5 and max(speeds) * effective / 3.5 < doubt.upper
+    other = freed(shared, [doubt])
+    assert not other.doubts and {f.name: f.per_experiment for f in other.free}["approach_speed"]
+    assert not hits(tmp_path, speeds, mass, "{ lower = 0.001, upper = 9.0, each = true }", struck).doubts
+
+
+@pytest.mark.full
+def test_hits_of_several_speeds_by_the_mass_of_the_block_say_what_holds_on_which_condition(tmp_path):
+    """K goes as m^n and a as m, the exponent not at all: with those the right law follows from a wrong mass."""
+    problem = hits(tmp_path, (0.7, 1.5), 'mass = "3.5 kg"', "[0.001, 9.0]")
+    found = with_doubts_right(problem, fit(problem), 12)
+    assert found.verdict == "misfit" and all(p.ci95 is None for p in found.parameters.values())
+    assert found.conditional.condition == "each record has a speed of its own and the struck body is fixed"
+    given, ratio = found.conditional.parameters, 0.3 * 3.5 / 3.8 / 3.5
+    powers = {"stiffness": TRUTH["exponent"], "exponent": 0.0, "damping": 1.0}
+    for name, power in powers.items():
+        low, high = (end * ratio**power for end in given[name].with_budget)
+        assert low < TRUTH[name] < high and given[name].ci95[1] < 1.5 * given[name].ci95[0]
+    for k, v in enumerate((0.7, 1.5)):
+        low, high = (end / ratio for end in given[f"approach_speed[hit {k + 1}]"].with_budget)
+        assert low < v < high
+    assert "if each record has a speed of its own" in text(found) and "approach_speed[hit 2]" in text(found)
+
+
+@pytest.mark.full
+def test_a_mass_that_impulse_and_speed_contradict_is_what_they_imply_on_condition(tmp_path):
+    problem = hits(tmp_path, (1.5,), 'mass = "3.5 kg", approach_speed = "1.5 m/s"', "")
+    (doubt,) = problem.doubts
+    effective = 0.3 * 3.5 / 3.8
+    assert doubt.name == "mass" and doubt.lower < effective < doubt.upper < 2.5 * doubt.lower and "imply" in doubt.text
+    found = with_doubts_right(problem, fit(problem), 12)
+    assert found.verdict not in STANDS
+    assert found.conditional.condition == "speed and gain are right"
+    for name, true in {**TRUTH, "mass": effective}.items():
+        low, high = found.conditional.parameters[name].with_budget
+        assert low < true < high
+    assert "if speed and gain are right" in text(found) and "; mass " in text(found)
+    # Both masses given as they are, nothing is doubted.
+    assert not hits(tmp_path, (1.5,), 'mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "").doubts
 
 
 @pytest.mark.full

@@ -20,7 +20,17 @@ def pol(t, y, mu):
     return jnp.stack([y[1], mu * ((1 - y[0] ** 2) * y[1]) - y[0] + jnp.sin(3 * t)])
 
 
-def solved(function, start, value, tolerance, times, max_steps=100_000):
+class Idle(bdf.AbstractWatch):
+    """Looks at nothing; with a watch there are rates."""
+
+    def begin(self, start):
+        return ()
+
+    def after(self, seen, end, length, read):
+        return seen
+
+
+def solved(function, start, value, tolerance, times, max_steps=100_000, watch=None):
     """Rows (T, 1 + 1 + n, n): the state, then its tangents by the field's argument and by each start value."""
     n = start.size
 
@@ -29,7 +39,7 @@ def solved(function, start, value, tolerance, times, max_steps=100_000):
         rows = jnp.concatenate([start[None], jnp.zeros((1, n)), jnp.eye(n)])
         change = jnp.zeros(1 + n).at[0].set(1.0)
         posed = bdf.Posed(solver, value, change, rows, jnp.ones(n), 1e-6, 1e-15)
-        return bdf.solve(posed, jnp.asarray(times), bdf.Steps(max_steps))
+        return bdf.solve(posed, jnp.asarray(times), bdf.Steps(max_steps, watch=watch))
 
     return jax.jit(run)(jnp.asarray(tolerance), jnp.asarray(value))
 
@@ -70,11 +80,13 @@ def test_tangents_are_bounded_however_stiff():
         return -1e7 * (y - jnp.sin(p * t)) * (1.0 + 0.1 * y * y)
 
     times = np.linspace(0.1, 1.0, 7)
-    found = solved(follow, jnp.array([0.5]), 1.3, 1e-6, times)
+    found = solved(follow, jnp.array([0.5]), 1.3, 1e-6, times, watch=Idle())
     state, by_p, by_start = np.asarray(found.rows)[:, :, 0].T
     assert np.allclose(state, np.sin(1.3 * times), atol=1e-4)
     assert np.allclose(by_p, times * np.cos(1.3 * times), atol=1e-4)
     assert np.all(np.abs(by_start) < 1e-5)
+    # Of the state's polynomial, not of a tangent's.
+    assert np.allclose(np.asarray(found.rates)[:, 0], 1.3 * np.cos(1.3 * times), atol=1e-2)
     assert int(found.accepted) < 300
 
 
