@@ -2,7 +2,7 @@
 
 python examples/lab_drop.py    a 0.5 kg mass meets a pad at 1.1 m/s; scene `impact`, 1 % noise of a fixed seed
 
-The law that made it: stiffness 8e5 N/m^1.4, exponent 1.4, damping 0.12 s/m. docs/calibration.md finds it again.
+The law that made it: stiffness 8e5 N/m^1.4, exponent 1.4, damping 0.12 s/m. docs/howto/data_files.md finds it again.
 """
 
 from pathlib import Path

@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parent.parent
 OUTSIDE = (ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md")
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), *OUTSIDE])
 MECHANISMS = ROOT / "docs" / "mechanisms.md"
+OWN_PARTS = ROOT / "docs" / "howto" / "own_parts.md"
 
 
 class Block(NamedTuple):
@@ -165,7 +166,7 @@ def test_every_benchmark_is_in_the_index():
 def test_a_mechanism_is_short():
     python = next(b for b in blocks(MECHANISMS, "python") if "Mechanism(" in b.text)
     assert code_lines(python.text) <= 25
-    own = [b for b in blocks(MECHANISMS, "python") if b.file == "my_parts.py"]
+    own = [b for b in blocks(OWN_PARTS, "python") if b.file == "my_parts.py"]
     assert len(own) == 4
     assert all(code_lines(b.text) <= 15 for b in own)
 
@@ -175,7 +176,8 @@ def test_a_mechanism_is_short():
     [
         pytest.param(ROOT / "README.md", True, id="README.md"),
         pytest.param(MECHANISMS, False, id="mechanisms.md", marks=pytest.mark.full),
-        pytest.param(MECHANISMS, True, id="mechanisms.md, its fit and its study", marks=pytest.mark.slow),
+        pytest.param(OWN_PARTS, False, id="own_parts.md", marks=pytest.mark.full),
+        pytest.param(OWN_PARTS, True, id="own_parts.md, its fit and its study", marks=pytest.mark.slow),
     ],
 )
 def test_blocks_run(page, whole, folder):

@@ -1,7 +1,7 @@
 """Do 95 % intervals hold the truth 95 times in 100, and is the estimator as good as the Cramer-Rao bound?
 
     python -m benchmarks.calibration.coverage [CASE ...] [--replicates N] [--noise 0.01 0.02 0.05] [--workers 2]
-writes results/coverage.json and docs/calibration.md. Cases: impact, exact, quasistatic, dynamic; all by default.
+writes results/coverage.json and docs/fits_measured.md. Cases: impact, exact, quasistatic, dynamic; all by default.
 
 A replicate is a record with fresh noise, and a whole fit of it with its own starts. What is finished is kept in
 build/coverage/ and not done again, so a case may be run in pieces. ``impact`` and the joints' records are our own
@@ -277,7 +277,7 @@ def main() -> None:
     found = [summary(n, CASES[n], noise, rows) if rows else earlier.get((n, noise)) for n, noise, rows in done]
     cases = [case for case in found if case]
     save("coverage", {"what": "whole fits of records with fresh noise, as a share of each peak", "cases": cases})
-    put_in_readme("coverage", table(cases), "docs/calibration.md")
+    put_in_readme("coverage", table(cases), "docs/fits_measured.md")
     print(table(cases))
 
 

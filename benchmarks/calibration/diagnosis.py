@@ -181,7 +181,7 @@ def keep(found: list[dict[str, Any]], given: argparse.Namespace) -> None:
     quick, slow = ([f[key] for f in found if key in f] or [0.0] for key in ("rank_s", "diagnose_s"))
     said = f"The ranking by residuals takes {np.median(quick):.2g} s (median)"
     said += f", with fits and their compilation {np.median(slow):.2g} s." if max(slow) else "."
-    put_in_readme("diagnosis", f"{table(planted, clean)}\n\n{said}", "docs/calibration.md")
+    put_in_readme("diagnosis", f"{table(planted, clean)}\n\n{said}", "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ over three decades. Twice: by ``calibration.fit``, whose search for samples grow
 alone, on all data at once, from starts all over the bounds, where a spiky residual shows.
 
     python -m benchmarks.calibration.events_fit [--seeds 10] [--minutes 20]
-        keeps results/events_fit.json and the tables of docs/calibration.md
+        keeps results/events_fit.json and the tables of docs/fits_measured.md
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def main() -> None:
                 save("events_fit", {"records": rows, "least_squares": alone, "starts": STARTS})
     alone_text = f"Least squares alone, all data at once, {PLAIN} starts over the bounds; near the best:"
     text = f"{table(rows)}\n\n{alone_text}\n\n{plain_table(alone)}"
-    put_in_readme("events-fit", text, "docs/calibration.md")
+    put_in_readme("events-fit", text, "docs/fits_measured.md")
     print(text)
 
 

@@ -138,7 +138,7 @@ def main() -> None:
             flush=True,
         )
     save("hard_bounces", {"cases": rows})
-    put_in_readme("hard-bounces", table(rows), "docs/calibration.md")
+    put_in_readme("hard-bounces", table(rows), "docs/fits_measured.md")
     print(table(rows))
 
 

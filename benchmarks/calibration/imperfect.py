@@ -250,7 +250,7 @@ def main() -> None:
             strengths = {f"{w}|{m:g}": strength_of(w, m) for w in SINGLE for m in MAGNITUDES}
             save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths})
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
-    put_in_readme("imperfect", f"{table(cells)}\n\n{summary(cells)}", "docs/calibration.md")
+    put_in_readme("imperfect", f"{table(cells)}\n\n{summary(cells)}", "docs/fits_measured.md")
     print(table(cells), summary(cells), sep="\n\n")
 
 

@@ -1,6 +1,6 @@
 """A fit of 200 starts, cut off by Ctrl-C or kill -9 at random moments, gone on with, and compared with the uncut one.
 
-python -m benchmarks.calibration.interruptions [TIMES] [--starts N]    writes results/interruptions.json, docs/calibration.md
+python -m benchmarks.calibration.interruptions [TIMES] [--starts N]    writes results/interruptions.json, docs/fits_measured.md
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def main() -> None:
     good = sum(r["equal"] and r["nothing_lost"] and r["exit_after"] == code for r in rows)
     save("interruptions", {"starts": given.starts, "straight_s": seconds, "exit": code, "good": good, "cuts": rows})
     sentence = f"{good} of {len(rows)}: nothing that was finished is lost, and the result equals that of the uncut run."
-    put_in_readme("interruptions", sentence, "docs/calibration.md")
+    put_in_readme("interruptions", sentence, "docs/fits_measured.md")
     print(sentence)
 
 

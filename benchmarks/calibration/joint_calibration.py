@@ -6,7 +6,7 @@ data do not tell, and those are fixed, at a value that is wrong by a factor of 1
 all over their bounds.
 
     python -m benchmarks.calibration.joint_calibration [SEEDS] [--noise 0.02] [--starts 6] [--named damping]
-writes results/joint_calibration.json and docs/calibration.md. Walls are of this process on the cores it may use.
+writes results/joint_calibration.json and docs/fits_measured.md. Walls are of this process on the cores it may use.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def main() -> None:
     first = eight.get("wall_s", 0.0) - eight.get("compiling_s", 0.0)
     known = f"All eight free, in {first:.0f} s: {eight['verdict']}; not determined by the data: {', '.join(named) or 'none'}."
     known += f" That fixed at {WRONG} times the truth:\n\n{markdown(table)}"
-    put_in_readme("joint_calibration", known, "docs/calibration.md")
+    put_in_readme("joint_calibration", known, "docs/fits_measured.md")
     print(known)
 
 

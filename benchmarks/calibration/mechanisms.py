@@ -1,7 +1,7 @@
 """Coefficients of mechanisms from records that an independent SciPy code makes: are they found, and with honest intervals?
 
     python -m benchmarks.calibration.mechanisms [CASE ...] [--seeds 100] [--workers 2]
-writes results/identification.json and docs/calibration.md. Cases: friction, clearance; both by default.
+writes results/identification.json and docs/fits_measured.md. Cases: friction, clearance; both by default.
 
 | case | free | record, noise of 1 % of each history's peak |
 |---|---|---|
@@ -183,7 +183,7 @@ def main() -> None:
     save(
         "identification", {"what": "whole fits of SciPy's records with fresh noise of 1 % of each peak", "cases": cases}
     )
-    put_in_readme("identification", table(cases), "docs/calibration.md")
+    put_in_readme("identification", table(cases), "docs/fits_measured.md")
     print(table(cases))
 
 

@@ -165,7 +165,7 @@ def main() -> None:
         print(plan, {k: (v["false"], round(v["wall_s"], 2)) for k, v in rows[-1]["tools"].items()}, flush=True)
         save("peers", {"records": rows})
     text = f"{table(rows)}\n\n{len(rows)} records."
-    put_in_readme("peers", text, "docs/calibration.md")
+    put_in_readme("peers", text, "docs/fits_measured.md")
     print(text)
 
 

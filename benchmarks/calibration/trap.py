@@ -6,7 +6,7 @@ contacts are DOP853 to 1e-12 up to the event that ends them. The fit integrates 
 Seeds that were fitted before are taken from results/trap_seeds.csv, others are added to it: begin again without it.
 
 python -m benchmarks.calibration.trap [SEEDS] [--minutes M] [--workers N] [--contacts ...] [--source ...] [--peer SEEDS]
-    writes results/trap.json and the table in docs/calibration.md
+    writes results/trap.json and the table in docs/fits_measured.md
 """
 
 from __future__ import annotations
@@ -287,7 +287,7 @@ def main() -> None:
     save("trap", result)
     text = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
     text += f"\n\n{peer_table(result['mujoco_sysid'])}" if result["mujoco_sysid"] else ""
-    put_in_readme("trap", text, "docs/calibration.md")
+    put_in_readme("trap", text, "docs/fits_measured.md")
     print(text)
 
 

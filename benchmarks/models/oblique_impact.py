@@ -1,7 +1,7 @@
 """Does a sphere that strikes a plane at an angle rebound as measured? Tangential restitution and spin by angle.
 
     python -m benchmarks.models.oblique_impact
-writes results/oblique_impact.json, docs/images/kharaz.png and the table in docs/mechanisms.md.
+writes results/oblique_impact.json, docs/images/kharaz.png and the table in docs/oblique_impact.md.
 
 The scene ``oblique_impact`` with Coulomb friction and with LuGre, beside Kharaz, Gorham and Salman's measurements, the
 closed forms of the rigid sphere, and the independent integration with Mindlin's tangential stiffness.
@@ -115,7 +115,7 @@ def main() -> None:
         "models": {name: rows.tolist() for name, rows in curves.items()},
     }  # fmt: skip
     save("oblique_impact", found)
-    put_in_readme("kharaz", table(found), "docs/mechanisms.md")
+    put_in_readme("kharaz", table(found), "docs/oblique_impact.md")
     drawn(curves, ROOT / "docs" / "images" / "kharaz.png")
     print(table(found))
 

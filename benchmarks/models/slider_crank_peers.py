@@ -519,7 +519,7 @@ def publish() -> None:
         ("slider_crank_peers", "slider_crank_batch"), tables(load("slider_crank_peers")), strict=True
     ):
         print(table)
-        put_in_readme(name, table, "docs/mechanisms.md")
+        put_in_readme(name, table, "docs/speed.md")
 
 
 def main() -> None:

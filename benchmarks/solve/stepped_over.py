@@ -9,7 +9,7 @@ its step differs from it by more than a tenth of the limit, the draw is not judg
 
     python -m benchmarks.solve.stepped_over [--draws N] [--only FAMILY ...] [--solvers NAME ...]   stepped_over.json
     python -m benchmarks.solve.stepped_over --before --solvers tsit5 rodas3     without looks: stepped_over_before.json
-    python -m benchmarks.solve.stepped_over page      writes the table into docs/mechanisms.md
+    python -m benchmarks.solve.stepped_over page      writes the table into docs/theory/steps.md
 """
 
 from __future__ import annotations
@@ -476,7 +476,7 @@ def main() -> None:
     options = parser.parse_args()
     name = options.name or ("stepped_over_before" if options.before else "stepped_over")
     if options.what == "page":
-        put_in_readme("stepped_over", table(), "docs/mechanisms.md")
+        put_in_readme("stepped_over", table(), "docs/theory/steps.md")
         return
     # Runs of several calls add up in one file.
     path = RESULTS / f"{name}.json"

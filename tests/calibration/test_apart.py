@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from calibration.data.events import contacts
-from calibration.data.flights import passages
+from calibration.impacts.events import contacts
+from calibration.impacts.flights import passages
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
 

@@ -87,7 +87,7 @@ def test_the_bound_is_that_of_scipys_own_derivatives():
 
 
 def test_the_pages_table_is_that_of_the_kept_result():
-    assert mechanisms.table(load_result("identification")["cases"]) in (ROOT / "docs" / "calibration.md").read_text()
+    assert mechanisms.table(load_result("identification")["cases"]) in (ROOT / "docs" / "fits_measured.md").read_text()
 
 
 def written(problem: Problem, text: str = FILE) -> Path:

@@ -134,4 +134,4 @@ def test_measured_restitution_where_the_sphere_slides():
 
 
 def test_the_pages_table_beside_measurements_is_that_of_the_kept_result():
-    assert benchmark.table(load("oblique_impact")) in (ROOT / "docs" / "mechanisms.md").read_text()
+    assert benchmark.table(load("oblique_impact")) in (ROOT / "docs" / "oblique_impact.md").read_text()
