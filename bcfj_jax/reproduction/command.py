@@ -17,9 +17,8 @@ from bcfj_jax.models.joint.model import joint_of_keys
 from bcfj_jax.models.joint.scene import PLAIN, Joint
 from bcfj_jax.reproduction import frames, pictures, sudden, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE
-from bcfj_jax.reproduction.fit import ERROR, PeakFit, fit, targets
+from bcfj_jax.reproduction.fit import ERROR, TARGETS, PeakFit, fit, targets
 from bcfj_jax.reproduction.measures import Inequality, Measured, inequalities, measure, residuals
-from bcfj_jax.reproduction.peaks import TARGETS
 from bcfj_jax.reproduction.record import ACCURACY, END, STEP, Record, record
 from bcfj_jax.solve.simulation import Run
 

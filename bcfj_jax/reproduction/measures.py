@@ -120,7 +120,7 @@ def _peaks(run: Run) -> dict[str, Measured]:
 
 
 def six(run: Run, every: int = 1) -> np.ndarray:
-    """The six peaks of a run in the order of ``peaks.TARGETS``, of every so many samples [N]."""
+    """The six peaks of a run in the order of ``fit.TARGETS``, of every so many samples [N]."""
     force = {name: values[::every] for name, values in run.force.items()}
     window = force["cage_ball"][..., 0]
     grooves = [np.max(resultant(force[name])) for name in ("seat_ball", "head_ball")]

@@ -49,7 +49,7 @@ def scene() -> Joint:
 
 
 def start(found: Record) -> dict[float, np.ndarray]:
-    """Six peaks of a start [N], in the order of ``peaks.TARGETS``, by how finely they are read [s]."""
+    """Six peaks of a start [N], in the order of ``fit.TARGETS``, by how finely they are read [s]."""
     early = found.fine.times < START[0] - 0.5 * START[1]
     cut = {name: values[early] for name, values in found.fine.force.items()}
     run = found.fine._replace(times=found.fine.times[early], force=cut)

@@ -11,10 +11,9 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.defaults import DEFAULTS
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, Claim
-from bcfj_jax.reproduction.fit import ERROR, KNOWN, UNKNOWNS, PeakFit, combination, targets
+from bcfj_jax.reproduction.fit import ERROR, KNOWN, TARGETS, UNKNOWNS, PeakFit, combination, targets
 from bcfj_jax.reproduction.frames import FRAMED, FRAMES
 from bcfj_jax.reproduction.measures import Inequality, Measured, onset_remark
-from bcfj_jax.reproduction.peaks import TARGETS
 
 VARIANTS = ("as given", "sudden start", "calibrated")
 HEAD = ["id", "quantity", "paper", *VARIANTS, "verdict", "read in", "picture", "remark"]

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from bcfj_jax.cli import app
 from bcfj_jax.reproduction import command, fit, frames, sudden, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, STATEMENT, claim
+from bcfj_jax.reproduction.fit import TARGETS, instants, peaks, still_scene, tied
 from bcfj_jax.reproduction.measures import Measured, inequalities, measure
-from bcfj_jax.reproduction.peaks import TARGETS, instants, peaks, still_scene, tied
 from bcfj_jax.reproduction.record import Balance, Record, Turns, record
 from bcfj_jax.solve.simulation import Run
 
