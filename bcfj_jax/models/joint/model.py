@@ -52,7 +52,6 @@ from bcfj_jax.models.joint.checks import check_joint, suspects
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
-from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
 from bcfj_jax.models.joint.options import (
@@ -70,7 +69,7 @@ from bcfj_jax.models.joint.options import (
 from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import scales, tolerance
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, GUIDES, OF_A_BALL, Joint
 from bcfj_jax.models.joint.start import nominal
 
 # What the levels without inertia leave out.
