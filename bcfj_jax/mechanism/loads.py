@@ -76,6 +76,7 @@ class AbstractLoad(eqx.Module):
 
     Attributes:
         name: unique; its numbers are ``<name>.<key>``.
+        timeless: whether it knows no time.
     """
 
     example: ClassVar[str] = """
@@ -85,6 +86,7 @@ class Pull(bj.loads.AbstractLoad):
     def actions(self, t, bodies, p):
         return [bj.loads.Action("mass", force=(-10.0, 0.0, 0.0))]
 """
+    timeless: ClassVar[bool] = False
     name: eqx.AbstractVar[str]
 
     def __new__(cls, *args: Any, **more: Any) -> Any:
@@ -108,7 +110,7 @@ class Pull(bj.loads.AbstractLoad):
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """Times [s] at which steps have to end, since the load bends there; None: looks at it find them."""
         del p
-        return None
+        return [] if self.timeless else None
 
     @property
     def touches(self) -> tuple[str, ...]:
@@ -124,6 +126,7 @@ class Pull(bj.loads.AbstractLoad):
 class Gravity(AbstractLoad):
     """Weight of every body, m g; g is the shared parameter ``gravity`` [m/s^2]."""
 
+    timeless: ClassVar[bool] = True
     direction: Any = sizes.field("gravity direction", default="-y")
     name: str = eqx.field(static=True, default="gravity")
 
@@ -138,11 +141,6 @@ class Gravity(AbstractLoad):
             at = (dot(axes[0], arm), dot(axes[1], arm), dot(axes[2], arm))
             found.append(Action(body, scale(times(mass, p["gravity"]), way), at))
         return found
-
-    def kinks(self, p: Params) -> list[ArrayLike]:
-        """None: it knows no time."""
-        del p
-        return []
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
         """``gravity``."""
@@ -233,7 +231,38 @@ class Torque(Force):
         return [Action(self.body, torque=torque), Action(self.against, torque=negative(torque))]
 
 
-class Spring(AbstractLoad):
+class _BetweenPoints(AbstractLoad):
+    """A load between points of two bodies; ``units``: of its sizes, by name."""
+
+    timeless: ClassVar[bool] = True
+    units: ClassVar[Mapping[str, str]]
+    between: eqx.AbstractVar[tuple[str, str]]
+    at: eqx.AbstractVar[tuple[Place, Place]]
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """Both bodies."""
+        return self.between
+
+    def _apart(self, bodies: Moving, p: Params) -> tuple[list[Vector], Vector, Vector]:
+        """Both points in their bodies' axes; the second's place and velocity from the first's, world."""
+        points = [_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True)]
+        places = [bodies.place(body, at) for body, at in zip(self.between, points, strict=True)]
+        rates = [bodies.velocity(body, at) for body, at in zip(self.between, points, strict=True)]
+        return points, subtract(places[1], places[0]), subtract(rates[1], rates[0])
+
+    def _sizes(self, p: Params) -> list[Number]:
+        return [sizes.length(getattr(self, key), self.name, key, p) for key in self.units]
+
+    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+        """Sizes and places."""
+        found: dict[str, tuple[Quantity, float | None]] = {}
+        for key, one in self.units.items():
+            found |= _stated(getattr(self, key), self.name, key, one)
+        return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
+
+
+class Spring(_BetweenPoints):
     """A spring and damper along the line between two points:  F = k (L - L0) + c dL/dt, pulling for F > 0.
 
     Attributes:
@@ -241,6 +270,7 @@ class Spring(AbstractLoad):
         stiffness: k [N/m]; damping: c [N s/m]; free_length: L0 [m].
     """
 
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
     name: str = eqx.field(static=True)
     between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
     stiffness: Size = sizes.field("spring stiffness", default=0.0)
@@ -248,37 +278,17 @@ class Spring(AbstractLoad):
     free_length: Size = sizes.field("spring free_length", default=0.0)
     at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
 
-    @property
-    def touches(self) -> tuple[str, ...]:
-        """Both bodies."""
-        return self.between
-
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The pull on both."""
         del t
-        a, b = (_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True))
+        (a, b), arm, rate = self._apart(bodies, p)
+        (k, c, free), way = self._sizes(p), unit(arm)
+        pull = times(k, minus(length(arm), free)) + times(c, dot(way, rate))
         first, second = self.between
-        arm = subtract(bodies.place(second, b), bodies.place(first, a))
-        way, stretch = unit(arm), minus(length(arm), sizes.length(self.free_length, self.name, "free_length", p))
-        rate = dot(way, subtract(bodies.velocity(second, b), bodies.velocity(first, a)))
-        pull = times(sizes.length(self.stiffness, self.name, "stiffness", p), stretch)
-        pull = pull + times(sizes.length(self.damping, self.name, "damping", p), rate)
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
 
-    def kinks(self, p: Params) -> list[ArrayLike]:
-        """None: it knows no time."""
-        del p
-        return []
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """Stiffness, damping, free length and places."""
-        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
-        found |= _stated(self.damping, self.name, "damping", "N s/m")
-        found |= _stated(self.free_length, self.name, "free_length", "m")
-        return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
-
-
-class Bush(AbstractLoad):
+class Bush(_BetweenPoints):
     """A compliant bush: two points held together,  F = -k r - c dr/dt  on the second; it closes a loop of bodies.
 
     r is the second point's place from the first's. ``turning_damping`` resists the relative spin; nothing resists the
@@ -289,6 +299,7 @@ class Bush(AbstractLoad):
         stiffness: k [N/m], every direction; damping: c [N s/m]; turning_damping: [N m s/rad].
     """
 
+    units: ClassVar[Mapping[str, str]] = {"stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad"}
     name: str = eqx.field(static=True)
     between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
     stiffness: Size = sizes.field("bush stiffness", default=1e7)
@@ -296,35 +307,15 @@ class Bush(AbstractLoad):
     turning_damping: Size = sizes.field("bush turning_damping", default=0.0)
     at: tuple[Place, Place] = sizes.field("bush at", default=(ORIGIN, ORIGIN))
 
-    @property
-    def touches(self) -> tuple[str, ...]:
-        """Both bodies."""
-        return self.between
-
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The forces on both."""
         del t
-        a, b = (_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True))
+        (a, b), arm, rate = self._apart(bodies, p)
+        k, c, turning = self._sizes(p)
         first, second = self.between
-        arm = subtract(bodies.place(second, b), bodies.place(first, a))
-        rate = subtract(bodies.velocity(second, b), bodies.velocity(first, a))
-        k, c = (sizes.length(s, self.name, n, p) for s, n in ((self.stiffness, "stiffness"), (self.damping, "damping")))
         pull = add(scale(k, arm), scale(c, rate))
-        lag = subtract(bodies.parts[second].spin, bodies.parts[first].spin)
-        drag = scale(sizes.length(self.turning_damping, self.name, "turning_damping", p), lag)
+        drag = scale(turning, subtract(bodies.parts[second].spin, bodies.parts[first].spin))
         return [Action(first, pull, a, drag), Action(second, negative(pull), b, negative(drag))]
-
-    def kinks(self, p: Params) -> list[ArrayLike]:
-        """None: it knows no time."""
-        del p
-        return []
-
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """Stiffness, damping and places."""
-        found = _stated(self.stiffness, self.name, "stiffness", "N/m")
-        found |= _stated(self.damping, self.name, "damping", "N s/m")
-        found |= _stated(self.turning_damping, self.name, "turning_damping", "N m s/rad")
-        return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
 
 
 class JointSpring(AbstractLoad):

@@ -15,7 +15,7 @@ centre circle, at the contact angle; in a circular track torque takes a ball to 
 elastic part for conformal contacts reads ``radius`` R_s (R_b on a flat) and ``radius_difference`` R_s - R_b: so
 clearance moves its stiffness.
 
-All are formulas of ``contact.stiffness`` for contacts small against R_b; ``validity`` says where a run leaves that.
+All are formulas of ``contact.stiffness`` for contacts small against R_b; ``engineering`` says where a run leaves that.
 Single balls' sizes (``Joint.clearance``) do not enter: 10 um of a radius of 8 mm change K by less than 2 %.
 """
 

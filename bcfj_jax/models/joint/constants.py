@@ -13,9 +13,8 @@ from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
 from bcfj_jax.models.joint.coefficients import coefficients
 from bcfj_jax.models.joint.contacts import Groove
-from bcfj_jax.models.joint.guides import body_maps
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.scene import GROOVES, Joint
+from bcfj_jax.models.joint.scene import BODIES, GROOVES, Joint
 
 # What the balls touch, in the order of every array over bodies, which has as many as the scene. The cage stands twice:
 # for the faces and for the ends of its windows.
@@ -105,6 +104,22 @@ def _bands(scene: Joint, p: Params) -> Bands:
         clearance=clearance,
         lever=jnp.stack([lever[name] for name in scene.pilots]),
     )
+
+
+def body_maps(scene: Joint, axes: Array) -> Array:
+    """Velocity and angular velocity of ``BODIES`` by the coupling's velocities, (m, 6, coupling).
+
+    The cage once more where windows have ends (``BALLS``).
+    """
+    bodies = (*BODIES, "cage") if scene.has("cage_window_end") else BODIES
+    maps = jnp.zeros((len(bodies), 6, scene.coupling))
+    for index, body in enumerate(bodies):
+        place, turn = scene.slices.get(body), scene.slices[f"{body}_turn"]
+        if place is not None:
+            maps = maps.at[index, :3, place].set(jnp.eye(3))
+        if turn is not None:
+            maps = maps.at[index, 3:, turn].set(jnp.eye(3) if body == "cage" else axes[index][:, None])
+    return maps
 
 
 def _groove(scene: Joint, p: Params) -> Groove:

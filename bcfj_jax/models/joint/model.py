@@ -38,11 +38,9 @@ from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import (
     drawing,
     engineering,
-    envelope,
     moments,
     summary,
     system,
-    validity,
     variants,
 )
 from bcfj_jax.models.joint.arrowhead import Arrowhead
@@ -52,9 +50,8 @@ from bcfj_jax.models.joint.checks import check_joint, suspects
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
-from bcfj_jax.models.joint.guides import GUIDES
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
-from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest, whole
+from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest
 from bcfj_jax.models.joint.options import (
     GROUPS,
     JointCage,
@@ -69,8 +66,8 @@ from bcfj_jax.models.joint.options import (
 )
 from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
-from bcfj_jax.models.joint.scales import scales, tolerance
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
+from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, GUIDES, OF_A_BALL, Joint
 from bcfj_jax.models.joint.start import nominal
 
 # What the levels without inertia leave out.
@@ -271,14 +268,14 @@ class JointModel(Joint):
         return tangent
 
     def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
-        """``envelope.place``; and whether anything but the defaults was tried."""
+        """``scales.envelope_place``; and whether anything but the defaults was tried."""
         del times
         tried = dataclasses.replace(self, fidelity="dynamic") == joint()
-        return envelope.place(self, params), [] if tried else ["options other than the defaults"]
+        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
 
     def warnings(self, params: Params, run: Any) -> list[str]:
-        """``validity.warnings``."""
-        return validity.warnings(self, params, run)
+        """``engineering.warnings``."""
+        return engineering.warnings(self, params, run)
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
@@ -336,7 +333,7 @@ class JointModel(Joint):
         scene = resolved(self, run.choice.fidelity) if run.choice else self
         if not scene.in_motion:
             return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
-        found = whole(scene, params, run.times, run.trajectory)
+        found = summary.whole(scene, params, run.times, run.trajectory)
         assert found.moments is not None
         columns = {
             f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]

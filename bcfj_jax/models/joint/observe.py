@@ -15,18 +15,15 @@ Axial and tangential are friction alone: normal, axial and tangential directions
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.programs import program
-from bcfj_jax.mechanism.model import BodyMotion, Params, Reading
-from bcfj_jax.models.joint import energy
-from bcfj_jax.models.joint.constants import Constants, constants
+from bcfj_jax.mechanism.model import BodyMotion, Reading
+from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
-from bcfj_jax.models.joint.moments import Moments, moments
 from bcfj_jax.models.joint.scene import GROOVES, Joint
 from bcfj_jax.models.joint.system import (
     State,
@@ -161,56 +158,3 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
         angle=state.cage_azimuth,
     )  # fmt: skip
     return found
-
-
-class Whole(NamedTuple):
-    """What the joint as a whole does at T instants of a run with inertia.
-
-    Attributes:
-        resultants: by contact (T, 3) [N], see ``resultants``.
-        power, stored: flows [W] and stores [J] of energy, (T,) each.
-        cage_residual: (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
-        angle_error: (T,) head's turn less seat's [rad].
-        speed_ratio: (T,) head's speed over seat's [-].
-        rubbed: by contact (T,) power that friction takes [W].
-        moments: ``moments.Moments``; None in a summary made by hand.
-    """
-
-    resultants: dict[str, Array]
-    power: energy.Power
-    stored: energy.Stored
-    cage_residual: Array | None
-    angle_error: Array
-    speed_ratio: Array
-    rubbed: dict[str, Array] = {}
-    moments: Moments | None = None
-
-
-def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
-    """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is. On the host."""
-    arguments = (dict(params), times, states)
-    # Run once on a few thousand states: to compile quickly matters more than to run quickly.
-    quick = {"xla_backend_optimization_level": 0}
-    return program("whole", _whole, (scene,), arguments, quick)[0](*arguments)
-
-
-def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
-    c = constants(scene, params)
-
-    def one(t: Array, y: Array) -> Whole:
-        # A law clips NaN to no force.
-        failed = jnp.where(jnp.all(jnp.isfinite(y)), 0.0, jnp.nan)
-        state = view(scene, c, y)
-        found = Whole(
-            resultants(scene, c, y),
-            energy.power(scene, c, t, y),
-            energy.stored(scene, c, t, y),
-            energy.cage_equilibrium(scene, c, y, t) if scene.cage == "free" else None,
-            state.head_turn - state.seat_turn,
-            state.head_spin / state.seat_spin,
-            energy.rubbed(scene, c, y),
-            moments(scene, c, t, y),
-        )
-        return jax.tree.map(lambda x: x + failed, found)
-
-    return jax.vmap(one)(times, states)

@@ -7,6 +7,7 @@ the two to each other.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -104,16 +105,16 @@ def _cage(joint: Joint) -> Body:
     if joint.cage == "fixed":
         drive = Drive("constant", speed="drive_speed")
         return Body("cage", "hinge", tilt=("y", _half), mass=_none, inertia=_none, drive=drive)
-    start: dict[str, Size] = {name: _OfCage(joint, name) for name in ("q0", "q2", "wx", "wz")}
+    start: dict[str, Size] = {name: _Of(joint, _of_cage, (name,)) for name in ("q0", "q2", "wx", "wz")}
     return Body("cage", "free", mass="cage_mass", inertia="cage_inertia", start=start)
 
 
 def _balls(joint: Joint) -> Body:
     """Particles, or solid spheres that turn."""
     first, n = 3 * joint.balls + joint.coupling, joint.balls
-    start: dict[str, Size] = {key: _OfBalls(joint, 0, 3, k) for k, key in enumerate("xyz")}
+    start: dict[str, Size] = {key: _Of(joint, _of_balls, (0, 3, k)) for k, key in enumerate("xyz")}
     rates = ("vx", "vy", "vz", "wx", "wy", "wz")[: joint.twist]
-    start |= {key: _OfBalls(joint, first, joint.twist, k) for k, key in enumerate(rates)}
+    start |= {key: _Of(joint, _of_balls, (first, joint.twist, k)) for k, key in enumerate(rates)}
     held = "sphere" if joint.spin else "particle"
     return Body("ball", held, mass="ball_mass", inertia=_solid, start=start, members=n)
 
@@ -151,9 +152,9 @@ def _contact(joint: Joint, contact: JointContact) -> Contact:
     if "radius" in sizes:
         sizes["radius"] = "seat_radius" if name == "seat_cage" else _hollow
     if joint.unequal and name in OF_A_BALL:
-        sizes["clearance"] = _OfEachBall(joint, name)
+        sizes["clearance"] = _Of(joint, Joint.clearance, (name,))
     # What the joint's own geometry gives.
-    sizes |= {key: _Derived(joint, name, key) for key in contact.derived if key not in sizes}
+    sizes |= {key: _Of(joint, _derived, (name, key)) for key in contact.derived if key not in sizes}
     return Contact(
         name, between.get(name) or tuple(name.split("_")), gaps[name], contact.law, contact.friction,
         smoothing=joint.smoothing, values=sizes, approach="parameter",
@@ -179,51 +180,34 @@ def _over_time(programme: Programme) -> dict[str, Any]:
     return {field.name: getattr(programme, field.name) for field in dataclasses.fields(programme)}
 
 
-class _OfBalls(eqx.Module):
+class _Of(eqx.Module):
+    """A size of a part that the joint computes: ``what`` (joint, parameters, *which); a module, as programs are found by it."""
+
+    joint: Joint
+    what: Callable[..., Array] = eqx.field(static=True)
+    which: tuple[Any, ...] = eqx.field(static=True)
+
+    def __call__(self, p: Params) -> Array:
+        return self.what(self.joint, p, *self.which)
+
+
+def _of_balls(joint: Joint, p: Params, first: int, width: int, column: int) -> Array:
     """A coordinate or velocity of all balls at time 0 (balls,): a column of ``start.nominal``."""
-
-    joint: Joint
-    first: int = eqx.field(static=True)
-    width: int = eqx.field(static=True)
-    column: int = eqx.field(static=True)
-
-    def __call__(self, p: Params) -> Array:
-        part = nominal(self.joint, p, jnp.zeros(()))[self.first :][: self.width * self.joint.balls]
-        return part.reshape(-1, self.width)[:, self.column]
+    part = nominal(joint, p, jnp.zeros(()))[first:][: width * joint.balls]
+    return part.reshape(-1, width)[:, column]
 
 
-class _OfCage(eqx.Module):
+def _of_cage(joint: Joint, p: Params, name: str) -> Array:
     """A component of the cage's attitude, z on the bisector, or of its angular velocity about it at time 0."""
-
-    joint: Joint
-    name: str = eqx.field(static=True)
-
-    def __call__(self, p: Params) -> Array:
-        quarter = 0.5 * _half(p)
-        if self.name.startswith("q"):
-            return jnp.cos(quarter) if self.name == "q0" else jnp.sin(quarter)
-        return self.joint.programmes.start_speed(p) * (jnp.sin(_half(p)) if self.name == "wx" else jnp.cos(_half(p)))
+    quarter = 0.5 * _half(p)
+    if name.startswith("q"):
+        return jnp.cos(quarter) if name == "q0" else jnp.sin(quarter)
+    return joint.programmes.start_speed(p) * (jnp.sin(_half(p)) if name == "wx" else jnp.cos(_half(p)))
 
 
-class _OfEachBall(eqx.Module):
-    """Clearances (balls,) of unequal balls in a contact."""
-
-    joint: Joint
-    contact: str = eqx.field(static=True)
-
-    def __call__(self, p: Params) -> Array:
-        return self.joint.clearance(p, self.contact)
-
-
-class _Derived(eqx.Module):
-    """A coefficient of a contact that is no parameter (``coefficients``)."""
-
-    joint: Joint
-    contact: str = eqx.field(static=True)
-    name: str = eqx.field(static=True)
-
-    def __call__(self, p: Params) -> Array:
-        return coefficients(self.joint, p, self.contact)[self.name]
+def _derived(joint: Joint, p: Params, contact: str, name: str) -> Array:
+    """A coefficient of a contact that is no parameter."""
+    return coefficients(joint, p, contact)[name]
 
 
 def _none(p: Params) -> float:

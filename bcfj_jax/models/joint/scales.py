@@ -7,10 +7,11 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.numerics import smooth_ramp
+from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.bristles import flat
 from bcfj_jax.models.joint.constants import laws_of
-from bcfj_jax.models.joint.scene import PILOTS, Joint
+from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
 
 # Load of a ball that nothing loads [N].
 LEAST = 1e-2
@@ -83,3 +84,47 @@ def tolerance(scene: Joint, force_error: float) -> float:
     if force_error >= 5e-4:
         return min(0.02, (2.0 if scene.spin else 5.0) * force_error)
     return (0.2 if scene.spin else 2.0) * force_error
+
+
+def envelope_place(scene: Joint, params: Params) -> dict[str, float]:
+    """How far it is from the joints on which its promised error was measured (``analysis.envelope``).
+
+    Numbers by name; the worst contact counts, and what the joint has not is left out.
+    """
+    p = {name: float(value) for name, value in params.items()}
+    speed, radius = abs(p["drive_speed"]), p["pitch_radius"]
+    load = abs(p["load_torque"]) / (scene.balls * radius)
+    rubbing = [x.name for x in scene.contacts if x.friction is not None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = np.float64(speed * radius * np.sin(p["joint_angle"]))
+        found = {
+            "angle": p["joint_angle"],
+            "centrifugal": float(np.float64(p["ball_mass"] * radius * speed**2) / load),
+            "axial": float(np.float64(abs(p["axial_load"]) / scene.balls) / load),
+            **{name: _worst(scene, params, name) for name in ("exponent", "damping") if name in p},
+        }
+        if rubbing:
+            slowest = min(float(scene.coefficient(params, name, "friction_speed")) for name in rubbing)
+            found |= {"friction": _worst(scene, params, "friction_static"), "sliding": float(along / slowest)}
+        if scene.smoothing:
+            place = float(ask("joint's place", _place, (scene,), (dict(params),)))
+            found["onset_under_load"] = _worst(scene, params, "smoothing") / place
+            # Between the ends of its window a ball swings freely: that is no play.
+            for what, names in (("play", (*GROOVES, "cage_ball")), ("knock", scene.pilots)):
+                ratios = [
+                    np.float64(p[f"clearance_{name}"]) / float(scene.coefficient(params, name, "smoothing"))
+                    for name in names
+                    if scene.has(name)
+                ]
+                found |= {what: float(max(ratios))} if ratios else {}
+    return found
+
+
+def _place(scene: Joint, params: Params) -> Array:
+    return scales(scene, params)[0]
+
+
+def _worst(scene: Joint, params: Params, name: str) -> float:
+    """The largest value of a coefficient over the contacts that read it; every one reads its smoothing."""
+    readers = [x.name for x in scene.contacts if name in (*x.own, "smoothing")]
+    return max(float(scene.coefficient(params, contact, name)) for contact in readers)

@@ -28,6 +28,10 @@ WINDOW_END = CONTACTS[5]
 USUAL = CONTACTS[:5]
 GROOVES = ("seat_ball", "head_ball")
 PILOTS = ("seat_cage", "head_cage")
+# The bodies that balls touch, in the order of ``body_maps``.
+BODIES = ("seat", "head", "cage")
+# Which sphere is in which: (outer, inner).
+GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 OF_A_BALL = ("cage_ball", "seat_ball", "head_ball", "cage_window_end")
 FLAT = ("cage_ball", "cage_window_end")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
@@ -228,6 +232,15 @@ class Joint(AbstractModel):
     def pilots(self) -> tuple[str, ...]:
         """The sphere-in-sphere contacts."""
         return tuple(name for name in PILOTS if self.has(name))
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Of each pilot the body in whose axes it is seen and the other, on which its force acts: ``GUIDES``.
+
+        Bands are seen from the cage, whose they are.
+        """
+        found = [GUIDES[name] for name in self.pilots]
+        return [("cage", first if second == "cage" else second) for first, second in found] if self.banded else found
 
     @property
     def banded(self) -> bool:

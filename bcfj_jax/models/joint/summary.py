@@ -1,12 +1,75 @@
-"""What ``summary.json`` says of a run of the joint as a whole."""
+"""What a joint does as a whole in a run, and what ``summary.json`` says of that."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from bcfj_jax.models.joint.observe import Whole
+from bcfj_jax.core.programs import program
+from bcfj_jax.mechanism.model import Params
+from bcfj_jax.models.joint import energy
+from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.moments import Moments, moments
+from bcfj_jax.models.joint.observe import resultants
+from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.system import view
+
+
+class Whole(NamedTuple):
+    """What the joint as a whole does at T instants of a run with inertia.
+
+    Attributes:
+        resultants: by contact (T, 3) [N], see ``resultants``.
+        power, stored: flows [W] and stores [J] of energy, (T,) each.
+        cage_residual: (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
+        angle_error: (T,) head's turn less seat's [rad].
+        speed_ratio: (T,) head's speed over seat's [-].
+        rubbed: by contact (T,) power that friction takes [W].
+        moments: ``moments.Moments``; None in a summary made by hand.
+    """
+
+    resultants: dict[str, Array]
+    power: energy.Power
+    stored: energy.Stored
+    cage_residual: Array | None
+    angle_error: Array
+    speed_ratio: Array
+    rubbed: dict[str, Array] = {}
+    moments: Moments | None = None
+
+
+def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
+    """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is. On the host."""
+    arguments = (dict(params), times, states)
+    # Run once on a few thousand states: to compile quickly matters more than to run quickly.
+    quick = {"xla_backend_optimization_level": 0}
+    return program("whole", _whole, (scene,), arguments, quick)[0](*arguments)
+
+
+def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
+    c = constants(scene, params)
+
+    def one(t: Array, y: Array) -> Whole:
+        # A law clips NaN to no force.
+        failed = jnp.where(jnp.all(jnp.isfinite(y)), 0.0, jnp.nan)
+        state = view(scene, c, y)
+        found = Whole(
+            resultants(scene, c, y),
+            energy.power(scene, c, t, y),
+            energy.stored(scene, c, t, y),
+            energy.cage_equilibrium(scene, c, y, t) if scene.cage == "free" else None,
+            state.head_turn - state.seat_turn,
+            state.head_spin / state.seat_spin,
+            energy.rubbed(scene, c, y),
+            moments(scene, c, t, y),
+        )
+        return jax.tree.map(lambda x: x + failed, found)
+
+    return jax.vmap(one)(times, states)
 
 
 def of_the_whole(times: np.ndarray, whole: Whole) -> dict[str, Any]:

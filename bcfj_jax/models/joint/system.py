@@ -30,10 +30,9 @@ from bcfj_jax.models.joint.bands import Band, act, band
 from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry, grooves, join, pilots, windows
-from bcfj_jax.models.joint.guides import BODIES, GUIDES, pairs
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
-from bcfj_jax.models.joint.scene import GROOVES, PILOTS, WINDOW_END, Joint
+from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, PILOTS, WINDOW_END, Joint
 
 
 class State(NamedTuple):
@@ -228,7 +227,7 @@ def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
-    """Inner spheres relative to outer ones (``pairs``), and the outer ones' angular velocities; (pilots, 3) each."""
+    """Inner spheres relative to outer ones (``Joint.pairs``), and the outer ones' angular velocities; (pilots, 3) each."""
     seat_spin, head_spin = state.seat_spin * c.axes[0], state.head_spin * c.axes[1]
     zero = jnp.zeros(3)
     bodies = {
@@ -236,8 +235,8 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
         "cage": (state.cage_place, state.cage_velocity, state.cage_spin),
         "head": (state.head_place, state.head_velocity, head_spin),
     }
-    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in pairs(scene)), strict=True)]
-    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in pairs(scene)), strict=True)]
+    outer = [jnp.stack(part) for part in zip(*(bodies[first] for first, _ in scene.pairs), strict=True)]
+    inner = [jnp.stack(part) for part in zip(*(bodies[second] for _, second in scene.pairs), strict=True)]
     arm, spin = inner[0] - outer[0], outer[2]
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
@@ -260,13 +259,13 @@ def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
     if not scene.banded:
         return pilots
     sign = jnp.array(
-        [1.0 if GUIDES[name] == pair else -1.0 for name, pair in zip(scene.pilots, pairs(scene), strict=True)]
+        [1.0 if GUIDES[name] == pair else -1.0 for name, pair in zip(scene.pilots, scene.pairs, strict=True)]
     )
     return pilots._replace(force=sign[:, None] * pilots.force, drag=sign[:, None] * pilots.drag)
 
 
 class GuideMaps(NamedTuple):
-    """Motion of the inner spheres relative to the outer ones, by the coupling (``guides.pairs``).
+    """Motion of the inner spheres relative to the outer ones, by the coupling (``Joint.pairs``).
 
     Attributes:
         twist: (pilots, 6, coupling) relative to the outer one's material at the inner centre, by velocities.
@@ -281,7 +280,7 @@ class GuideMaps(NamedTuple):
 
 def guide_maps(scene: Joint, c: Constants, arm: Array) -> GuideMaps:
     """The maps where the inner centres are at ``arm`` (pilots, 3) from the outer ones."""
-    outer, inner = (jnp.array([BODIES.index(pair[k]) for pair in pairs(scene)]) for k in (0, 1))
+    outer, inner = (jnp.array([BODIES.index(pair[k]) for pair in scene.pairs]) for k in (0, 1))
     apart, turning = c.body_maps[inner] - c.body_maps[outer], c.body_maps[outer, 3:]
     return GuideMaps(apart.at[:, :3].add(cross_columns(arm, turning)), apart[:, :3], turning)
 
@@ -393,7 +392,7 @@ def on_parts(scene: Joint, c: Constants, state: State) -> dict[str, dict[str, Lo
     if found.pilots is not None:
         arms = guided(scene, c, state)[0].arm
         assert found.pilots.moment is not None
-        for i, (name, (outer, inner)) in enumerate(zip(scene.pilots, pairs(scene), strict=True)):
+        for i, (name, (outer, inner)) in enumerate(zip(scene.pilots, scene.pairs, strict=True)):
             force, moment = found.pilots.force[i], found.pilots.moment[i]
             exerted[inner][name] = Loads(force, moment)
             exerted[outer][name] = Loads(-force, -moment - jnp.cross(arms[i], force))

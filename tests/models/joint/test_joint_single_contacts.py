@@ -17,7 +17,7 @@ from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.scenefile import from_table
-from bcfj_jax.models.joint import coefficients, system, validity
+from bcfj_jax.models.joint import coefficients, engineering, system
 from bcfj_jax.models.joint.periodic import pitch_before
 
 E = 113e9
@@ -145,7 +145,7 @@ def test_contacts_too_wide_for_their_stiffness_are_told():
     params = scene.parameters()
     d = 0.09 * 50e-6
     found = jax.device_get(
-        validity.widths(scene, params, {"seat_cage": d, "cage_ball": 0.008 * 0.09, "seat_ball": 46.8e-6})
+        engineering.widths(scene, params, {"seat_cage": d, "cage_ball": 0.008 * 0.09, "seat_ball": 46.8e-6})
     )
     assert found["seat_cage"] == within(0.3, 1e-3) and found["cage_ball"] == within(0.3, 1e-12)
     # A patch of 3.7 mm under 12 kN.
