@@ -70,10 +70,8 @@ def law(
     size = f"in contact the law misses by {100 * miss:.2g} % of the peak (rms)"
     size += f", and held-out records by {100 * predicted:.2g} %" if held_out else ""
     limit = f"; up to {100 * threshold:.2g} % is called adequate"
-    rest = (
-        [f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"] if loud > _LOUDER else []
-    )
-    return Answer("adequate" if good else "inadequate", [size + limit, *rest, *failed])
+    heard = f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"
+    return Answer("adequate" if good else "inadequate", [size + limit, *([heard] if loud > _LOUDER else []), *failed])
 
 
 def missed(series: Sequence[Series], residuals: np.ndarray) -> float:

@@ -122,17 +122,10 @@ def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndar
         own = {c.observes: (model.channels.index(c.observes), c.values) for c in experiment.channels}
         params = {name: float(v[i]) for known in (model.data.chain, model.data.fixed) for name, v in known.items()}
         params |= {s.name: v for s, v in zip(model.coordinates, values, strict=True) if s.experiment in (None, i)}
-        records.append(
-            Record(
-                name=experiment.name,
-                held_out=held_out,
-                times=experiment.times,
-                data={name: values for name, (_, values) in own.items()},
-                prediction={name: predicted[i, j, :count] for name, (j, _) in own.items()},
-                sigma={name: _sigma(weights[i, j, :count]) for name, (j, _) in own.items()},
-                params=params,
-            )
-        )
+        data = {name: values for name, (_, values) in own.items()}
+        prediction = {name: predicted[i, j, :count] for name, (j, _) in own.items()}
+        sigma = {name: _sigma(weights[i, j, :count]) for name, (j, _) in own.items()}
+        records.append(Record(experiment.name, held_out, experiment.times, data, prediction, sigma, params))
     return records
 
 

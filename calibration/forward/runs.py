@@ -45,8 +45,13 @@ class Contact(NamedTuple):
     @property
     def durations(self) -> np.ndarray:
         """Of each contact, as far as it is inside the record [s]."""
-        ends = np.flatnonzero(np.diff(np.r_[False, self.touching, False]))
-        return self.times[ends[1::2] - 1] - self.times[ends[::2]]
+        return np.array([self.times[last - 1] - self.times[first] for first, last in stretches(self.touching)])
+
+
+def stretches(inside: np.ndarray) -> list[tuple[int, int]]:
+    """First samples of runs of true values in (T,), each with the first after it."""
+    edges = np.flatnonzero(np.diff(np.r_[False, inside, False].astype(int))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def together(contacts: list[Contact]) -> Contact:

@@ -12,6 +12,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.data.layout import others
 from calibration.data.table import Table
+from calibration.forward.runs import stretches
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.
 _JUMP = 1.5
@@ -100,9 +101,7 @@ def _plateau(values: np.ndarray) -> tuple[float, int]:
     """
     size = np.abs(values)
     top = float(size.max())
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], size == top, [0]]).astype(int)))
-    longest = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0])
-    first, last = int(longest[0]), int(longest[1])
+    first, last = max(stretches(size == top), key=lambda run: run[1] - run[0])
     steps = np.abs(np.diff(size))
     # Below a millionth of the peak is rounding of the file.
     resolution = float(steps[steps > 1e-6 * top].min(initial=np.inf))

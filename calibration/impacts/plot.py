@@ -10,6 +10,7 @@ import numpy as np
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import unit_of
+from calibration.forward.runs import stretches
 from calibration.impacts.inspection import TOUCHING
 from calibration.impacts.preparation import Prepared
 
@@ -80,7 +81,6 @@ def _panel(axis: Axes, record: Prepared, observes: str) -> None:
 def _gaps(record: Prepared, observes: str) -> list[tuple[float, float]]:
     """Where the clock jumps, and stretches of rows without a number, between their neighbours."""
     blank = np.isnan(record.readings[observes].raw)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], blank, [0]]).astype(int)))
     last = record.clock.size - 1
-    stretches = [(max(a - 1, 0), min(b, last)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [*record.gaps, *((float(record.clock[a]), float(record.clock[b])) for a, b in stretches)]
+    blanks = [(max(a - 1, 0), min(b, last)) for a, b in stretches(blank)]
+    return [*record.gaps, *((float(record.clock[a]), float(record.clock[b])) for a, b in blanks)]

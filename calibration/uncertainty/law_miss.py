@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
+from calibration.forward.runs import stretches
 
 # Cosines over a contact's phase, and lengths of the process as shares of a contact.
 _COSINES, _LENGTHS = 24, (0.03, 0.06, 0.12, 0.2, 0.33)
@@ -116,8 +117,7 @@ def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
     basis, inside = np.zeros((size, _COSINES)), 0
     for s in series:
         own = np.zeros((s.rows.size, _COSINES))
-        edges = np.flatnonzero(np.diff(np.r_[False, s.touching, False].astype(int)))
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
+        for first, last in stretches(s.touching):
             if last - first < 3:
                 continue
             clock, peak = s.clock[first:last], float(np.max(np.abs(s.values[first:last])))

@@ -39,18 +39,12 @@ def bent(tests: list[fit_tests.Test]) -> list[str]:
         return []
     worst = max(tests, key=lambda t: abs(np.log(max(t.value, 1e-300))))
     others = f", and of {len(tests) - 1} more" if len(tests) > 1 else ""
-    return [
-        f"intervals take the cost for a parabola, but {worst.reason}{others}: --intervals profile walks along the cost"
-    ]
+    said = f"intervals take the cost for a parabola, but {worst.reason}{others}"
+    return [f"{said}: --intervals profile walks along the cost"]
 
 
 def overstated_noise(series: list[Series], residuals: np.ndarray) -> list[str]:
     """Of noise that was stated larger than residuals show."""
     worst = min((np.sqrt(np.mean(residuals[s.rows] ** 2)) for s in series if overstated(s, residuals)), default=1.0)
-    return (
-        [
-            f"residuals are {worst:.2g} times the stated noise: it was stated too large, and intervals use what residuals show"
-        ]
-        if worst < 1.0
-        else []
-    )
+    said = "it was stated too large, and intervals use what residuals show"
+    return [f"residuals are {worst:.2g} times the stated noise: {said}"] if worst < 1.0 else []
