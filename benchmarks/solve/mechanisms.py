@@ -63,7 +63,7 @@ def _dragged(friction: str) -> Mechanism:
         )
         for name, x in (("heel", -0.05), ("toe", 0.05))
     ]
-    loads = (Gravity("-y"), Spring("spring", ("hand", "block"), 1e3, 0.0, 0.0, ((0, 1e-3, 0), (0, 0, 0))))
+    loads = (Gravity("-y"), Spring("spring", ("hand", "block"), 1e3, at=((0, 1e-3, 0), (0, 0, 0))))
     given = {
         "stiffness": 1e8, "exponent": 1.5, "damping": 1.0, "friction_static": 0.3, "friction_dynamic": 0.15,
         "friction_speed": 0.01, "bristle_stiffness": 1e5, "bristle_damping": 10.0,

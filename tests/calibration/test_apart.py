@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from calibration.impacts.events import contacts
-from calibration.impacts.flights import passages
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
 
 from bcfj_jax import scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.command import as_json, text
+from calibration.impacts.events import contacts
+from calibration.impacts.flights import passages
 from calibration.selection.apart import _known, _passages, rows, single_impacts, with_contacts_apart
 
 G, FINE = 9.80665, 2e-5
