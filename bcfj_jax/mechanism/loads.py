@@ -232,29 +232,28 @@ class Torque(Force):
 
 
 class _BetweenPoints(AbstractLoad):
-    """A load between points of two bodies; ``units``: of its sizes, by name."""
+    """A load between points ``at`` two bodies; ``units``: of its sizes, by name."""
 
     timeless: ClassVar[bool] = True
     units: ClassVar[Mapping[str, str]]
-    between: eqx.AbstractVar[tuple[str, str]]
-    at: eqx.AbstractVar[tuple[Place, Place]]
+    # ``between`` and ``at`` are fields of the loads, in an order of theirs.
 
     @property
-    def touches(self) -> tuple[str, ...]:
+    def touches(self: Any) -> tuple[str, ...]:
         """Both bodies."""
         return self.between
 
-    def _apart(self, bodies: Moving, p: Params) -> tuple[list[Vector], Vector, Vector]:
+    def _apart(self: Any, bodies: Moving, p: Params) -> tuple[list[Vector], Vector, Vector]:
         """Both points in their bodies' axes; the second's place and velocity from the first's, world."""
         points = [_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True)]
         places = [bodies.place(body, at) for body, at in zip(self.between, points, strict=True)]
         rates = [bodies.velocity(body, at) for body, at in zip(self.between, points, strict=True)]
         return points, subtract(places[1], places[0]), subtract(rates[1], rates[0])
 
-    def _sizes(self, p: Params) -> list[Number]:
+    def _sizes(self: Any, p: Params) -> list[Number]:
         return [sizes.length(getattr(self, key), self.name, key, p) for key in self.units]
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self: Any) -> dict[str, tuple[Quantity, float | None]]:
         """Sizes and places."""
         found: dict[str, tuple[Quantity, float | None]] = {}
         for key, one in self.units.items():
