@@ -91,7 +91,7 @@ def sensitivity(
         ]
         return plan.of_scene("sensitivity", scene, out, rows)
     begin = time.perf_counter()
-    text, good = command.run(scene, names, wanted, certify, budget, out, say, typer.echo)
+    text, good = command.run(scene, command.Wanted(names, wanted, certify, budget), out, say, typer.echo)
     typer.echo(text)
     return plan.ended("sensitivity", scene, begin, good)
 

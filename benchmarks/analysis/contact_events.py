@@ -31,6 +31,7 @@ from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, numb
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, level
 from bcfj_jax.analysis.derivatives.measures import _start_slope
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.programs import program
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
@@ -106,7 +107,7 @@ def case(name: str, count: int, by_bdf: bool = False) -> dict[str, Any]:
     scene = SCENE.suited(params, end, "bdf" if by_bdf else "tsit5")
     full, names = complete(scene, params, wrt)
     how = plan(scene, "balanced")
-    loose, tight = (solved_at(scene, full, end, names, how, [], t) for t in (1.0, TIGHTER))
+    loose, tight = (solved_at(Problem(scene, full, np.array([end]), names), how, [], t) for t in (1.0, TIGHTER))
     apart = bj.contact_events(scene, params, np.array([0.0, end]), wrt)
     stated = max(float(np.nanmax(x["contact"][:5, :count])) for x in apart.apart.values())
     row = {
@@ -121,7 +122,7 @@ def case(name: str, count: int, by_bdf: bool = False) -> dict[str, Any]:
     plain = program("simulate", *_plain(scene, full, times, how))[0]
     cpu = {
         "values_s": seconds(lambda: plain(dict(full), times, how)),
-        "events_s": seconds(lambda: solved_at(scene, full, end, names, how, [], TIGHTER)),
+        "events_s": seconds(lambda: solved_at(Problem(scene, full, np.array([end]), names), how, [], TIGHTER)),
         "samples_s": seconds(lambda: level(scene, full, times, names, how)),
     }
     print(name, count, row["level"], row["given"], row["from_samples"], cpu, flush=True)
@@ -141,7 +142,7 @@ def joint() -> list[dict[str, Any]]:
     values = np.array([float(full[n]) for n in names])
 
     def of(accuracy: float | str, tighter: float = 1.0) -> Any:
-        return solved_at(JOINT, full, JOINT_END, names, plan(JOINT, accuracy), [], tighter)
+        return solved_at(Problem(JOINT, full, np.array([JOINT_END]), names), plan(JOINT, accuracy), [], tighter)
 
     exact = of(*JOINT_TIGHT)
     channels = channel_names(JOINT.members)
@@ -164,7 +165,7 @@ def joint() -> list[dict[str, Any]]:
         solved = [by, *(numbers(JOINT, of(accuracy, both[1] * share), wanted)[1] for share in BOUNDING[True])]
         bound = feature_bounds(solved, own, values)
         how = plan(JOINT, accuracy)
-        without = solved_at(JOINT, full, JOINT_END, (), how, [], both[1])
+        without = solved_at(Problem(JOINT, full, np.array([JOINT_END]), ()), how, [], both[1])
         row = {
             "accuracy": accuracy, "looser": looser, "contacts": int(np.sum(exact.counts)), "numbers": int(off.size),
             "off": {k: np.nanquantile(off[kinds == k], (0.5, 0.9, 1.0)).tolist() for k in EVENTS},
@@ -178,7 +179,7 @@ def joint() -> list[dict[str, Any]]:
             "steps": tight.accepted + tight.rejected, "steps_without": without.accepted + without.rejected,
             "events_s": seconds(lambda a=accuracy, ts=both: [of(a, t) for t in ts], JOINT_REPEATS),
             "without_s": seconds(
-                lambda how=how, t=both[1]: solved_at(JOINT, full, JOINT_END, (), how, [], t), JOINT_REPEATS
+                lambda how=how, t=both[1]: solved_at(Problem(JOINT, full, np.array([JOINT_END]), ()), how, [], t), JOINT_REPEATS
             ),
         }  # fmt: skip
         print(row, flush=True)

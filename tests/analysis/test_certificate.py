@@ -13,8 +13,8 @@ from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives import certificate
-from bcfj_jax.analysis.derivatives.certificate import compare
-from bcfj_jax.analysis.derivatives.differences import against
+from bcfj_jax.analysis.derivatives.certificate import Seen, compare
+from bcfj_jax.analysis.derivatives.differences import Beside, against
 from bcfj_jax.analysis.derivatives.norms import Growth, averaged, difference, growth, norm
 from bcfj_jax.analysis.derivatives.ranking import drivers, unknown
 
@@ -42,11 +42,11 @@ def test_a_comparison_with_what_failed_is_infinitely_apart():
 
     step = np.array([1.0])
     for worst, relative in ((0.0, np.inf), (1.0, 0.0)):
-        found = against("", TIMES, failing(worst), np.array([1.0]), step, line, 1e-9, 0.05)
+        found = against(Beside(TIMES, failing(worst), np.array([1.0]), 1e-9, 0.05), step, line)
         assert found.pointwise.relative == pytest.approx(relative, abs=1e-9)
     # Where the longer step alone fails, nothing excuses a wrong derivative.
     h = 0.3 * 1e-9 ** (1.0 / 3.0)
-    found = against("", TIMES, failing(0.5 * h), np.array([1.0]), step, 1.5 * line, 1e-9, 0.05)
+    found = against(Beside(TIMES, failing(0.5 * h), np.array([1.0]), 1e-9, 0.05), step, 1.5 * line)
     assert 0.2 < found.pointwise.relative < 0.5
 
 
@@ -58,18 +58,18 @@ def test_a_run_that_fails_late_is_compared_until_then():
         whole = values[0] * line
         return np.where(TIMES[:, None] < 0.6, whole, np.nan) if values[0] > 1.0 else whole
 
-    good, wrong = (against("", TIMES, forces, np.ones(1), np.ones(1), k * line, 1e-9, 0.05) for k in (1.0, 1.5))
+    good, wrong = (against(Beside(TIMES, forces, np.ones(1), 1e-9, 0.05), np.ones(1), k * line) for k in (1.0, 1.5))
     assert good.until == wrong.until == pytest.approx(0.5995)
     assert good.pointwise.relative < 1e-6 and 0.2 < wrong.pointwise.relative < 0.5
     calm, levels = Growth(1.0, 0.0), compare("levels", TIMES, line, 1.01 * line, 0.0, 0.05)
     features = {"contact.peak": 0.01, "contact.mean": 0.05, "contact.impulse": 0.5}
-    found = certificate.check([levels, good], features, calm, 1.0, np.nan)
+    found = certificate.check([levels, good], Seen(features, calm, 1.0, np.nan))
     assert found.verdict == TRUSTED and "after 0.5995 s" in found.unchecked
     assert list(found.feature_verdicts.values()) == [TRUSTED, AVERAGED, NOT]
-    assert certificate.check([levels, wrong], features, calm, 1.0, np.nan).verdict == NOT
+    assert certificate.check([levels, wrong], Seen(features, calm, 1.0, np.nan)).verdict == NOT
     # A run that fails at once checks nothing: the derivative stays what the levels say it is.
-    nothing = against("", TIMES, lambda values: np.nan * line, np.ones(1), np.ones(1), line, 1e-9, 0.05)
-    found = certificate.check([levels, nothing], features, calm, 1.0, np.nan)
+    nothing = against(Beside(TIMES, lambda values: np.nan * line, np.ones(1), 1e-9, 0.05), np.ones(1), line)
+    found = certificate.check([levels, nothing], Seen(features, calm, 1.0, np.nan))
     assert found.verdict == TRUSTED and found.pointwise == levels.pointwise.relative and not found.lost
     assert found.unchecked == "central differences check nothing: a run beside this one failed"
 
@@ -80,8 +80,9 @@ def test_differences_that_are_noise_check_nothing():
     def forces(values):
         return values[0] * line + 0.01 * draw.normal(size=line.shape)
 
-    noise, calm = against("", TIMES, forces, np.ones(1), np.ones(1), line, 1e-9, 0.05), Growth(1.0, 0.0)
-    assert noise.vague and not against("", TIMES, lambda x: x[0] * line, np.ones(1), np.ones(1), line, 1e-9, 0.05).vague
+    noise, calm = against(Beside(TIMES, forces, np.ones(1), 1e-9, 0.05), np.ones(1), line), Growth(1.0, 0.0)
+    assert noise.vague
+    assert not against(Beside(TIMES, lambda x: x[0] * line, np.ones(1), 1e-9, 0.05), np.ones(1), line).vague
     levels = compare("levels", TIMES, line, 1.01 * line, 0.0, 0.05)
     found = certificate.check([levels, noise], {}, calm, 1.0, np.nan)
     assert found.verdict == TRUSTED and found.unchecked == certificate.VAGUE and found.compared_with == ("levels",)
@@ -99,7 +100,7 @@ def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
 
     for slope, count in ((1.0, 2), (1.2, 4)):
         runs.clear()
-        against("", TIMES, forces, np.ones(1), np.ones(1), slope * line, 1e-6, 0.05, enough=0.03)
+        against(Beside(TIMES, forces, np.ones(1), 1e-6, 0.05), np.ones(1), slope * line, enough=0.03)
         assert len(runs) == count
 
 

@@ -11,6 +11,7 @@ from joints import JOINT
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.contact_events import numbers, solved_at
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, feature, feature_unit
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import NODES, PHASES, _rule
 from bcfj_jax.solve.integrate import landed
 from bcfj_jax.solve.plan import Plan, plan
@@ -188,7 +189,11 @@ def both(scene, params, end, wrt, features, accuracy):
         suited = scene.suited(params, end, solver)
         full, names = complete(suited, params, wrt)
         wanted = [feature(name, suited.members) for name in features]
-        found.append(numbers(suited, solved_at(suited, full, end, names, plan(suited, accuracy), wanted), wanted))
+        found.append(
+            numbers(
+                suited, solved_at(Problem(suited, full, np.array([end]), names), plan(suited, accuracy), wanted), wanted
+            )
+        )
     return found
 
 
@@ -225,16 +230,16 @@ def test_derivatives_of_the_joints_contacts_are_those_of_differences():
     end, name, h = 0.06, "stiffness", 1e-4
     full, names = complete(JOINT, JOINT.parameters(), (name,))
     # Of runs at 1e-8 the differences of peaks' times are off by up to 36 %.
-    found, tight = solved_at(JOINT, full, end, names, plan(JOINT, 1e-8), []), plan(JOINT, 1e-9)
+    found, tight = solved_at(Problem(JOINT, full, np.array([end]), names), plan(JOINT, 1e-8), []), plan(JOINT, 1e-9)
     wanted = [
         Feature(f"{c}.{kind}_1", f"{kind}_1", (c,))
         for c in ("seat_cage", "seat_ball_1", "head_ball_1", "cage_ball_4", "cage_ball_6")
         for kind in EVENTS
     ] + [feature("cage_ball_1.impulse_1", JOINT.members), feature("cage_ball_1.end_1", JOINT.members)]
     value, slope = numbers(JOINT, found, wanted)
+    beside = (full | {name: full[name] * (1.0 + s * h)} for s in (-1.0, 1.0))
     low, high = (
-        numbers(JOINT, solved_at(JOINT, full | {name: full[name] * (1.0 + s * h)}, end, (), tight, wanted), wanted)[0]
-        for s in (-1.0, 1.0)
+        numbers(JOINT, solved_at(Problem(JOINT, one, np.array([end]), ()), tight, wanted), wanted)[0] for one in beside
     )
     differences = (high - low) / (2.0 * h)
     good = np.isfinite(value)

@@ -333,7 +333,7 @@ def test_before_two_tolerances_agree_no_kink_is_blamed():
             certificate.Comparison(what, difference(x), difference(x))
             for what, x in (("rungs", rungs), ("differences", 0.3))
         ]
-        return certificate.check(apart, {}, Growth(1.0, 0.0), 1.0, math.nan).remark
+        return certificate.check(apart, certificate.Seen({}, Growth(1.0, 0.0), 1.0, math.nan)).remark
 
     assert "kink or a jump" in remark(0.01)
     assert "it depends on the tolerance" in remark(0.2)

@@ -183,78 +183,81 @@ def of_feature(apart: float) -> str:
     return TRUSTED if apart <= POINTWISE else AVERAGED if apart <= BROKEN else NOT
 
 
-def check(
-    comparisons: Sequence[Comparison],
-    features: Mapping[str, float],
-    grown: Growth,
-    influence: float,
-    end: float,
-    also: str = "",
-    unchecked: str = "",
-    vague: bool = False,
-) -> Check:
-    """One parameter's verdict.
+class Seen(NamedTuple):
+    """What is known of a parameter beside the comparisons of its histories.
 
-    Args:
-        comparisons: of this parameter, that of the levels first.
-        features, grown, influence: as ``Check``.
+    Attributes:
+        features, grown, influence: as ``Check`` has them.
         end: of a run that failed [s], or NaN.
         also: a comparison of all parameters together, which they passed.
         unchecked: what was not compared, and why.
         vague: whether central differences of all parameters together were.
     """
+
+    features: Mapping[str, float]
+    grown: Growth
+    influence: float
+    end: float
+    also: str = ""
+    unchecked: str = ""
+    vague: bool = False
+
+
+def check(comparisons: Sequence[Comparison], seen: Seen) -> Check:
+    """One parameter's verdict; of its comparisons that of the levels comes first."""
+    comparisons, unchecked, vague = _that_count(comparisons, seen)
+    levels, worst = comparisons[0], max(comparisons, key=lambda c: c.average.relative)
+    pointwise = max(c.pointwise.relative for c in comparisons)
+    # What differences alone find, a kink or a jump, no tolerance shows in the features, which may miss it by more.
+    kinked = max((c.pointwise.relative - levels.pointwise.relative for c in comparisons[1:]), default=0.0)
+    least = INF if kinked > KINKED else 5.0 * max(kinked, 0.0)
+    features = {name: float(np.maximum(x, least)) for name, x in seen.features.items()}
+    numbers, grown = {name: of_feature(x) for name, x in features.items()}, seen.grown
+    verdict, remark, breakdown = NOT, "", worst.average.broken
+    if np.isfinite(seen.end):
+        remark, breakdown = "the run failed", seen.end
+    elif chaotic(grown, levels):
+        rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
+        remark = f"chaotic: the largest Lyapunov exponent is {rate}"
+    elif vague and grown.factor > CHAOTIC_GROWTH:
+        remark = "tangents grow by more than a million, and no central difference confirms them"
+    elif pointwise <= POINTWISE:
+        verdict, remark, breakdown = TRUSTED, "no influence" if seen.influence == 0.0 else "", float("nan")
+    elif worst.average.relative <= BROKEN and not levels.unbounded:
+        verdict, breakdown = AVERAGED, float("nan")
+    elif worst is not levels and levels.average.relative <= POINTWISE:
+        # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
+        remark = "central differences find another derivative: the force has a kink or a jump here"
+    elif grown.factor > CHAOTIC_GROWTH:
+        remark = "tangents grow by more than a million"
+    else:
+        remark = f"{_OPEN if levels.unbounded else _LOOSE}: give a tighter accuracy or a larger smoothing"
+        remark += "; its influence is weak" if seen.influence < INFLUENCE else ""
+    if verdict == NOT and not remark.startswith(_LOOSE):
+        numbers = dict.fromkeys(numbers, NOT)
+    return Check(
+        verdict, remark, (*(c.what for c in comparisons), *([seen.also] if seen.also else [])), pointwise,
+        worst.average.relative, features, grown.factor, grown.exponent, float(seen.influence), worst.pointwise.where,
+        breakdown, numbers, unchecked,
+    )  # fmt: skip
+
+
+def _that_count(comparisons: Sequence[Comparison], seen: Seen) -> tuple[list[Comparison], str, bool]:
+    """Comparisons that check something, what was not checked, and whether central differences were too vague to."""
+    unchecked = seen.unchecked
     # A run beside that failed says nothing of this one.
     failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
     if failed:
         unchecked = joined(unchecked, "central differences check nothing: a run beside this one failed")
-    vague = vague or any(c.vague for c in comparisons[1:])
+    vague = seen.vague or any(c.vague for c in comparisons[1:])
     if vague:
         unchecked = joined(unchecked, VAGUE)
-    comparisons = [c for c in comparisons if not c.vague and c not in failed]
-    early = [c.until for c in comparisons if np.isfinite(c.until)]
+    counting = [c for c in comparisons if not c.vague and c not in failed]
+    early = [c.until for c in counting if np.isfinite(c.until)]
     if early and "central differences" not in unchecked:
         late = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
         unchecked = joined(unchecked, late)
-    worst = max(comparisons, key=lambda c: c.average.relative)
-    # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
-    solved = comparisons[0].average.relative <= POINTWISE
-    pointwise = max(c.pointwise.relative for c in comparisons)
-    nothing = influence == 0.0
-    # What differences alone find, a kink or a jump, no tolerance shows in the features, which may miss it by more.
-    kinked = max((c.pointwise.relative - comparisons[0].pointwise.relative for c in comparisons[1:]), default=0.0)
-    least = INF if kinked > KINKED else 5.0 * max(kinked, 0.0)
-    features = {name: float(np.maximum(x, least)) for name, x in features.items()}
-    remark, breakdown, numbers = "", float("nan"), {name: of_feature(x) for name, x in features.items()}
-    if np.isfinite(end):
-        verdict, remark, breakdown = NOT, "the run failed", end
-    elif chaotic(grown, comparisons[0]):
-        verdict, breakdown = NOT, worst.average.broken
-        rate = f"about {grown.exponent:.3g} per second" if np.isfinite(grown.exponent) else "beyond all numbers"
-        remark = f"chaotic: the largest Lyapunov exponent is {rate}"
-    elif vague and grown.factor > CHAOTIC_GROWTH:
-        verdict, breakdown = NOT, worst.average.broken
-        remark = "tangents grow by more than a million, and no central difference confirms them"
-    elif pointwise <= POINTWISE:
-        verdict, remark = TRUSTED, "no influence" if nothing else ""
-    elif worst.average.relative <= BROKEN and not comparisons[0].unbounded:
-        verdict = AVERAGED
-    else:
-        verdict, breakdown = NOT, worst.average.broken
-        if worst is not comparisons[0] and solved:
-            remark = "central differences find another derivative: the force has a kink or a jump here"
-        elif grown.factor > CHAOTIC_GROWTH:
-            remark = "tangents grow by more than a million"
-        else:
-            remark = f"{_OPEN if comparisons[0].unbounded else _LOOSE}: give a tighter accuracy or a larger smoothing"
-            remark += "; its influence is weak" if influence < INFLUENCE else ""
-    if verdict == NOT and not remark.startswith(_LOOSE):
-        numbers = dict.fromkeys(numbers, NOT)
-    return Check(
-        verdict, remark, (*(c.what for c in comparisons), *([also] if also else [])), pointwise,
-        worst.average.relative, dict(features),
-        grown.factor, grown.exponent, float(influence), worst.pointwise.where, breakdown,
-        numbers, unchecked,
-    )  # fmt: skip
+    return counting, unchecked, vague
 
 
 def joined(said: str, more: str) -> str:

@@ -13,7 +13,8 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, safer, target
-from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison
+from bcfj_jax.analysis.derivatives.certificate import Certificate, Check, Comparison, Seen
+from bcfj_jax.analysis.derivatives.differences import Beside as Runs
 from bcfj_jax.analysis.derivatives.differences import against, scales
 from bcfj_jax.analysis.derivatives.differences import direction as random_direction
 from bcfj_jax.analysis.derivatives.jacobian import forces
@@ -78,10 +79,12 @@ def beside(problem: Problem, climbed: Climb, histories: Sequence[Comparison], ea
     def run(at: np.ndarray) -> np.ndarray:
         return forces(problem.scene, problem.moved(at), every, how).reshape(len(every), -1)[:count]
 
+    runs = Runs(short, run, values, fine, problem.width)
+
     def along(what: str, way: np.ndarray, enough: float) -> Comparison:
         slope = np.tensordot(way, slopes, 1)
         with stage(f"comparing with {what}"):
-            compared = spend.on(lambda: against(what, short, run, values, way, slope, fine, problem.width, enough))
+            compared = spend.on(lambda: against(runs, way, slope, what, enough))
         early = count < len(problem.times) and not np.isfinite(compared.until)
         return compared._replace(what=f"{compared.what}, until {short[-1]:.4g} s") if early else compared
 
@@ -127,9 +130,8 @@ def certified(
         comparisons = [histories[k], *([found.alone[k]] if k in found.alone else [])]
         unchecked = verdicts.joined(climbed.unchecked, found.unchecked[k])
         vague = both is not None and both.vague
-        checks[name] = verdicts.check(
-            comparisons, table[name], grown[k], float(strength[k]), end, found.also[k], unchecked, vague
-        )
+        seen = Seen(table[name], grown[k], float(strength[k]), end, found.also[k], unchecked, vague)
+        checks[name] = verdicts.check(comparisons, seen)
     direction = None
     if both is not None and not both.vague:
         direction = {"pointwise": both.pointwise.relative, "average": both.average.relative}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,10 +28,10 @@ from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict, counted
-from bcfj_jax.io.scenefile import load, shown
+from bcfj_jax.io.scenefile import SceneFile, load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
 
 FILES = (
@@ -53,23 +53,64 @@ _NOW = {
 _MOST_ROWS = 12
 
 
+class Wanted(NamedTuple):
+    """What is asked of a run, as of ``sensitivity``; budget: seconds for the runs that derivatives are compared with."""
+
+    wrt: Sequence[str]
+    features: Sequence[str]
+    certify: bool
+    budget: float
+
+
+class _Told:
+    """What is written and shown of a result as it grows."""
+
+    def __init__(self, folder: Path, given: SceneFile, params: Params, absurd: Sequence[plausibility.Finding]) -> None:
+        self.folder, self.scene, self.params, self.absurd = folder, given.scene, params, absurd
+        self.doubts = [plausibility.headline(absurd)] if absurd else []
+        self.tables: list[Any] = []
+        self.spoken: list[str] = []
+        self.ends: list[float] = []
+
+    def write(self, found: Sensitivity, stage: str) -> list[Any]:
+        """The files; tables as they are shown."""
+        ends = [_end(found, name) for name in found.wrt]
+        if found.derivative and ends != self.ends:
+            write_histories(self.folder / "sensitivity.csv", self.scene, found)
+            self.ends = ends
+        content = certificate_json(found, self.params, self.scene) | {"plausibility": plausibility.content(self.absurd)}
+        outputs.write_json(self.folder / "certificate.json", {"stage": stage, **content})
+        return _tables(found, self.params)
+
+    def so_far(self, found: Sensitivity) -> tuple[str, str]:
+        """What is new, in words, and how far the result has come."""
+        stage = BOUNDED if found.certificate else UNCHECKED if found.features else STEADY
+        tables = self.write(found, stage)
+        new = [table for table in tables if table not in self.tables]
+        drives = [text for text in _driven(found, self.params) if text not in self.spoken]
+        self.spoken += drives
+        self.tables = tables
+        return "\n\n".join([*self.doubts, *drives, *_texts(new), _NEXT[stage].format(said(found))]) + "\n", stage
+
+    def at_last(self, found: Sensitivity) -> tuple[str, list[Any]]:
+        """The outcome in words, with tables that the comparison has changed; and all tables."""
+        tables = self.write(found, COMPLETE)
+        certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
+        again = [] if self.tables == tables else tables
+        drives = _driven(found, self.params) if again else []
+        return "\n\n".join([*self.doubts, *drives, said(found), *_texts([*certificate, *again])]), tables
+
+
 def run(
-    what: str,
-    wrt: Sequence[str],
-    features: Sequence[str],
-    certify: bool,
-    budget: float,
-    out: Path | None,
-    say: Callable[[str], None],
-    show: Callable[[str], None],
+    what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
 ) -> tuple[str, bool]:
-    """Differentiate a scene file's run, write and show the table, then certify.
+    """Differentiate a scene file's run; write and show what is known as soon as it is.
 
     Args:
         what: a scene file, or a built-in scene's name.
-        wrt, features, certify: as ``sensitivity``; budget: seconds for the runs that derivatives are compared with.
+        wanted: parameters, features and checks.
         out: folder for the results, None for one made up.
-        say: receives the progress; show: the table before those runs.
+        say: receives the progress; show: what is known before the result is complete.
 
     Returns:
         The results in words, and whether the simulation ended well.
@@ -78,91 +119,58 @@ def run(
         InputError: for bad input, and where something would be overwritten.
     """
     given = shown(load(what))
-    params, names = complete(given.scene, given.params, wrt)
+    params, names = complete(given.scene, given.params, wanted.wrt)
     stem = given.source.stem if given.source else what
     folder = outputs.open_folder(out, "sensitivity", stem, FILES)
-    options: dict[str, Any] = {"wrt": list(names), "features": list(features), "certify": certify, "budget": budget}
+    options = {**wanted._asdict(), "wrt": list(names), "features": list(wanted.features)}
     outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
-    seen: list[list[Any]] = []
-    ends: list[list[float]] = []
-    spoken: list[str] = []
-
-    def write(found: Sensitivity, stage: str) -> list[Any]:
-        ends.append([_end(found, name) for name in found.wrt])
-        if found.derivative and ends[-1:] != ends[-2:-1]:
-            write_histories(folder / "sensitivity.csv", given.scene, found)
-        content = certificate_json(found, params, given.scene) | {"plausibility": plausibility.content(absurd)}
-        outputs.write_json(folder / "certificate.json", {"stage": stage, **content})
-        return _tables(found, params)
-
-    def so_far(found: Sensitivity) -> None:
-        stage = BOUNDED if found.certificate else UNCHECKED if found.features else STEADY
-        tables = write(found, stage)
-        # What was shown is shown again where it has changed.
-        new = [table for table in tables if not seen or table not in seen[-1]]
-        seen.append(tables)
-        drives = [text for text in _driven(found, params) if text not in spoken]
-        spoken.extend(drives)
-        show("\n\n".join([*first_said, *drives, *_texts(new), _NEXT[stage].format(said(found))]) + "\n")
-        say(_NOW[stage].format(budget))
-
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
-    absurd = plausibility.at(given.scene, params, given.times)
-    first_said = [plausibility.headline(absurd)] if absurd else []
-    for doubt in first_said:
+    told = _Told(folder, given, params, plausibility.at(given.scene, params, given.times))
+    for doubt in told.doubts:
         say(f"warning: {doubt}")
+
+    def so_far(found: Sensitivity) -> None:
+        text, reached = told.so_far(found)
+        show(text)
+        say(_NOW[reached].format(wanted.budget))
+
     found = sensitivity(
-        given.scene, params, given.times, names, accuracy=given.accuracy, features=features, mode="forward",
-        certify=certify, max_steps=given.max_steps, steady=True, budget=budget, tell=so_far,
+        given.scene, params, given.times, names, accuracy=given.accuracy, features=wanted.features, mode="forward",
+        certify=wanted.certify, max_steps=given.max_steps, steady=True, budget=wanted.budget, tell=so_far,
     )  # fmt: skip
     stats = found.stats
     say(
         f"{counted(int(stats['levels']), 'solve')}, the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
         f"compiled in {stats['compile_s']:.1f} s"
     )
-    tables = write(found, COMPLETE)
-    certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
-    # Shown already, unless the comparison has changed it.
-    again = [] if seen[-1:] == [tables] else tables
-    parts = [*first_said, *(_driven(found, params) if again else []), said(found), *_texts([*certificate, *again])]
-    parts.append(f"results in {folder}")
+    text, tables = told.at_last(found)
     with stage("drawing"):
         ranked = ranking(found, params)
-        drawn = (
-            pictures.tornado(ranked, folder / "tornado.png"),
-            pictures.bands(found, params, folder / "histories.png"),
-        )
+        tornado = pictures.tornado(ranked, folder / "tornado.png")
+        drawn = tornado, pictures.bands(found, params, folder / "histories.png")
     report.write(
-        folder,
-        page(f"Sensitivity of {stem}", found, ranked, drivers(found, params), tables, drawn, absurd),
-        given.scene.model_form,
+        folder, page(f"Sensitivity of {stem}", found, params, tables, drawn, told.absurd), given.scene.model_form
     )
     keep_asked()
-    return "\n\n".join(parts), found.status == "ok"
+    return f"{text}\n\nresults in {folder}", found.status == "ok"
 
 
 def page(
-    title: str,
-    found: Sensitivity,
-    ranked: Ranking,
-    sentences: Sequence[str],
-    tables: Sequence[tuple[str, list[list[str]]]],
-    drawn: tuple[Picture, ...],
-    absurd: Sequence[plausibility.Finding] = (),
-) -> Page:
+    title: str, found: Sensitivity, params: Params, tables: Sequence[tuple[str, list[list[str]]]],
+    drawn: tuple[Picture, ...], absurd: Sequence[plausibility.Finding] = (),
+) -> Page:  # fmt: skip
     """The report: which parameter drives which feature, and how far the derivatives can be trusted.
 
     Args:
         title: its heading.
-        found, ranked: the derivatives, and the elasticities of the run's features.
-        sentences: which parameter drives which feature, as on the screen.
+        found, params: the derivatives, and the parameters' values.
         tables: of features, as on the screen.
         drawn: the pictures.
         absurd: what is not plausible of the run itself.
     """
-    certificate = found.certificate
+    certificate, ranked = found.certificate, ranking(found, params)
     shown = [
         _strongest(head if k else "Percent change of features per percent change of parameters", rows, legend(found))
         for k, (head, rows) in enumerate(tables)
@@ -172,7 +180,7 @@ def page(
         note += "Tangent growth: how much a small change grows over the run."
         shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
-    verdict = plausibility.judged(absurd, answer(found, ranked, sentences))
+    verdict = plausibility.judged(absurd, answer(found, ranked, drivers(found, params)))
     return Page(title, verdict, drawn, tables=tuple(shown), folded=(solver,))
 
 

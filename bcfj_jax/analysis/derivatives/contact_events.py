@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +25,7 @@ from jaxtyping import Float
 from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, instants, planned, train
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
@@ -162,9 +163,8 @@ def contact_events(
             raise InputError(
                 f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number"
             )
-    loose = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked)
-    tight = solved_at(scene, full, t[-1], names, plan(scene, accuracy, max_steps), asked, TIGHTER)
-    return _presented(scene, full, t[-1], names, asked, loose, tight, max_steps)
+    problem, how = Problem(scene, full, t, names, asked, max_steps=max_steps), plan(scene, accuracy, max_steps)
+    return _presented(problem, *(solved_at(problem, how, asked, tighter) for tighter in (1.0, TIGHTER)))
 
 
 def check_followed(scene: AbstractModel) -> None:
@@ -180,17 +180,15 @@ def check_followed(scene: AbstractModel) -> None:
         raise InputError(where, "has no history of its own", "contacts' begins, peaks and ends need a motion")
 
 
-def solved_at(
-    scene: AbstractModel, params: Params, end: float, wrt: tuple[str, ...], how: Plan, asked: Sequence[Feature],
-    tighter: float = 1.0,
-) -> Solved:  # fmt: skip
+def solved_at(problem: Problem, how: Plan, asked: Sequence[Feature], tighter: float = 1.0) -> Solved:
     """The contacts that features ask for (all for none), at a share of the plan's tolerance; see ``contact_events``."""
+    scene, wrt = problem.scene, problem.names
     check_followed(scene)
     how = planned(scene, how, tighter, _STIFF)
     channels = channel_names(scene.members)
     wanted = {(channels.index(m), event(f.kind)[1] - 1) for f in asked for m in members(f.contacts[0], scene.members)}  # pyright: ignore[reportOptionalSubscript]
     most = MOST if not wanted else 1 << max(3, max(k for _, k in wanted).bit_length())
-    given, last, spent = dict(params), np.asarray(float(end)), np.zeros(2)
+    given, last, spent = dict(problem.params), np.asarray(float(problem.times[-1])), np.zeros(2)
 
     def ask(name: str, function: Any, static: tuple, arguments: tuple) -> Any:
         run, compile_s = program(name, function, static, arguments)
@@ -201,7 +199,7 @@ def solved_at(
 
     def read(marks: Marks) -> Any:
         return ask(
-            "contact events", _solved, (scene, wrt, most if scene.traits.stiff else 1), (given, marks, last, how)
+            "contact events", _solved, ((scene, wrt, most if scene.traits.stiff else 1),), (given, marks, last, how)
         )
 
     # One program serves runs with about as many contacts.
@@ -246,10 +244,9 @@ def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan)
     return instants(scene, params, end, how, most)
 
 
-def _solved(
-    scene: AbstractModel, wrt: tuple[str, ...], most: int, params: dict, marks: Marks, end: Array, how: Plan
-) -> Any:
+def _solved(what: tuple[AbstractModel, tuple[str, ...], int], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
     """Derivatives of the train by name, the train, how the run ended, and the contacts that it found."""
+    scene, wrt, most = what
 
     def at(params: dict) -> tuple:
         found, ended, seen = train(scene, params, marks, end, how, most)
@@ -261,18 +258,15 @@ def _solved(
     return slopes, found, rest
 
 
-def filled(
-    scene: AbstractModel, params: Params, end: float, wrt: tuple[str, ...], how: Plan, wanted: Sequence[Feature],
-    values: np.ndarray, slopes: np.ndarray, tighter: float = 1.0,
-) -> dict[str, str]:  # fmt: skip
+def filled(problem: Problem, how: Plan, values: np.ndarray, slopes: np.ndarray, tighter: float = 1.0) -> dict[str, str]:
     """Put what is of single contacts into features (F,) and derivatives (F, P); by name, why one is NaN."""
-    own = [i for i, f in enumerate(wanted) if event(f.kind)]
+    own = [i for i, f in enumerate(problem.wanted) if event(f.kind)]
     if not own:
         return {}
-    asked = [wanted[i] for i in own]
-    found = solved_at(scene, params, end, wrt, how, asked, tighter)
-    values[own], slopes[own] = numbers(scene, found, asked)
-    return {f.name: text for f in asked if (text := why(scene, found, f))}
+    asked = [problem.wanted[i] for i in own]
+    found = solved_at(problem, how, asked, tighter)
+    values[own], slopes[own] = numbers(problem.scene, found, asked)
+    return {f.name: text for f in asked if (text := why(problem.scene, found, f))}
 
 
 def numbers(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> tuple[np.ndarray, np.ndarray]:
@@ -326,10 +320,8 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
     return "" if np.isfinite(getattr(v, kind)[row]) else "it is not finite: the contact begins or ends without speed"
 
 
-def _presented(
-    scene: AbstractModel, params: Mapping[str, Any], end: float, wrt: tuple[str, ...], asked: Sequence[Feature],
-    loose: Solved, tight: Solved, max_steps: int,
-) -> ContactEvents:  # fmt: skip
+def _presented(problem: Problem, loose: Solved, tight: Solved) -> ContactEvents:
+    scene, params, wrt, asked = problem.scene, problem.params, problem.names, problem.wanted
     channels = channel_names(scene.members)
     wanted = list(asked) or [
         Feature(f"{channels[c]}.{kind}_{k + 1}", f"{kind}_{k + 1}", (channels[c],))
@@ -348,7 +340,7 @@ def _presented(
         {f.name: float(x) for f, x in zip(wanted, values, strict=True)},
         {p: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, p in enumerate(wrt)},
         reasons, {name: int(n) for name, n in zip(channels, tight.counts, strict=True)},
-        "failed" if failed else "ok", reason(tight.code, max_steps), tight.end if failed else float("nan"),
+        "failed" if failed else "ok", reason(tight.code, problem.max_steps), tight.end if failed else float("nan"),
         {
             "accepted": tight.accepted, "rejected": tight.rejected,
             "wall_s": loose.wall_s + tight.wall_s, "compile_s": loose.compile_s + tight.compile_s,

@@ -13,6 +13,7 @@ comparison ends there; where it fails early, the difference is infinite: nothing
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,30 +45,35 @@ def direction(count: int) -> np.ndarray:
     return rng.choice([-1.0, 1.0], count) * rng.uniform(1.0 / 3.0, 1.0, count)
 
 
-def against(
-    what: str,
-    times: np.ndarray,
-    forces: Forces,
-    values: np.ndarray,
-    step: np.ndarray,
-    derivative: np.ndarray,
-    error: float,
-    width: float,
-    enough: float = 0.0,
-) -> Comparison:
-    """The derivative along ``step`` (P,) held against central differences of ``forces``.
+class Beside(NamedTuple):
+    """Runs that a derivative is held against.
 
-    Args:
-        what: in words.
-        times: (T,).
+    Attributes:
+        times: (T,) [s].
         forces: values (P,) -> forces (T, M) without derivatives.
         values: where (P,).
-        step: the direction, scaled by ``scales``.
-        derivative: (T, M) along it.
         error: e of the forces.
         width: of the moving average [s].
+    """
+
+    times: np.ndarray
+    forces: Forces
+    values: np.ndarray
+    error: float
+    width: float
+
+
+def against(runs: Beside, step: np.ndarray, derivative: np.ndarray, what: str = "", enough: float = 0.0) -> Comparison:
+    """The derivative (T, M) along a direction held against central differences.
+
+    Args:
+        runs: without derivatives.
+        step: the direction (P,), scaled by ``scales``.
+        derivative: along it.
+        what: in words.
         enough: pointwise difference of the shorter step at which the longer one is not run.
     """
+    times, forces, values, error, width = runs
     h = 0.3 * error ** (1.0 / 3.0)
 
     def pair(h: float) -> tuple[np.ndarray, np.ndarray]:

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.contact_events import filled
 from bcfj_jax.analysis.derivatives.jacobian import Level, level, prepared
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.repeating import Fold
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import MAX_STEPS, Plan
 
 
 class Problem(NamedTuple):
@@ -34,10 +33,10 @@ class Problem(NamedTuple):
     params: Params
     times: np.ndarray
     names: tuple[str, ...]
-    wanted: Sequence[Feature]
-    error: float
-    width: float
-    max_steps: int
+    wanted: Sequence[Feature] = ()
+    error: float = 0.0
+    width: float = 0.0
+    max_steps: int = MAX_STEPS
     fold: Fold | None = None
 
     @property
@@ -63,11 +62,6 @@ class Problem(NamedTuple):
         """Features (F,) of a solve and their derivatives (F, P)."""
         scene = self.scene
         return measure(self.times, solved.value, solved.derivative, self.wanted, scene.members, scene.traits.turning)
-
-    def of_contacts(self, how: Plan, numbers: np.ndarray, slopes: np.ndarray, tighter: float) -> dict[str, str]:
-        """Put what is of single contacts into features (F,) and derivatives (F, P); by name, why one is NaN."""
-        end = float(self.times[-1])
-        return filled(self.scene, self.params, end, self.names, how, self.wanted, numbers, slopes, tighter)
 
     def by_name(self, table: np.ndarray) -> dict[str, dict[str, float]]:
         """(F, P) by parameter and feature."""

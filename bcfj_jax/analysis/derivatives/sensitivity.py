@@ -24,7 +24,7 @@ from bcfj_jax.analysis.derivatives.bounds import (
 )
 from bcfj_jax.analysis.derivatives.certificate import Certificate
 from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
-from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed
+from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features, event
@@ -209,7 +209,7 @@ def _forward(
         problem = problem._replace(fold=short[0])
         ahead(partial(problem.compiled, first_plan(scene, how, problem.error) if levels else how))
     if steady and short is not None:
-        orbit = _of_steady(problem, *short[1:])
+        orbit = steady_of(problem, *short[1:])
         if orbit is not None and not orbit.reason:
             tell(_steady_alone(problem, orbit))
     told: list[tuple[Level, Sensitivity]] = []
@@ -226,7 +226,7 @@ def _forward(
         climbed = climb(problem, how, levels, spend, first)
     last = climbed.last
     if steady and orbit is None and last.good:
-        orbit = _of_steady(problem, last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
+        orbit = steady_of(problem, last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
     known = told and told[0][0] is last
     found = told[0][1] if known else _uncertified(problem, how, last, orbit)
     found = found._replace(stats=found.stats | _spent(climbed.levels), steady=orbit)
@@ -252,10 +252,6 @@ def _forward(
     return found._replace(certificate=judge(beside(problem, climbed, histories, differences == "each", spend)))
 
 
-def _of_steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
-    return steady_of(problem.scene, problem.params, state, time, problem.names, problem.wanted, problem.max_steps)
-
-
 def _steady_alone(problem: Problem, orbit: Steady) -> Sensitivity:
     """What is known before the run itself is differentiated."""
     values = dict(zip(problem.names, map(float, problem.values), strict=True))
@@ -270,7 +266,7 @@ def _uncertified(problem: Problem, how: Plan, last: Level, orbit: Steady | None)
     """Histories and features with their derivatives, as one solve has them."""
     contacts, (numbers, slopes) = problem.scene.members, problem.measure(last)
     # What is of single contacts comes from runs of its own.
-    single = problem.of_contacts(how, numbers, slopes, TIGHTER)
+    single = filled(problem, how, numbers, slopes, TIGHTER)
     failed = not last.good
     return Sensitivity(
         problem.times, problem.names, _by_contact(last.value.force, contacts),
@@ -297,7 +293,7 @@ def _feature_bounds(problem: Problem, how: Plan, climbed: Climb, slopes: np.ndar
     numbers, _ = problem.measure(climbed.last)
     (_, between), (_, tight) = map(problem.measure, climbed.beside)
     for slope, share in zip((between, tight), BOUNDING[problem.scene.traits.stiff], strict=True):
-        problem.of_contacts(how, numbers, slope, TIGHTER * share)
+        filled(problem, how, numbers, slope, TIGHTER * share)
     return feature_bounds([slopes, between, tight], numbers, problem.values)
 
 

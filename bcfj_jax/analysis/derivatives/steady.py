@@ -26,6 +26,7 @@ from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
@@ -147,23 +148,21 @@ class _Orbit(NamedTuple):
     steps: int
 
 
-def steady(
-    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...],
-    wanted: Sequence[Feature], max_steps: int,
-) -> Steady | None:  # fmt: skip
+def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
     """Derivatives of the steady motion to which a run has come; None for a model that does not know a pitch.
 
     Args:
-        scene, params, wrt, wanted, max_steps: as ``sensitivity``.
-        state: (n,) of the run at ``time`` [s], its last.
+        problem: what is differentiated.
+        state: (n,) of the run at ``time`` [s], late in it.
     """
+    scene, params, wrt = problem.scene, problem.params, problem.names
     if not scene.recurs(params):
         return None
     begin = clock()
-    kinds = [f for f in wanted if f.kind in KINDS]
+    kinds = [f for f in problem.wanted if f.kind in KINDS]
     if not kinds:
         return _none("it has none of these features")
-    (first, last), why, compile_s = _orbits(scene, params, state, time, wrt, max_steps)
+    (first, last), why, compile_s = _orbits(scene, params, state, time, wrt, problem.max_steps)
     if why:
         return _none(why)
     sizes, pitch = _sizes(params, wrt), last.pitch
