@@ -15,6 +15,7 @@ import numpy as np
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.analysis.derivatives.names import feature
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.steady import SAMPLES, Steady, steady
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan, plan
@@ -34,7 +35,7 @@ def orbit(end: float = 0.6) -> Steady:
     run = bj.simulate(SCENE, params, np.linspace(0.0, end, round(end / 1e-3) + 1))
     assert run.trajectory is not None
     wanted = [feature(f"{c}.{kind}", SCENE.members) for c in CONTACTS for kind in ("mean", "peak", "period")]
-    found = steady(SCENE, params, run.trajectory[-1], end, NAMES, wanted, MAX_STEPS)
+    found = steady(Problem(SCENE, params, run.times, NAMES, wanted, max_steps=MAX_STEPS), run.trajectory[-1], end)
     assert found is not None
     return found
 

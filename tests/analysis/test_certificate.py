@@ -84,11 +84,11 @@ def test_differences_that_are_noise_check_nothing():
     assert noise.vague
     assert not against(Beside(TIMES, lambda x: x[0] * line, np.ones(1), 1e-9, 0.05), np.ones(1), line).vague
     levels = compare("levels", TIMES, line, 1.01 * line, 0.0, 0.05)
-    found = certificate.check([levels, noise], {}, calm, 1.0, np.nan)
+    found = certificate.check([levels, noise], Seen({}, calm, 1.0, np.nan))
     assert found.verdict == TRUSTED and found.unchecked == certificate.VAGUE and found.compared_with == ("levels",)
     # Tangents that grow beyond all measure are then not believed, though tolerances agree about them.
-    assert certificate.check([levels, noise], {}, Growth(1e7, 9.0), 1.0, np.nan).verdict == NOT
-    assert certificate.check([levels], {}, Growth(1e7, 9.0), 1.0, np.nan, vague=True).verdict == NOT
+    assert certificate.check([levels, noise], Seen({}, Growth(1e7, 9.0), 1.0, np.nan)).verdict == NOT
+    assert certificate.check([levels], Seen({}, Growth(1e7, 9.0), 1.0, np.nan, vague=True)).verdict == NOT
 
 
 def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():

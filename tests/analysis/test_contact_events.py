@@ -189,11 +189,8 @@ def both(scene, params, end, wrt, features, accuracy):
         suited = scene.suited(params, end, solver)
         full, names = complete(suited, params, wrt)
         wanted = [feature(name, suited.members) for name in features]
-        found.append(
-            numbers(
-                suited, solved_at(Problem(suited, full, np.array([end]), names), plan(suited, accuracy), wanted), wanted
-            )
-        )
+        problem = Problem(suited, full, np.array([end]), names)
+        found.append(numbers(suited, solved_at(problem, plan(suited, accuracy), wanted), wanted))
     return found
 
 

@@ -22,6 +22,7 @@ from bcfj_jax.analysis.derivatives.contact_events import filled as with_events
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
 from bcfj_jax.analysis.derivatives.measures import measure, vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.derivatives.steady import steady, to_the_end
 from bcfj_jax.analysis.engine import differentiated, planned, simulated
@@ -254,7 +255,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
         numbers, by = _measured(study, times, value, slopes)
-        with_events(scene, one, float(end), wrt, finer, study.features, numbers, by, safety * TIGHTER)
+        with_events(Problem(scene, one, times, wrt, study.features), finer, numbers, by, safety * TIGHTER)
         for k, feature in enumerate(study.features):
             if feature.kind == "peak" and peaks:
                 numbers[k] = max(peaks[name] for name in members(feature.contacts[0], scene.members))
@@ -279,7 +280,8 @@ def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
         one, wrt = points.one(i), ()
         if study.derivatives:
             one, wrt = complete(scene, one, study.derivatives)
-        orbit = steady(scene, one, found.state[i], float(points.ends[i]), wrt, study.features, how.max_steps)
+        problem = Problem(scene, one, points.ends[i : i + 1], wrt, study.features, max_steps=how.max_steps)
+        orbit = steady(problem, found.state[i], float(points.ends[i]))
         reasons[i] = "its motion has no pitch" if orbit is None else orbit.reason
         if orbit is None or orbit.reason:
             continue
