@@ -92,7 +92,7 @@ def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Calla
     pairs: dict[Any, list[Contact]] = {}
     for c in contacts:
         same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach)
-        alone = members[c.name] or not all(map(_ours, (c.gap, c.law, c.friction)))
+        alone = members[c.name] or not _plain(c)
         pairs.setdefault((c.name,) if alone else same, []).append(c)
     groups: dict[Any, list[Contact]] = {}
     for key, group in pairs.items():
@@ -103,6 +103,11 @@ def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Calla
         few = len(key) > 1 and len(group) < _FEW
         found += group if few or len(group) == 1 else [_together(group)]
     return tuple(found)
+
+
+def _plain(c: Contact) -> bool:
+    """Whether all of a contact takes (k,) numbers, and its coefficients are numbers."""
+    return all(map(_ours, (c.gap, c.law, c.friction))) and not any(q.shape for q, _ in c.parameters().values())
 
 
 def _ours(part: Any) -> bool:

@@ -207,8 +207,8 @@ def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params
         enough = (push * depth > 2.0 * energy) & (push > force)
         return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
 
-    # As many as there are contacts side by side with coefficients of their own.
-    shape = jnp.broadcast_shapes(*(jnp.shape(x) for x in values.values()))
+    # Contacts side by side may have coefficients of their own.
+    shape = (len(c.each),) if len(c.each) > 1 else ()
     bracket = jnp.full(shape, jnp.log(1e-15)), jnp.full(shape, jnp.log(10.0))
     found = jnp.exp(jax.lax.fori_loop(0, 30, halve, bracket)[1])
     # Nothing that moves or pulls: nothing is known.

@@ -195,7 +195,8 @@ def handmade():
 
 
 def test_contacts_csv(tmp_path):
-    outputs.write_contacts(tmp_path / "contacts.csv", handmade())
+    run = handmade()
+    outputs.write_histories(tmp_path / "contacts.csv", run.times, outputs.contact_columns(run))
     with (tmp_path / "contacts.csv").open(newline="") as file:
         header, first, second = csv.reader(file)
     assert header[:4] == [
