@@ -307,14 +307,15 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
     if name not in known:
         hint = f"known here: {', '.join(sorted(known))}" if name in CATALOGUE else nearest(name, known)
         raise InputError(place, f"scene '{scene.kind}' has no parameter '{name}'", hint)
-    listed, some = table.values is not None, (table.lower, table.upper, table.steps)
+    listed, lower, upper = table.values is not None, table.lower, table.upper
+    some = any(x is not None for x in (lower, upper, table.steps))
     faults = (
         (table.scale not in SCALES, " scale", f"no scale '{table.scale}'", nearest(table.scale, SCALES)),
-        (listed and some != (None,) * 3, "", "values and bounds are both given", "give one of them"),
+        (listed and some, "", "values and bounds are both given", "give one of them"),
         (listed and size, " values", f"a {kind} draws between bounds", "give lower and upper"),
         (table.values == [], " values", "is empty", "give one value or more"),
         (
-            not listed and (table.lower is None or table.upper is None),
+            not listed and (lower is None or upper is None),
             "",
             "no bounds",
             "give lower and upper, or values",
@@ -326,7 +327,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
     for wrong, key, found, remedy in faults:
         if wrong:
             raise InputError(f"{place}{key}", found, remedy)
-    axis = Axis(name, table.lower, table.upper, table.scale, table.steps or 0)
+    axis = Axis(name, lower, upper, table.scale, table.steps or 0)  # pyright: ignore[reportArgumentType]
     if table.values is None:
         return bounded(place, scene, given.params, axis)
     power = inputs.exponent(scene, name, given.params)
