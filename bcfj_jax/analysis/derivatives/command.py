@@ -38,14 +38,12 @@ FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
 # How far a result has come: what ``certificate.json`` holds, what is said below its tables, and what is done next.
-STEADY, UNCHECKED, BOUNDED, COMPLETE = "steady motion", "not checked yet", "bounded", "complete"
+UNCHECKED, BOUNDED, COMPLETE = "not checked yet", "bounded", "complete"
 _NEXT = {
-    STEADY: "Of steady motion; the run's own derivatives, its start among them, come next.",
     UNCHECKED: "Not checked yet: far tighter solves come next.",
     BOUNDED: "Before the comparison with central differences: {}",
 }
 _NOW = {
-    STEADY: "differentiating the run",
     UNCHECKED: "bounding the errors by far tighter solves",
     BOUNDED: "comparing with central differences, for {:g} s at most",
 }
@@ -75,7 +73,7 @@ class _Told:
     def write(self, found: Sensitivity, stage: str) -> list[Any]:
         """The files; tables as they are shown."""
         ends = [_end(found, name) for name in found.wrt]
-        if found.derivative and ends != self.ends:
+        if ends != self.ends:
             write_histories(self.folder / "sensitivity.csv", self.scene, found)
             self.ends = ends
         content = certificate_json(found, self.params, self.scene) | {"plausibility": plausibility.content(self.absurd)}
@@ -84,7 +82,7 @@ class _Told:
 
     def so_far(self, found: Sensitivity) -> tuple[str, str]:
         """What is new, in words, and how far the result has come."""
-        stage = BOUNDED if found.certificate else UNCHECKED if found.features else STEADY
+        stage = BOUNDED if found.certificate else UNCHECKED
         tables = self.write(found, stage)
         new = [table for table in tables if table not in self.tables]
         drives = [text for text in _driven(found, self.params) if text not in self.spoken]
@@ -218,10 +216,8 @@ def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tup
 def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
     """Of the run's features, and of those of steady motion."""
     head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
-    tables = []
-    if found.features:
-        mark = "" if found.certificate else UNCHECKED
-        tables.append((head, ranked_rows(found.features, ranking(found, params), found.sampled, mark)))
+    mark = UNCHECKED if found.certificate is None and not found.steady else ""
+    tables = [(head, ranked_rows(found.features, ranking(found, params), found.sampled, mark))]
     if found.steady is not None and not found.steady.reason:
         turn = format_si(found.steady.turn, "s", 4)
         head = f"The same of steady motion, over one turn of {turn}, whatever the start"

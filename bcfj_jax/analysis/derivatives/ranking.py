@@ -125,7 +125,7 @@ def drivers(found: Sensitivity, values: Mapping[str, Any]) -> list[str]:
     else:
         ranked, kind, size_of = ranking(found, values), "", found.features
     known = {name: k for k, name in enumerate(ranked.features)}
-    wanted = [name for name in found.features or ranked.features if name in known]
+    wanted = [name for name in found.features if name in known]
     sentences = []
     moved = np.abs(np.nan_to_num(ranked.elasticity)).max(axis=1, initial=0.0)
     peaks = [name for name in ranked.features if name.endswith(".peak")]

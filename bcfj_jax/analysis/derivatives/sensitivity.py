@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -40,7 +40,7 @@ from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.core.threads import ahead
+from bcfj_jax.core.threads import ahead, together
 from bcfj_jax.io.stop import OutOfTime
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
@@ -145,9 +145,8 @@ def sensitivity(
         steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
         budget: seconds for far tighter solves and central differences, compiling included: none is begun that is not
             expected to end within, and one that does not is left behind, in a thread that may compute on; None: no end.
-        tell: receives what is known so far: derivatives of steady motion alone, where these were asked for and the run is
-            seen to repeat itself; the run's, which nothing was compared with (no certificate); those with bounds, before
-            central differences are taken.
+        tell: receives what is known so far: derivatives that nothing was compared with (no certificate); those with bounds,
+            before central differences are taken and steady motion is differentiated.
 
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
@@ -200,23 +199,17 @@ def _forward(
     problem: Problem, how: Plan, levels: int, differences: str, spend: Budget, steady: bool,
     tell: Callable[[Sensitivity], None],
 ) -> Sensitivity:  # fmt: skip
-    """Steady motion, then the run's derivatives, then their bounds, then central differences; each is told of."""
+    """The run's derivatives, then their bounds, then central differences and steady motion; each is told of."""
     scene, t = problem.scene, problem.times
     with stage("running until the motion repeats itself"):
-        short, orbit = settled(scene, problem.params, t, problem.names, how), None
-    if short is not None:
-        # A short run stands for the whole.
-        problem = problem._replace(fold=short[0])
-        ahead(partial(problem.compiled, first_plan(scene, how, problem.error) if levels else how))
-    if steady and short is not None:
-        orbit = steady_of(problem, *short[1:])
-        if orbit is not None and not orbit.reason:
-            tell(_steady_alone(problem, orbit))
+        short = settled(scene, problem.params, t, problem.names, how)
+    # A short run stands for the whole.
+    problem = problem._replace(fold=short[0]) if short else problem
     told: list[tuple[Level, Sensitivity]] = []
 
     def first(level: Level) -> None:
         if level.good and levels:
-            told[:] = [(level, _uncertified(problem, how, level, orbit))]
+            told[:] = [(level, _uncertified(problem, how, level))]
             tell(told[0][1])
 
     climbed = climb(problem, how, levels, spend, first)
@@ -225,13 +218,17 @@ def _forward(
         problem = problem._replace(fold=None)
         climbed = climb(problem, how, levels, spend, first)
     last = climbed.last
-    if steady and orbit is None and last.good:
-        orbit = steady_of(problem, last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
-    known = told and told[0][0] is last
-    found = told[0][1] if known else _uncertified(problem, how, last, orbit)
-    found = found._replace(stats=found.stats | _spent(climbed.levels), steady=orbit)
+    found = told[0][1] if told and told[0][0] is last else _uncertified(problem, how, last)
+    found = found._replace(stats=found.stats | _spent(climbed.levels))
+
+    def orbit() -> Any:
+        if not steady or not last.good:
+            return None
+        late = short[1:] if short else (last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
+        return steady_of(problem, *late)
+
     if not levels:
-        return found
+        return found._replace(steady=orbit())
     slopes = np.array([[found.feature_derivatives[n][f.name] for n in problem.names] for f in problem.wanted])
     histories, agree = bounded(problem, climbed), _feature_bounds(problem, how, climbed, slopes)
     agree = np.maximum(agree, luckless(climbed, histories))
@@ -242,27 +239,21 @@ def _forward(
     if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
         with contextlib.suppress(OutOfTime):
             agree = spend.on(partial(_witnessed, problem, climbed.beside[0], slopes, agree))
-    if orbit is not None:
-        agree = np.maximum(agree, _off_steady(problem, last, orbit))
-    judge = partial(certified, problem, climbed, histories, agree)
-    if differences == "none":
-        return found._replace(certificate=judge(unasked(problem)))
-    if last.good:
-        tell(found._replace(certificate=judge(unasked(problem))))
-    return found._replace(certificate=judge(beside(problem, climbed, histories, differences == "each", spend)))
+    judge = partial(certified, problem, climbed, histories)
+    if last.good and differences != "none":
+        tell(found._replace(certificate=judge(agree, unasked(problem))))
+
+    def compared() -> Any:
+        alone = differences == "each"
+        return unasked(problem) if differences == "none" else beside(problem, climbed, histories, alone, spend)
+
+    others, turned = together(compared, orbit)
+    if turned is not None:
+        agree = np.maximum(agree, _off_steady(problem, last, turned))
+    return found._replace(steady=turned, certificate=judge(agree, others))
 
 
-def _steady_alone(problem: Problem, orbit: Steady) -> Sensitivity:
-    """What is known before the run itself is differentiated."""
-    values = dict(zip(problem.names, map(float, problem.values), strict=True))
-    stats = {"wall_s": orbit.wall_s, "compile_s": orbit.compile_s, "accepted": orbit.steps, "rejected": 0, "levels": 0}
-    return Sensitivity(
-        problem.times, problem.names, {}, {}, {}, {n: {} for n in problem.names}, None, "ok", "", float("nan"), stats,
-        steady=orbit, values=values,
-    )  # fmt: skip
-
-
-def _uncertified(problem: Problem, how: Plan, last: Level, orbit: Steady | None) -> Sensitivity:
+def _uncertified(problem: Problem, how: Plan, last: Level) -> Sensitivity:
     """Histories and features with their derivatives, as one solve has them."""
     contacts, (numbers, slopes) = problem.scene.members, problem.measure(last)
     # What is of single contacts comes from runs of its own.
@@ -274,7 +265,7 @@ def _uncertified(problem: Problem, how: Plan, last: Level, orbit: Steady | None)
         {f.name: float(x) for f, x in zip(problem.wanted, numbers, strict=True)}, problem.by_name(slopes), None,
         "failed" if failed else "ok", reason(last.code, problem.max_steps), last.end if failed else float("nan"),
         {"accepted": last.accepted, "rejected": last.rejected, "tolerance": last.tolerance, **_spent([last])},
-        steady=orbit, values=dict(zip(problem.names, map(float, problem.values), strict=True)), reasons=single,
+        values=dict(zip(problem.names, map(float, problem.values), strict=True)), reasons=single,
     )  # fmt: skip
 
 
