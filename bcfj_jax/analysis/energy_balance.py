@@ -65,6 +65,11 @@ def _flows(model: AbstractModel, params: Params, instants: Array, how: Plan) -> 
     return jax.lax.map(read, (instants, states), batch_size=_CHUNK)
 
 
+def _work(power: np.ndarray, instants: np.ndarray, panels: int) -> np.ndarray:
+    """Integral of a power up to every time, each so many instants after the one before."""
+    return cumulative_simpson(power, x=instants, initial=0.0)[::panels]
+
+
 def _instants(times: np.ndarray, step: float) -> tuple[np.ndarray, int]:
     """All instants and the (even) number of panels an interval has: none longer than ``step``."""
     panels = 2 * max(1, int(np.ceil(np.max(np.diff(times)) / (2.0 * step) - 1e-9)))
@@ -102,11 +107,9 @@ def balance(
     how = accuracy if isinstance(accuracy, Plan) else plan(model, accuracy)
     instants, panels = _instants(t, step)
     found = jax.device_get(_flows(model, dict(params), jnp.asarray(instants), how))
-
-    def work(power: np.ndarray) -> np.ndarray:
-        return cumulative_simpson(power, x=instants, initial=0.0)[::panels]
-
-    given, taken = ({name: work(x) for name, x in part.items()} for part in (found.given, found.taken))
+    given, taken = (
+        {name: _work(x, instants, panels) for name, x in part.items()} for part in (found.given, found.taken)
+    )
     stored = {name: np.asarray(x)[::panels] for name, x in found.stored.items()}
     total = sum(stored.values(), np.zeros(t.size))
     change = total - total[0]

@@ -106,18 +106,10 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
     return force, depth, rate
 
 
-def prepared(
-    scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan
-) -> tuple[Callable[..., Any], tuple, float]:
-    """The program of a solve, its arguments, and the seconds [s] that getting it took."""
-    arguments = (dict(params), np.asarray(times), how)
-    solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
-    return solve, arguments, compile_s
-
-
 def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
     """Solve once with the derivatives by all of ``wrt``, per SI unit."""
-    solve, arguments, compile_s = prepared(scene, params, times, wrt, how)
+    arguments = (dict(params), np.asarray(times), how)
+    solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()
     slopes, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
     wall = time.perf_counter() - begin

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.jacobian import Level, level, prepared
+from bcfj_jax.analysis.derivatives.jacobian import Level, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.repeating import Fold
@@ -44,18 +44,10 @@ class Problem(NamedTuple):
         """(P,) of the parameters [SI]."""
         return np.array([float(self.params[name]) for name in self.names])
 
-    @property
-    def solved_at(self) -> np.ndarray:
-        """Times of a solve [s]."""
-        return self.times if self.fold is None else self.fold.times
-
-    def compiled(self, how: Plan) -> None:
-        """Get the program of ``solve``."""
-        prepared(self.scene, self.params, self.solved_at, self.names, how)
-
     def solve(self, how: Plan) -> Level:
         """One solve with its derivatives."""
-        found = level(self.scene, self.params, self.solved_at, self.names, how)
+        times = self.times if self.fold is None else self.fold.times
+        found = level(self.scene, self.params, times, self.names, how)
         return found if self.fold is None else self.fold.unfolded(found)
 
     def measure(self, solved: Level) -> tuple[np.ndarray, np.ndarray]:

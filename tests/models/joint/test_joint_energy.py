@@ -170,10 +170,12 @@ def test_energy_balance_is_refused(what):
         energy_balance.balance(scene, scene.parameters(), times, step=0.0 if what == "step" else 1e-5)
 
 
-def test_every_time_is_an_instant_of_the_balance():
+def test_simpson_over_uneven_intervals():
     times = np.array([0.1, 0.3, 0.35, 1.0])
     instants, panels = energy_balance._instants(times, 0.05)
     assert panels == 14 and np.all(instants[::panels] == times) and np.diff(instants).max() <= 0.05
+    work = energy_balance._work(instants**3, instants, panels)
+    assert work == pytest.approx((times**4 - 0.1**4) / 4.0, abs=1e-15)
 
 
 def test_a_fixed_cage_has_no_equation():
