@@ -1,4 +1,4 @@
-"""Contacts that are alike are computed side by side: a mechanism with many of them is no larger a program than with one.
+"""Contacts that are alike are computed side by side: a mechanism with many of them is hardly a larger program than with one.
 
 Contacts between the same two bodies that have one gap, law and friction differ in numbers alone: where their markers are, and
 coefficients of their own. Together they are one contact whose numbers are (k,), as those of a body with members are. So are
