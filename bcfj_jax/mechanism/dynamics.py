@@ -24,6 +24,7 @@ from bcfj_jax.core.vectors import (
     Number,
     Vector,
     add,
+    cross,
     dot,
     negative,
     scale,
@@ -322,15 +323,18 @@ class Dynamics(AbstractModel):
 
     def _pressed(self, found: Equations, now: Instant, p: Params) -> None:
         for c in self.bundles:
-            place = c.place(1, c.parts(now.bodies.parts)[1], p)
-            acting = [(add(place, face.lever), touch.force) for face, touch in now.faces[c.name]]
+            bodies = c.parts(now.bodies.parts)
+            place, acting = c.place(1, bodies[1], p), []
+            for face, touch in now.faces[c.name]:
+                point, forces = add(place, face.lever), (negative(touch.force), touch.force)
+                moments = (cross(subtract(point, body.place), f) for body, f in zip(bodies, forces, strict=True))
+                acting += zip((0, 1), forces, moments, strict=True)
             # A body of several contacts takes the sum of their forces; bodies that differ take each its own.
             parted = alike.apart(c, acting) if alike.scattered(c) else {c.name: acting}
             for one in c.each if alike.scattered(c) else (c,):
-                first, second = one.parts(now.bodies.parts)
-                for point, force in parted[one.name]:
-                    found.act(second, subtract(point, second.place), force)
-                    found.act(first, subtract(point, first.place), negative(force))
+                own = one.parts(now.bodies.parts)
+                for which, force, moment in parted[one.name]:
+                    found.wrench(own[which], force, moment)
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, JointSpring):

@@ -12,7 +12,7 @@ The scale is a guess; every run can measure its own error (``simulate``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -21,10 +21,11 @@ from jax import Array
 
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.core.vectors import Number, Vector, add, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism import alike
+from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
-from bcfj_jax.mechanism.dynamics import Dynamics, Instant
+from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.equations import Equations, flat, solved
 from bcfj_jax.mechanism.sizes import Params
 
@@ -59,32 +60,26 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     gathered = scene.assembled(t, now, params, pressing=False)
     count = len(scene._free)
     rates = gathered.accelerations(count)
-    levers: list[list[Array]] = [[] for _ in range(count)]
+    felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
+    freed = {name: _freed(part, rates) for name, part in parts.items()}
     brought, stored, flight = {}, {}, {}
     forces, speeds, masses = [], [], []
-    for c, faces, memory in _bundles(scene, now):
-        first, second = c.parts(parts)
+    for c in scene.bundles:
+        first, second = c.parts(freed)
         count_of = len(c.each)
         place = c.place(1, second, params)
         energies, held, flights = [], [], []
-        for (face, touch), own in zip(faces, memory, strict=True):
+        for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
             point = add(place, face.lever)
-            partials: dict[int, Vector] = {}
-            arms = (subtract(point, first.place), subtract(point, second.place))
-            for part, arm, sign in ((first, arms[0], -1.0), (second, arms[1], 1.0)):
-                for j in part.partials:
-                    if j < count:
-                        v = scale(sign, part.partial_at(j, arm))
-                        partials[j] = add(partials.get(j, ZERO), v)
-                        levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
+            arms = subtract(point, first.place), subtract(point, second.place)
             gain = subtract(second.drift_at(arms[1]), first.drift_at(arms[0]))
-            gain = add(gain, *(scale(rates[j], v) for j, v in partials.items()))
             moving = add(touch.slide, scale(touch.rate, face.normal))
             way = _direction(face.normal, gain, moving)
-            row = {j: dot(way, v) for j, v in partials.items()}
-            mass = 1.0 / jnp.maximum(jnp.asarray(_compliance(gathered, row, count)), 1e-30)
-            mass = jnp.where(mass < 1e20, mass, 0.0)
+            # Velocities are each contact's own.
+            apart = alike.apart(c, (way, *arms)) if alike.scattered(c) else {c.name: (way, *arms)}
+            each = [felt.mass(one.parts(parts), *apart[one.name]) for one in (c.each if alike.scattered(c) else (c,))]
+            mass = jnp.stack(each) if len(each) > 1 else each[0]
             pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
             gap = positive(-jnp.asarray(face.depth))
             squared = rate**2 + 2.0 * pull * gap
@@ -100,6 +95,7 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
         brought |= alike.apart(c, jnp.max(jnp.stack(energies), axis=0))
         stored |= alike.apart(c, jnp.max(jnp.stack(held), axis=0))
         flight |= alike.apart(c, jnp.min(jnp.stack(flights), axis=0))
+    levers = felt.levers
     found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in levers]
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
@@ -141,14 +137,36 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
     return flat([*places, *(speed / x for x in found.levers), *kept], members)
 
 
-def _bundles(scene: Dynamics, now: Instant) -> Iterator[tuple[Contact, list, list]]:
-    """Contacts that are alike with faces and memory; those between different bodies one by one."""
-    for c in scene.bundles:
-        if alike.scattered(c):
-            faces, memory = alike.apart(c, now.faces[c.name]), alike.apart(c, now.memory[c.name])
-            yield from ((one, faces[one.name], memory[one.name]) for one in c.each)
-        else:
-            yield c, now.faces[c.name], now.memory[c.name]
+def _freed(part: Part, rates: list[Number]) -> Part:
+    """A body with its accelerations without contact forces for its drifts."""
+    own = [(rates[j], w, v) for j, (w, v) in part.partials.items() if j < len(rates)]
+    drift = add(part.drift, *(scale(rate, v) for rate, _, v in own))
+    return part._replace(drift=drift, swirl=add(part.swirl, *(scale(rate, w) for rate, w, _ in own)))
+
+
+class _Felt(NamedTuple):
+    """The mass that a face feels.
+
+    Attributes:
+        gathered, count: the mass matrix of so many free velocities.
+        levers: how far points of contact move by each velocity, what was asked so far.
+    """
+
+    gathered: Equations
+    count: int
+    levers: list[list[Array]]
+
+    def mass(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
+        """Along a direction, at ``arms`` from the two bodies' origins; 0 of what nothing moves."""
+        row: dict[int, Number] = {}
+        for part, arm, sign in zip(bodies, arms, (-1.0, 1.0), strict=True):
+            for j in part.partials:
+                if j < self.count:
+                    v = part.partial_at(j, arm)
+                    row[j] = plus(row.get(j, 0.0), times(sign, dot(way, v)))
+                    self.levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
+        mass = 1.0 / jnp.maximum(jnp.asarray(_compliance(self.gathered, row, self.count)), 1e-30)
+        return jnp.where(mass < 1e20, mass, 0.0)
 
 
 def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:
