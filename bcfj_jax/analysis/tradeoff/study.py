@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import statistics
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -25,6 +27,7 @@ from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
 from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, singles, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
+from bcfj_jax.core.threads import cores
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, check, within
@@ -104,11 +107,14 @@ class _Clock:
 
 
 class _Runs:
-    """Runs of settings in the time left, as ``clock`` has it: the scene's own is made first; those in 32-bit numbers together."""
+    """Runs of settings in the time left, as ``clock`` has it: the scene's own is made first; those in 32-bit numbers are made
+    together, beside the reference where there is a core for them.
+    """
 
     def __init__(self, clock: _Clock, todo: list[Setting]) -> None:
         self.clock, self.known = clock, dict[str, Trial | RuntimeError]()
         self.narrow = [setting for setting in todo if setting.bits != 64]
+        self.beside = threading.Thread(target=self._beside, daemon=True)
 
     def first(self, setting: Setting) -> dict[str, float]:
         """Make the scene's own run: largest normal force by contact [N]; none where it fails or takes too long."""
@@ -120,13 +126,32 @@ class _Runs:
         forces = found.run.force if found.run.status == OK else {}
         return {name: float(np.max(force[..., 0], initial=0.0)) for name, force in forces.items()}
 
+    def _all_narrow(self) -> None:
+        found = singles([one.table for one in self.narrow], self.clock.left())
+        self.known |= dict(zip((one.name for one in self.narrow), found, strict=True))
+
+    def _beside(self) -> None:
+        with contextlib.suppress(KeyboardInterrupt):  # The main thread has it, too.
+            self._all_narrow()
+
+    def begin(self) -> None:
+        """Begin those in 32-bit numbers."""
+        if self.narrow and cores() > 1:
+            self.beside.start()
+
+    def settle(self) -> None:
+        """Wait for them: nothing else may compute while settings are timed."""
+        try:
+            if self.beside.is_alive():
+                within(self.clock.left(), self.beside.join)
+        except OutOfTime:
+            self.clock.stop()
+
     def of(self, setting: Setting, file: SceneFile) -> Trial:
         """A setting's run; errors as ``trial``."""
-        left = self.clock.left()
         if setting.bits != 64 and setting.name not in self.known:
-            found = singles([one.table for one in self.narrow], left)
-            self.known |= dict(zip((one.name for one in self.narrow), found, strict=True))
-        known = self.known.pop(setting.name, None) or within(left, lambda: trial(file))
+            self._all_narrow()
+        known = self.known.pop(setting.name, None) or within(self.clock.left(), lambda: trial(file))
         if isinstance(known, RuntimeError):
             raise known
         return known
@@ -155,7 +180,9 @@ def study(
             own: Any = runs.known[todo[0].name]
             rows[0] |= {**own.cost, "precision": "float64", "status": UNCOMPARED}
             told(Study(todo, rows, None, False, peaks))
+            runs.begin()
         truth = truth or _certified(given, any(setting.derivatives for setting in todo), journal, clock, say)
+        runs.settle()
         with stage("running settings", len(todo)) as done:
             for number, setting in enumerate(todo):
                 check()

@@ -60,16 +60,26 @@ def loaded(table: Mapping[str, Any]) -> SceneFile:
 
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
-    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), repeated)
+
+    def again() -> Callable[[], Run]:
+        """The same run, of what was checked already."""
+        scene = given.scene.suited(given.params, float(given.times[-1]), given.solver)
+        how = Plan(
+            plan(scene, given.accuracy, given.max_steps, given.solver).tolerance, given.max_steps, solver=given.solver
+        )
+        return lambda: timed(scene, given.params, given.times, how)
+
+    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), again if repeated else None)
 
 
-def repeatedly(once: Callable[[], Run], repeated: bool = True) -> Trial:
-    """The first of several runs that are the same, and what they cost."""
+def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] | None) -> Trial:
+    """A run and what it costs, by several that are the same, of which ``again`` makes each; None where one is enough."""
     run = once()
     compile_s, walls = run.stats["compile_s"], [run.stats["wall_s"]]
-    if repeated and walls[0] < _ONCE:
+    if again is not None and walls[0] < _ONCE:
         # The first run after a compilation also fills caches: it is not counted.
-        walls = [once().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
+        more = again()
+        walls = [more().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
     cost = {
         "wall_s": float(np.median(walls)),
         "compile_s": compile_s if compile_s > _LOOK_UP else 0.0,
@@ -166,7 +176,8 @@ def _child(folder: Path) -> None:
 def _narrow(given: SceneFile, tolerance: float, out: Path) -> None:
     params = {name: jax.numpy.asarray(np.float32(value)) for name, value in given.params.items()}
     how = Plan(jax.numpy.asarray(np.float32(tolerance)), given.max_steps, solver=given.solver)
-    run, cost = repeatedly(lambda: timed(given.scene, params, given.times, how))
+    once = lambda: timed(given.scene, params, given.times, how)  # noqa: E731
+    run, cost = repeatedly(once, lambda: once)
     result = {
         "contacts": {name: list(getattr(run, name)) for name in _READ},
         "status": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
