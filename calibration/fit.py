@@ -22,7 +22,7 @@ from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
-from calibration.diagnostics.optimum import Optimum
+from calibration.diagnostics.optimum import Optimum, start_rows
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import overstated, residual_tests
 from calibration.diagnostics.scales import untold
@@ -145,12 +145,7 @@ def fit(
         AllStartsFailed: if no start's simulation succeeds.
         Interrupted: on Ctrl-C.
     """
-    if not isinstance(problem, Problem):
-        remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
-        raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
-    starts, seed = whole("starts", starts, most=limits.STARTS), whole("seed", seed, least=0)
-    if starts < 4:
-        raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    starts, seed = _counted(problem, starts), whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:
@@ -172,17 +167,15 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(e.samples for e in fitted), noise.moved, model.loss)
-    at, asked, told = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, intervals, checked), tell or _nobody
-    told(_untested(at, ends, asked))
-    with stage("testing the fit"):
-        assessed = _assess(problem, at, ends, asked)
-    if systematic:
-        told(replace(assessed, stage=NARROW))
-    return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
-
-
-def _nobody(found: Fit) -> None:
-    """Whom nobody tells of what there is so far."""
+    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, intervals, checked)
+    if tell:
+        tell(_untested(at, ends, asked))
+    assessed = _assess(problem, at, ends, asked)
+    if not systematic:
+        return _doubted(problem, assessed)
+    if tell:
+        tell(replace(assessed, stage=NARROW))
+    return with_budget(problem, assessed)
 
 
 def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
@@ -196,10 +189,21 @@ def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
     records = records_of(at.model, at.experiments, at.end.point, False)
     return Fit(
         verdict=UNTESTED, reasons=[], search=unknown, data=unknown, law=unknown, parameters=parameters, reference=None, tests=[],
-        starts=_start_rows(at, ends), residual=_residual(at, records), held_out=None, correlation=None, labels=at.labels,
+        starts=start_rows(at, ends), residual=_residual(at, records), held_out=None, correlation=None, labels=at.labels,
         records=records, values=_values(at, parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
         notes=[], optimum=at, stage=UNTESTED,
     )  # fmt: skip
+
+
+def _counted(problem: Problem, starts: int) -> int:
+    """The number of starts, and whether there is a problem at all; checked."""
+    if not isinstance(problem, Problem):
+        remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
+        raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
+    starts = whole("starts", starts, most=limits.STARTS)
+    if starts < 4:
+        raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    return starts
 
 
 def _fitted(problem: Problem) -> tuple[Experiment, ...]:
@@ -442,7 +446,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     return Fit(
         verdict=verdict, reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
         search=of_search, data=of_data, law=law.answer, parameters=found.parameters, reference=found.reference,
-        tests=seen.search + law.tests + identification, starts=_start_rows(at, ends), residual=_residual(at, seen.records),
+        tests=seen.search + law.tests + identification, starts=start_rows(at, ends), residual=_residual(at, seen.records),
         held_out=law.held_out, correlation=_correlation(at), labels=at.labels, records=seen.records + law.records,
         values=_values(at, found.parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
         optimum=at, notes=said, evidence=evidence, conditional=conditional,
@@ -586,18 +590,3 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
         for channel, number in numbers.items():
             found.setdefault(channel, {})[kind] = number
     return found
-
-
-def _start_rows(at: Optimum, ends: tuple[End, ...]) -> list[dict[str, Any]]:
-    """``starts`` of ``fit.json``."""
-    begin, finish = (at.model.values(np.array(u)) for u in ([e.start for e in ends], [e.point for e in ends]))
-    return [
-        {
-            "chi2": end.cost if not end.failure else float("nan"),
-            "converged": end.converged,
-            "failure": end.failure,
-            "from": dict(zip(at.labels, a.tolist(), strict=True)),
-            "to": dict(zip(at.labels, b.tolist(), strict=True)),
-        }
-        for end, a, b in zip(ends, begin, finish, strict=True)
-    ]

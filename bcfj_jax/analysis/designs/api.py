@@ -75,8 +75,7 @@ def design(
         objective: a feature ("seat_cage.peak", "contact.peak_penetration", "cage_ball.largest" for the greatest
             |F|), weights by feature for their sum, or a function of a dict of ``features``.
         free: by name ``Free`` or (lower, upper, tolerance, relative, scale); texts such as "20 um" are converted.
-        tell: called with the best descent's end ("not checked yet"), and with the optimum once independent runs have checked
-            it ("not complete yet"), before what is left is computed.
+        tell: receives the best descent's end ("not checked yet"), then the optimum checked by runs ("not complete yet").
         options: by name, those of ``search.Search``: features, sense, kappa, distribution, samples, starts, norms,
             iterations, accuracy, max_steps, confirm, certify, slices, seed, steady.
 
@@ -100,24 +99,19 @@ def design(
         0, 0, None, None, None, None, {}, {}, {}, box,
     )  # fmt: skip
     if np.isfinite(best.goal):
-        same = [way for way in ways if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
-        near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
-        told = tell or (lambda _: None)
-        found = _placed(found._replace(agree=len(same), near=near), plain, best.end, best.value)
-        told(found._replace(status=UNCHECKED, reason="not checked yet: refinement and independent runs come next"))
+        told, found = tell or (lambda _: None), _searched(found, plain, best)
+        told(found)
         with stage("refining the best"):
             refined, kink = _optimum(plain, goal, best, search)
         found = _assessed(found, plain, search, refined, kink is not None, told)
-        unborn = before.reasons[0]
-        if found.robustness is not None and not unborn:
+        if found.robustness and not before.reasons[0]:
             found = found._replace(robustness_before=robustness(plain, box.unit(given), before, search, False))
         if search.slices:
             found = found._replace(slices=_slices(plain, refined.point))
-        status, reason = _verdict(found, plain, refined.arrived, kink, (unborn, search.kappa))
+        status, reason = _verdict(found, plain, refined.arrived, kink, (before.reasons[0], search.kappa))
         found = found._replace(status=status, reason=reason)
-    spent = plain.spent
-    stats = {name: getattr(spent, name) for name in ("batches", "points", "wall_s", "compile_s")}
-    return found._replace(failures=dict(spent.failures), stats=stats | {"lanes": plain.batch})
+    stats = {name: getattr(plain.spent, name) for name in ("batches", "points", "wall_s", "compile_s")}
+    return found._replace(failures=dict(plain.spent.failures), stats=stats | {"lanes": plain.batch})
 
 
 def posed(
@@ -164,6 +158,15 @@ def _optimum(plain: Evaluator, goal: Any, best: Path, search: Search) -> tuple[R
     active = np.where(kink.point <= ARRIVED, -1, np.where(kink.point >= 1.0 - ARRIVED, 1, 0))
     values = goal(kink.point[None], np.inf)
     return Refined(kink.point, values, active, kink.step, np.nan, kink.arrived), kink
+
+
+def _searched(found: Design, plain: Evaluator, best: Path) -> Design:
+    """With the best descent's end, and how many others came to it."""
+    same = [way for way in found.starts if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
+    near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
+    left = "not checked yet: refinement and independent runs come next"
+    found = found._replace(status=UNCHECKED, reason=left, agree=len(same), near=near)
+    return _placed(found, plain, best.end, best.value)
 
 
 def _placed(found: Design, plain: Evaluator, point: np.ndarray, after: float) -> Design:
