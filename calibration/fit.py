@@ -170,7 +170,8 @@ def fit(
     at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, intervals, checked)
     if tell:
         tell(_untested(at, ends, asked))
-    assessed = _assess(problem, at, ends, asked)
+    with stage("testing the fit"):
+        assessed = _assess(problem, at, ends, asked)
     if not systematic:
         return _doubted(problem, assessed)
     if tell:
@@ -229,7 +230,8 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     if found.optimum.spread.covariance is None or not model.channels:
         return _doubted(problem, found)
     found = _with_filters(problem, found)
-    allowed = _systematic(problem, found.optimum)
+    with stage("errors that residuals do not show"):
+        allowed = _systematic(problem, found.optimum)
 
     def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
         axes = dict(zip(found.labels, model.coordinates, strict=True))

@@ -21,6 +21,7 @@ import numpy as np
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
 from bcfj_jax.analysis.tradeoff.settings import accuracy_of, level, overlaid
 from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
+from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, within
@@ -93,7 +94,8 @@ class _Attempts:
     def made(self, name: str, run: Callable[[], T]) -> T | None:
         """What a run gives; None where it gives nothing."""
         try:
-            return within(self.left(), run)
+            with stage(f"reference by {name}"):
+                return within(self.left(), run)
         except OutOfTime:
             self.late = True
             self.failures.append(f"{name} {_LATE}")

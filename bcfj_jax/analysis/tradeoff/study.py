@@ -120,7 +120,8 @@ class _Runs:
         """Make the scene's own run: largest normal force by contact [N]; none where it fails or takes too long."""
         try:
             file = loaded(setting.table)
-            found = self.known[setting.name] = within(self.clock.left(), lambda: trial(file))
+            with stage("running the scene as given"):
+                found = self.known[setting.name] = within(self.clock.left(), lambda: trial(file))
         except (OutOfTime, InputError, RuntimeError):
             return {}
         forces = found.run.force if found.run.status == OK else {}
