@@ -27,7 +27,6 @@ from scipy.interpolate import interp1d
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from bcfj_jax.core.threads import each
 from bcfj_jax.io.units import format_si
 from calibration.diagnostics.residual_tests import Series
 from calibration.filters import Filter
@@ -130,7 +129,8 @@ class _Sampled:
         """Residuals (N,) and their Jacobian (N, P); not finite where the simulation fails."""
         count, shape = point.size, self.weights.shape
         rows = []
-        for found in each(lambda evaluated: evaluated(point[None]), self.evaluations):
+        for evaluated in self.evaluations:
+            found = evaluated(point[None])
             size = int(np.prod(shape))
             both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
             rows.append(both.reshape(*shape, count + 1))
