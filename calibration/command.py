@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,14 @@ from bcfj_jax.core.extras import library
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
+from bcfj_jax.io.growing import Growing
 from bcfj_jax.io.journal import NAME, Journal, key_of
 from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
 from calibration.diagnostics.answers import Answer
-from calibration.fit import AllStartsFailed, Fit, Parameter
+from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
 from calibration.impacts.preparation import Prepared
 from calibration.problem import Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
@@ -45,6 +47,12 @@ FILES = (
     "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
 _SO_FAR = "interrupted.json"
+# Stages of fit.json before the last, beside those of ``fit``; and what comes after those.
+UNDIAGNOSED = "not diagnosed yet"
+_NEXT = {
+    UNTESTED: "Not tested yet: what the data determine, whether the law fits, and intervals come next.",
+    NARROW: "Not complete yet: errors of the sensor, of the law and of fixed values come next; they may widen the intervals.",
+}
 # What an interval allows for, by its kind.
 MEANING = {
     "noise": "noise alone",
@@ -107,8 +115,13 @@ def run(
         for record in understood:
             print(f"{record.name}: {'; '.join(record.notes)}", file=sys.stderr)
         get_ready()
+        told = _Told(folder)
         try:
-            outcome = solve(path, problem, base, seed=seed, starts=starts, journal=journal, intervals=intervals)
+            options = {"seed": seed, "starts": starts, "journal": journal, "intervals": intervals, "tell": told.so_far}
+            outcome = solve(path, problem, base, **options)
+            absurd = _absurd(outcome)
+            told.growing.write(UNDIAGNOSED, as_json(outcome.fit))
+            print("\n".join(filter(None, [plausibility.headline(absurd), text(outcome.fit)])), flush=True)
             diagnosed = _diagnosed(outcome, diagnose, seed)
         except InputError:
             _take_back(folder, journal)
@@ -118,11 +131,10 @@ def run(
             print(f"error: {path}: {error}", file=sys.stderr)
             return FAILED
         except KeyboardInterrupt as stop:
-            return _interrupted(folder, path, stop)
+            return _interrupted(told, path, stop)
         seconds = time.perf_counter() - begin
-        done = _Done(path, folder, outcome, starts, seconds, understood, diagnosed, _absurd(outcome))
-        _write(done)
-        print("\n".join(filter(None, [plausibility.headline(done.absurd), text(outcome.fit)])))
+        done = _Done(path, folder, outcome, starts, seconds, understood, diagnosed, absurd)
+        _write(done, told.growing)
         for heading, rows in [*_comparisons(outcome), *done.explained]:
             print(f"\n{heading}\n{report.text(rows)}")
         print(f"\nresults and pictures, all in report.html: {folder}", flush=True)
@@ -132,6 +144,27 @@ def run(
         journal.remove()
     keep_asked()
     return DONE if outcome.fit.verdict in ("identified", "adequate") else NOT_IDENTIFIED
+
+
+class _Told:
+    """What is written and shown of a fit as it grows."""
+
+    def __init__(self, folder: Path) -> None:
+        self.growing = Growing(folder / "fit.json", partial(print, flush=True))
+        self.stage, self.values = "", None
+
+    def so_far(self, found: Fit) -> None:
+        """Write and show a fit that is not complete."""
+        self.stage, self.values = found.stage, found.values
+        self.growing.write(found.stage, as_json(found))
+        if found.stage == UNTESTED:
+            head = "best fit, not tested yet" if not found.notes else f"best fit, not tested yet; {found.notes[0]}"
+            values = [[name, brief(p.value, p.unit)] for name, p in found.parameters.items()]
+            rows = [head, report.text([["parameter", "value"], *values]), _residual(found)]
+        else:
+            known = [row[:4] + row[5:] for row in (_head(found), *_rows(found))]
+            rows = [f"verdict so far: {found.verdict}", report.text(known)]
+        self.growing.tell(rows, _NEXT[found.stage])
 
 
 def export_petab(path: Path, folder: Path) -> int:
@@ -151,21 +184,25 @@ def export_petab(path: Path, folder: Path) -> int:
 def _take_back(folder: Path, journal: Journal) -> None:
     """Leave nothing of a fit that came to nothing: what is there would be in the way of the next."""
     journal.remove()
-    (folder / _SO_FAR).unlink(missing_ok=True)
+    for name in (_SO_FAR, "fit.json"):
+        (folder / name).unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
 
 
-def _interrupted(folder: Path, path: Path, stop: KeyboardInterrupt) -> int:
+def _interrupted(told: _Told, path: Path, stop: KeyboardInterrupt) -> int:
     """Leave the best so far, which is no fit yet, and say how to go on."""
+    folder = told.growing.path.parent
     print(f"interrupted; go on with: bcfj calibrate {path} --out {folder} (same options)", file=sys.stderr)
     if not isinstance(stop, Interrupted):
-        stop = Interrupted("all", None, float("nan"), "assessment")
+        stop = Interrupted("all", told.values, float("nan"), "assessment")
     best = {"finished_starts": stop.finished, "stage": stop.stage, "chi2_of_stage": stop.cost, "best": stop.values}
     # Gone on with and cut off again at once, it knows less than before.
     if stop.values is not None or not (folder / _SO_FAR).exists():
         outputs.write_json(folder / _SO_FAR, best)
     print(f"{stop.finished} starts finished; the best so far is in {folder / _SO_FAR}", file=sys.stderr)
+    if told.stage:
+        print(f"the fit so far ({told.stage}) is in {told.growing.path}", file=sys.stderr)
     return INTERRUPTED
 
 
@@ -199,8 +236,7 @@ def text(result: Fit) -> str:
         ]
     if result.systematic:
         lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
-    sizes = " and ".join(brief(value, unit) for unit, value in result.residual["rms"].items()) or "0 N"
-    lines += ["", f"residual: {sizes} rms over {result.residual['samples']} samples"]
+    lines += ["", _residual(result)]
     for name, seen in result.residual["features"].items():
         sigma = f"(sigma {seen['sigma']:.2g})"
         lines.append(f"{name}: {seen['fitted']:.4g} fitted, {seen['measured']:.4g} measured {sigma}")
@@ -208,6 +244,11 @@ def text(result: Fit) -> str:
         worst, rms = errors["max_error_of_peak"], errors["rms_error_of_peak"]
         lines.append(f"held out, {name}: at most {worst:.2%} of the peak, {rms:.2%} rms where the force acts")
     return "\n".join([*lines, *(f"note: {note}" for note in result.notes)])
+
+
+def _residual(result: Fit) -> str:
+    sizes = " and ".join(brief(value, unit) for unit, value in result.residual["rms"].items()) or "0 N"
+    return f"residual: {sizes} rms over {result.residual['samples']} samples"
 
 
 def _on_condition(result: Fit) -> list[str]:
@@ -371,7 +412,7 @@ def _diagnosed(outcome: Outcome, diagnose: bool, seed: int) -> diagnosis.Diagnos
     return None if failed or outcome.fit.law.answer == "consistent" else diagnosis.rank(outcome.problem, outcome.fit)
 
 
-def _write(done: _Done) -> None:
+def _write(done: _Done, growing: Growing) -> None:
     """The result. The journal is there until ``_draw`` is done: cut off before, the same command completes the folder."""
     outcome, result, folder, path = done.outcome, done.outcome.fit, done.folder, done.path
     scene, picked = outcome.base.resolved, outcome.choice
@@ -390,7 +431,7 @@ def _write(done: _Done) -> None:
     content |= {"diagnosis": diagnosis_json(done.diagnosed, result)} if done.diagnosed else {}
     agreed = (picked and agreement.of_choice(picked)) or (done.diagnosed and done.diagnosed.agreed)
     content |= {"elastic_force": agreement.as_json(agreed)} if agreed else {}
-    outputs.write_json(folder / "fit.json", content | {"wall_s": done.seconds})
+    growing.write(COMPLETE, content | {"wall_s": done.seconds})
 
 
 def _draw(done: _Done) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
-from calibration.diagnostics.optimum import Optimum
+from calibration.diagnostics.optimum import Optimum, start_rows
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import overstated, residual_tests
 from calibration.diagnostics.scales import untold
@@ -34,7 +35,7 @@ from calibration.forward.runs import Contact, commonest_failure, contacts, failu
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
 from calibration.noise.noise_model import Estimate
-from calibration.problem import NUISANCES, Experiment, Problem
+from calibration.problem import NUISANCES, Experiment, Problem, nuisances
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, batch_size, by_cost, referred, screen, search
@@ -48,6 +49,8 @@ from calibration.uncertainty.law_miss import clustered, discrepancy, in_blocks
 
 log = logging.getLogger("calibration")
 
+# How far a fit has come that is told of before it is complete.
+UNTESTED, NARROW, COMPLETE = "not tested yet", "errors that residuals do not show not allowed for yet", "complete"
 # Estimates that are held one after the other until what is left has an interval.
 _HELD = 3
 # Failed points of a design that are asked why.
@@ -75,7 +78,7 @@ class Fit:
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
     ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``); None
     where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
-    on what the record does not show.
+    on what the record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
     """
 
     verdict: str
@@ -101,6 +104,7 @@ class Fit:
     systematic: Budget | None = None
     evidence: Evidence = field(default_factory=Evidence)
     conditional: Conditional | None = None
+    stage: str = COMPLETE
 
     _view = "calibration.report.view"
     __repr__ = presented.text
@@ -122,6 +126,7 @@ def fit(
     journal: Journal | None = None,
     intervals: str = "covariance",
     systematic: bool = True,
+    tell: Callable[[Fit], None] | None = None,
 ) -> Fit:
     """Calibrate: find the optimum from several starts and say what may be believed of it.
 
@@ -132,18 +137,15 @@ def fit(
         journal: where finished starts are kept, and taken from.
         intervals: "covariance" (a profile where the cost does not rise as that says), "profile" or "posterior".
         systematic: whether errors of sensor, law and fixed values are allowed for (``with_budget``).
+        tell: called with the best fit before it is tested ("not tested yet": values alone), and with the tested one before
+            those errors are looked at.
 
     Raises:
         InputError: for a free parameter that moves no residual, and data that no model explains.
         AllStartsFailed: if no start's simulation succeeds.
         Interrupted: on Ctrl-C.
     """
-    if not isinstance(problem, Problem):
-        remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
-        raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
-    starts, seed = whole("starts", starts, most=limits.STARTS), whole("seed", seed, least=0)
-    if starts < 4:
-        raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    starts, seed = _counted(problem, starts), whole("seed", seed, least=0)
     check_kind(intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:
@@ -165,9 +167,44 @@ def fit(
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(e.samples for e in fitted), noise.moved, model.loss)
-    at = Optimum(model, fitted, ends[0], noise, spread)
-    assessed = _assess(problem, at, ends, _Asked(seed, intervals, checked))
-    return with_budget(problem, assessed) if systematic else _doubted(problem, assessed)
+    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, intervals, checked)
+    if tell:
+        tell(_untested(at, ends, asked))
+    with stage("testing the fit"):
+        assessed = _assess(problem, at, ends, asked)
+    if not systematic:
+        return _doubted(problem, assessed)
+    if tell:
+        tell(replace(assessed, stage=NARROW))
+    return with_budget(problem, assessed)
+
+
+def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
+    """The best end's values and residuals, of which nothing is known yet."""
+    unknown, axes = (
+        Answer(UNTESTED, []),
+        zip(at.labels, at.model.coordinates, at.model.values(at.end.point), strict=True),
+    )
+    known = {**at.model.scene.quantities, **nuisances(at.model.channels)}
+    parameters = {label: Parameter(float(x), known[axis.name].unit, None, True, "") for label, axis, x in axes}
+    records = records_of(at.model, at.experiments, at.end.point, False)
+    return Fit(
+        verdict=UNTESTED, reasons=[], search=unknown, data=unknown, law=unknown, parameters=parameters, reference=None, tests=[],
+        starts=start_rows(at, ends), residual=_residual(at, records), held_out=None, correlation=None, labels=at.labels,
+        records=records, values=_values(at, parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
+        notes=[], optimum=at, stage=UNTESTED,
+    )  # fmt: skip
+
+
+def _counted(problem: Problem, starts: int) -> int:
+    """The number of starts, and whether there is a problem at all; checked."""
+    if not isinstance(problem, Problem):
+        remedy = 'give a calibration.Problem, or calibration.load("problem.toml")'
+        raise InputError("calibration.fit", f"{quoted(problem)} is no problem", remedy)
+    starts = whole("starts", starts, most=limits.STARTS)
+    if starts < 4:
+        raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
+    return starts
 
 
 def _fitted(problem: Problem) -> tuple[Experiment, ...]:
@@ -193,7 +230,8 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     if found.optimum.spread.covariance is None or not model.channels:
         return _doubted(problem, found)
     found = _with_filters(problem, found)
-    allowed = _systematic(problem, found.optimum)
+    with stage("errors that residuals do not show"):
+        allowed = _systematic(problem, found.optimum)
 
     def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
         axes = dict(zip(found.labels, model.coordinates, strict=True))
@@ -410,7 +448,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     return Fit(
         verdict=verdict, reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
         search=of_search, data=of_data, law=law.answer, parameters=found.parameters, reference=found.reference,
-        tests=seen.search + law.tests + identification, starts=_start_rows(at, ends), residual=_residual(seen),
+        tests=seen.search + law.tests + identification, starts=start_rows(at, ends), residual=_residual(at, seen.records),
         held_out=law.held_out, correlation=_correlation(at), labels=at.labels, records=seen.records + law.records,
         values=_values(at, found.parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
         optimum=at, notes=said, evidence=evidence, conditional=conditional,
@@ -431,17 +469,17 @@ def _correlation(at: Optimum) -> np.ndarray | None:
     return at.spread.covariance / np.outer(sigma, sigma)
 
 
-def _residual(seen: _Seen) -> dict[str, Any]:
+def _residual(at: Optimum, records: list[Record]) -> dict[str, Any]:
     """``residual`` of ``fit.json``."""
-    at, chi2 = seen.at, float(np.sum(seen.at.end.residuals**2))
+    chi2 = float(np.sum(at.end.residuals**2))
     kinds = {"estimated" if c.sigma is None else "stated" for e in at.experiments for c in e.channels} or {"stated"}
     return {
         "chi2": chi2,
         "degrees_of_freedom": at.spread.freedom,
         "reduced_chi2": chi2 / at.spread.freedom,
         "samples": at.samples,
-        "rms": rms(seen.records),
-        "rms_of_peak": rms_of_peak(seen.records),
+        "rms": rms(records),
+        "rms_of_peak": rms_of_peak(records),
         "noise": kinds.pop() if len(kinds) == 1 else "partly estimated",
         "loss": at.model.loss,
         "features": features_of(at.model, at.experiments, at.end.residuals),
@@ -554,18 +592,3 @@ def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
         for channel, number in numbers.items():
             found.setdefault(channel, {})[kind] = number
     return found
-
-
-def _start_rows(at: Optimum, ends: tuple[End, ...]) -> list[dict[str, Any]]:
-    """``starts`` of ``fit.json``."""
-    begin, finish = (at.model.values(np.array(u)) for u in ([e.start for e in ends], [e.point for e in ends]))
-    return [
-        {
-            "chi2": end.cost if not end.failure else float("nan"),
-            "converged": end.converged,
-            "failure": end.failure,
-            "from": dict(zip(at.labels, a.tolist(), strict=True)),
-            "to": dict(zip(at.labels, b.tolist(), strict=True)),
-        }
-        for end, a, b in zip(ends, begin, finish, strict=True)
-    ]

@@ -25,7 +25,7 @@ DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
 
 EXIT_CODES = (
     "Exit codes: 0 done, 2 bad input, 3 a simulation failed, 4 the calibration's verdict is neither 'identified' nor "
-    "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM with nothing kept."
+    "'adequate', 5 interrupted and resumable, 130 or 143 interrupted by Ctrl-C or SIGTERM: to be started again."
 )
 SEEDS = (
     "What draws random numbers takes --seed: calibrate (starting points, posterior), design (starting points), study "

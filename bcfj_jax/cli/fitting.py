@@ -73,7 +73,7 @@ def design(
         ]
         plan.show(rows, out)
         return DONE
-    text, good = command.run(what, more, out, say)
+    text, good = command.run(what, more, out, say, typer.echo)
     typer.echo(text)
     return DONE if good else SIMULATION_FAILED
 

@@ -122,7 +122,7 @@ def tradeoff(
 
         count = len(settings(shown(load(scene)), wanted, derivatives))
         return plan.of_scene("tradeoff", scene, out, [["settings", str(count)], ["time", f"{budget:g} s at most"]])
-    text, found = command.run(scene, wanted, derivatives, budget, out, say)
+    text, found = command.run(scene, command.Wanted(wanted, derivatives, budget), out, say, typer.echo)
     typer.echo(text)
     return found
 

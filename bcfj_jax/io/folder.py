@@ -2,8 +2,8 @@
 
 A command opens its folder by ``open_folder`` within a ``session``. The folder is made, locked by the file ``.bcfj-run``
 in it, and written to before the run, so that a full disk or a read-only one is found first. The lock is the system's
-and ends with its process. The file names what the run will write: where it is found unlocked, that run was killed, and
-what it left is no result.
+and ends with its process. The file names what the run will write: where it is found unlocked, that run was killed, or
+interrupted after a stage (``stays``), and what it left is no whole result: the next run replaces it.
 """
 
 from __future__ import annotations
@@ -57,27 +57,33 @@ class _Asked(NamedTuple):
 
 @dataclass
 class _Reserved:
-    """A folder of this process, with the files that it may write and the folders that were made for it."""
+    """A folder of this process, with the files that it may write and the folders that were made for it.
+
+    ``stage``: how far its result has come, where that stays after an interruption.
+    """
 
     folder: Path
     names: tuple[str, ...]
     goes_on: str
     made: list[Path]
     handle: int
+    stage: str = ""
 
     @property
     def kept(self) -> bool:
         return bool(self.goes_on) and (self.folder / self.goes_on).exists()
 
-    def release(self, good: bool) -> None:
+    def release(self, good: bool, interrupted: bool = False) -> None:
         """Give the folder back; of a run that failed and keeps nothing, take away what was written."""
+        stays = interrupted and self.stage and not self.kept
         with contextlib.suppress(OSError):
             for name in self.names:
                 for path in self.folder.glob(f".{glob.escape(name)}.*"):
                     path.unlink(missing_ok=True)
-                if not good and not self.kept:
+                if not (good or self.kept or stays):
                     (self.folder / name).unlink(missing_ok=True)
-            (self.folder / LOCK).unlink(missing_ok=True)
+            if not stays:
+                (self.folder / LOCK).unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             os.close(self.handle)
         if not self.kept:
@@ -86,9 +92,13 @@ class _Reserved:
 
 @dataclass
 class Session:
-    """Folders ``reserved`` for this process; those ``kept`` hold finished work that the same command goes on with."""
+    """Folders ``reserved`` for this process; those ``kept`` hold finished work that the same command goes on with.
+
+    ``stages``: what an interruption leaves of a result, in words.
+    """
 
     kept: list[Path] = field(default_factory=list)
+    stages: list[str] = field(default_factory=list)
     reserved: list[_Reserved] = field(default_factory=list)
 
 
@@ -98,18 +108,29 @@ _sessions: list[Session] = []
 @contextlib.contextmanager
 def session() -> Iterator[Session]:
     """Within, folders that are opened belong to this process; an error takes back what was written and is not kept."""
-    mine, good = Session(), False
+    mine, good, interrupted = Session(), False, False
     _sessions.append(mine)
     try:
         yield mine
         good = True
+    except KeyboardInterrupt:
+        interrupted = True
+        raise
     finally:
         _sessions.remove(mine)
         mine.kept += [one.folder for one in mine.reserved if one.kept]
+        mine.stages += [f"{one.folder} (stage: {one.stage})" for one in mine.reserved if one.stage]
         for outer in _sessions[-1:]:
             outer.kept += mine.kept
+            outer.stages += mine.stages
         for one in reversed(mine.reserved):
-            one.release(good)
+            one.release(good, interrupted)
+
+
+def stays(folder: Path, stage: str) -> None:
+    """An interruption from now on leaves what is written in a folder of this process, a result that has come so far."""
+    for one in (one for mine in _sessions for one in mine.reserved if one.folder == folder):
+        one.stage = stage
 
 
 def open_folder(

@@ -18,7 +18,8 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
     """Run a verb; its exit code.
 
     Bad input and what the system refuses end with 2; with 5 where finished work was kept, so that the same command
-    goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was.
+    goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was, or has the
+    stage that a result had come to (``folder.stays``).
     """
     held = Session()
     try:
@@ -29,7 +30,8 @@ def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
         return BAD_INPUT
     except KeyboardInterrupt:
         if not held.kept:
-            say("interrupted; nothing was kept: start again")
+            stays = f"what there was stays in {held.stages[-1]}" if held.stages else "nothing was kept"
+            say(f"interrupted; {stays}: start again")
             return stop.SIGNALLED + stop.last()
         say("interrupted")
     except OSError as error:

@@ -193,11 +193,11 @@ def _landed(
 ) -> tuple[Solution, Instants]:
     (model, _), near, size = problem.args, NEAR * how.tolerance * problem.scales[0], problem.start.size
     channels = sum(max(1, count) for count in model.members.values())
+    if whole:
+        problem = _with_integrals(problem, channels)
     if model.remembered:
         field = constant(problem.field, model.remembered)
         problem = problem._replace(field=field, solver=Remembering(looped(problem.solver, mode), near, size))
-    if whole:
-        problem = _with_integrals(problem, channels)
     corners = len(bending(model))
     if corners:
         # As much a share of the speed to expect as of the penetration (``first_step``).
@@ -227,7 +227,14 @@ def _with_integrals(problem: Problem, channels: int) -> Problem:
     start, scales = (
         jnp.concatenate([x, jnp.full(2 * channels, y)]) for x, y in ((problem.start, 0.0), (problem.scales, 1.0))
     )
-    return problem._replace(field=more, start=start, scales=scales, norm=lambda errors: norm(errors[:size]))
+    solver: Any = problem.solver
+    if isinstance(solver, dfx.AbstractImplicitSolver):
+        # Nor in the convergence of its stages.
+        atol = jnp.concatenate([solver.root_finder.atol, jnp.full(2 * channels, jnp.inf)])
+        solver = replace(solver, root_finder=replace(solver.root_finder, atol=atol, norm=lambda e: norm(e[:size])))
+    return problem._replace(
+        field=more, start=start, scales=scales, norm=lambda errors: norm(errors[:size]), solver=solver
+    )
 
 
 def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool) -> Solution:

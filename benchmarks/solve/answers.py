@@ -24,7 +24,12 @@ COMMANDS = {
     "sensitivity joint, two parameters": ["sensitivity", "joint", "--wrt", "clearance_cage_ball,stiffness"],
     "sensitivity joint, all clearances": ["sensitivity", "joint", "--wrt", "clearances"],
     "sensitivity impact, two parameters": ["sensitivity", "impact", "--wrt", "stiffness,damping"],
-}
+    "tradeoff impact": ["tradeoff", "impact"],
+    "design impact, two parameters": [
+        "design", "impact", "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--vary", "mass=10g:30g", "--starts", "4",
+    ],
+    "calibrate the demo": ["calibrate", str(ROOT / "examples" / "chung_ooi_fit.toml")],
+}  # fmt: skip
 COUNTS = (1, 8, 32)
 _CONTACTS = """import sys, time
 import numpy as np

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.residual_tests import Series
@@ -38,3 +41,18 @@ class Optimum:
     def samples(self) -> int:
         """Readings and features that were fitted."""
         return sum(e.samples for e in self.experiments)
+
+
+def start_rows(at: Optimum, ends: tuple[End, ...]) -> list[dict[str, Any]]:
+    """``starts`` of ``fit.json``."""
+    begin, finish = (at.model.values(np.array(u)) for u in ([e.start for e in ends], [e.point for e in ends]))
+    return [
+        {
+            "chi2": end.cost if not end.failure else float("nan"),
+            "converged": end.converged,
+            "failure": end.failure,
+            "from": dict(zip(at.labels, a.tolist(), strict=True)),
+            "to": dict(zip(at.labels, b.tolist(), strict=True)),
+        }
+        for end, a, b in zip(ends, begin, finish, strict=True)
+    ]

@@ -79,7 +79,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
 
     Args:
         problem, base: what it states without its models.
-        options: of every fit, as ``fit``: seed, starts, journal.
+        options: of every fit, as ``fit``: seed, starts, journal, tell.
 
     Raises:
         InputError: as ``fit``, ``models`` and ``candidates``, the last two before anything is fitted.

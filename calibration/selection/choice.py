@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -90,11 +90,15 @@ class Choice:
         return next(rival.fit for rival in self.rivals if rival.name == self.chosen)
 
 
-def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = None, **options: Any) -> Choice:
+def choose(
+    models: Sequence[tuple[str, Problem]], *, journal: Journal | None = None,
+    tell: Callable[[Fit], None] | None = None, **options: Any,
+) -> Choice:  # fmt: skip
     """Fit every model to the same data and choose.
 
     Args:
         journal: where finished starts are kept, of every model in a chapter of its own.
+        tell: as ``fit``'s, with a note of whose fit it is.
         options: of every fit, as ``fit``: seed, starts.
 
     Raises:
@@ -110,7 +114,8 @@ def choose(models: Sequence[tuple[str, Problem]], *, journal: Journal | None = N
     rivals = []
     for name, problem in models:
         own = Chapter(journal, name) if journal is not None else None
-        found = fit(problem, journal=own, systematic=False, **options)
+        told = tell and (lambda found, name=name: tell(replace(found, notes=[f"this is model '{name}'", *found.notes])))
+        found = fit(problem, journal=own, systematic=False, tell=told, **options)
         log.info("model '%s': %s", name, found.verdict)
         rivals.append(rival(name, problem, found))
     return decided(rivals)

@@ -12,8 +12,10 @@ import pytest
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
 from bcfj_jax.analysis.derivatives.curves import crest
+from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.solve.integrate import integrate
+from bcfj_jax.solve.plan import Plan
 
 REMEMBERING = ("flores", "lankarani_nikravesh", "gonthier", "hunt_crossley", "exact", "zhang")
 # d(impulse)/d(height) of a bounce, e = 0.7, by SciPy.
@@ -183,3 +185,15 @@ def test_a_witness_sees_what_all_tolerances_miss():
     wrong = right * [[1.05, 1.0], [1.0, 1.0]]
     found = witnessed(features, here, values, wrong, bounds)
     assert 0.04 < found[0, 0] < 0.07 and found[0, 1] < 1e-4 and np.array_equal(found[1], bounds[1])
+
+
+def test_an_implicit_solver_has_the_same_continuous_derivatives():
+    scene = bj.scenes.impact()
+    params, times = scene.parameters(), np.linspace(0.0, 8e-5, 201)
+    wrt = ("stiffness", "damping")
+    found = [
+        level(scene, params, times, wrt, Plan(np.asarray(1e-9), solver=solver)) for solver in ("kvaerno5", "tsit5")
+    ]
+    for part in ("force", "curve"):
+        ours, theirs = (getattr(one.derivative, part) for one in found)
+        assert ours == pytest.approx(theirs, rel=0, abs=1e-6 * np.abs(theirs).max())

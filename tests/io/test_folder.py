@@ -191,3 +191,25 @@ def test_messages_hold_no_control_characters(tmp_path):
     fail = InputError("a\x1b[31m\0", "b", "c\nd")
     assert guarded(lambda: run(tmp_path / "out", fail=fail), said.append) == 2
     assert said == ["error: a\\x1b[31m\\x00: b; c\nd"]
+
+
+def test_an_interruption_after_a_stage_leaves_it_and_says_so(tmp_path):
+    def staged(fail):
+        with session():
+            found = open_folder(tmp_path / "out", "simulate", "x", FILES)
+            write_text(found / FILES[0], "half")
+            folders.stays(found, "not checked yet")
+            if fail:
+                raise fail
+        return 0
+
+    said = []
+    assert guarded(lambda: staged(KeyboardInterrupt()), said.append) == 130
+    assert said == [f"interrupted; what there was stays in {tmp_path / 'out'} (stage: not checked yet): start again"]
+    assert (tmp_path / "out" / FILES[0]).read_text() == "half"
+    # The next run begins anew there; what fails otherwise leaves nothing.
+    run(tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [*FILES]
+    for name in FILES:
+        (tmp_path / "out" / name).unlink()
+    assert guarded(lambda: staged(MemoryError()), said.append) == 2 and not list((tmp_path / "out").iterdir())

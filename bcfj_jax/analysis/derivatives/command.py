@@ -27,6 +27,7 @@ from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict, counted
 from bcfj_jax.io.scenefile import SceneFile, load, shown
 from bcfj_jax.io.units import format_si
@@ -38,7 +39,7 @@ FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
 # How far a result has come: what ``certificate.json`` holds, what is said below its tables, and what is done next.
-STEADY, UNCHECKED, BOUNDED, COMPLETE = "steady motion, not checked yet", "not checked yet", "bounded", "complete"
+STEADY, UNCHECKED, BOUNDED = "steady motion, not checked yet", "not checked yet", "bounded"
 _NEXT = {
     STEADY: "Not checked yet: the derivatives of the whole run come next.",
     UNCHECKED: "Not checked yet: far tighter solves come next.",
@@ -65,11 +66,13 @@ class Wanted(NamedTuple):
 class _Told:
     """What is written and shown of a result as it grows."""
 
-    def __init__(self, folder: Path, given: SceneFile, params: Params, absurd: Sequence[plausibility.Finding]) -> None:
+    def __init__(
+        self, folder: Path, given: SceneFile, params: Params, absurd: Sequence[plausibility.Finding],
+        show: Callable[[str], None],
+    ) -> None:  # fmt: skip
         self.folder, self.scene, self.params, self.absurd = folder, given.scene, params, absurd
         self.doubts = [plausibility.headline(absurd)] if absurd else []
-        self.tables: list[Any] = []
-        self.spoken: list[str] = []
+        self.growing = Growing(folder / "certificate.json", show)
         self.ends: list[float] = []
 
     def write(self, found: Sensitivity, stage: str) -> list[Any]:
@@ -79,25 +82,23 @@ class _Told:
             write_histories(self.folder / "sensitivity.csv", self.scene, found)
             self.ends = ends
         content = certificate_json(found, self.params, self.scene) | {"plausibility": plausibility.content(self.absurd)}
-        outputs.write_json(self.folder / "certificate.json", {"stage": stage, **content})
+        self.growing.write(stage, content)
         return _tables(found, self.params, UNCHECKED if stage == UNCHECKED else "")
 
-    def so_far(self, found: Sensitivity) -> tuple[str, str]:
-        """What is new, in words, and how far the result has come."""
+    def so_far(self, found: Sensitivity) -> str:
+        """Write and show what is new; how far the result has come."""
         stage = BOUNDED if found.certificate else UNCHECKED if found.derivative else STEADY
-        tables = self.write(found, stage)
-        new = [table for table in tables if table not in self.tables]
-        drives = [text for text in _driven(found, self.params) if text not in self.spoken]
-        self.spoken += drives
-        self.tables = tables
-        return "\n\n".join([*self.doubts, *drives, *_texts(new), _NEXT[stage].format(said(found))]) + "\n", stage
+        tables = _texts(self.write(found, stage))
+        parts = [*self.doubts, *_driven(found, self.params), *tables]
+        self.growing.tell(parts, _NEXT[stage].format(said(found)))
+        return stage
 
     def at_last(self, found: Sensitivity) -> tuple[str, list[Any]]:
         """The outcome in words, with tables that the comparison has changed; and all tables."""
         tables = self.write(found, COMPLETE)
         certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
-        again = [] if self.tables == tables else tables
-        drives = _driven(found, self.params) if again else []
+        again = bool(self.growing.new(_texts(tables)))
+        drives, again = (_driven(found, self.params), tables) if again else ([], [])
         return "\n\n".join([*self.doubts, *drives, said(found), *_texts([*certificate, *again])]), tables
 
 
@@ -127,14 +128,12 @@ def run(
     outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
-    told = _Told(folder, given, params, plausibility.at(given.scene, params, given.times))
+    told = _Told(folder, given, params, plausibility.at(given.scene, params, given.times), show)
     for doubt in told.doubts:
         say(f"warning: {doubt}")
 
     def so_far(found: Sensitivity) -> None:
-        text, reached = told.so_far(found)
-        show(text)
-        say(_NOW[reached].format(wanted.budget))
+        say(_NOW[told.so_far(found)].format(wanted.budget))
 
     found = sensitivity(
         given.scene, params, given.times, names, accuracy=given.accuracy, features=wanted.features, mode="forward",

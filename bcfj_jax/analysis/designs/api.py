@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,11 +23,13 @@ from bcfj_jax.analysis.designs.refine import ARRIVED, Kink, Refined, minimax, re
 from bcfj_jax.analysis.designs.result import (
     ALONE,
     FAILED,
+    INCOMPLETE,
     NO_GAIN,
     NOT_CONFIRMED,
     NOT_TRUSTED,
     OK,
     ROUGH,
+    UNCHECKED,
     Design,
     Slice,
 )
@@ -56,6 +58,7 @@ def design(
     times: Float[ArrayLike, " T"],
     objective: str | Mapping[str, float] | Combine,
     free: Mapping[str, Free | Sequence[Any]],
+    tell: Callable[[Design], None] | None = None,
     **options: Any,
 ) -> Design:
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
@@ -72,6 +75,7 @@ def design(
         objective: a feature ("seat_cage.peak", "contact.peak_penetration", "cage_ball.largest" for the greatest
             |F|), weights by feature for their sum, or a function of a dict of ``features``.
         free: by name ``Free`` or (lower, upper, tolerance, relative, scale); texts such as "20 um" are converted.
+        tell: receives the best descent's end ("not checked yet"), then the optimum checked by runs ("not complete yet").
         options: by name, those of ``search.Search``: features, sense, kappa, distribution, samples, starts, norms,
             iterations, accuracy, max_steps, confirm, certify, slices, seed, steady.
 
@@ -95,22 +99,19 @@ def design(
         0, 0, None, None, None, None, {}, {}, {}, box,
     )  # fmt: skip
     if np.isfinite(best.goal):
+        told, found = tell or (lambda _: None), _searched(found, plain, best)
+        told(found)
         with stage("refining the best"):
             refined, kink = _optimum(plain, goal, best, search)
-        found = _assessed(found, plain, search, refined, kink is not None)
-        same = [way for way in ways if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
-        near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
-        found = found._replace(agree=len(same), near=near)
-        unborn = before.reasons[0]
-        if found.robustness is not None and not unborn:
+        found = _assessed(found, plain, search, refined, kink is not None, told)
+        if found.robustness and not before.reasons[0]:
             found = found._replace(robustness_before=robustness(plain, box.unit(given), before, search, False))
         if search.slices:
             found = found._replace(slices=_slices(plain, refined.point))
-        status, reason = _verdict(found, plain, refined.arrived, kink, (unborn, search.kappa))
+        status, reason = _verdict(found, plain, refined.arrived, kink, (before.reasons[0], search.kappa))
         found = found._replace(status=status, reason=reason)
-    spent = plain.spent
-    stats = {name: getattr(spent, name) for name in ("batches", "points", "wall_s", "compile_s")}
-    return found._replace(failures=dict(spent.failures), stats=stats | {"lanes": plain.batch})
+    stats = {name: getattr(plain.spent, name) for name in ("batches", "points", "wall_s", "compile_s")}
+    return found._replace(failures=dict(plain.spent.failures), stats=stats | {"lanes": plain.batch})
 
 
 def posed(
@@ -159,12 +160,28 @@ def _optimum(plain: Evaluator, goal: Any, best: Path, search: Search) -> tuple[R
     return Refined(kink.point, values, active, kink.step, np.nan, kink.arrived), kink
 
 
-def _assessed(found: Design, plain: Evaluator, search: Search, refined: Refined, kinked: bool) -> Design:
-    """With what the optimum is worth, by an independent run, by its certificate and over its tolerances."""
+def _searched(found: Design, plain: Evaluator, best: Path) -> Design:
+    """With the best descent's end, and how many others came to it."""
+    same = [way for way in found.starts if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
+    near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
+    left = "not checked yet: refinement and independent runs come next"
+    found = found._replace(status=UNCHECKED, reason=left, agree=len(same), near=near)
+    return _placed(found, plain, best.end, best.value)
+
+
+def _placed(found: Design, plain: Evaluator, point: np.ndarray, after: float) -> Design:
+    """With the free parameters' values at a point (P,) of the unit box, and the objective there."""
+    named, gain = plain.space.named(plain.space.values(point)), plain.objective.sign * (found.before - after)
+    return found._replace(values=named, after=after, gain=gain)
+
+
+def _assessed(
+    found: Design, plain: Evaluator, search: Search, refined: Refined, kinked: bool, tell: Callable[[Design], None]
+) -> Design:
+    """With what the optimum is worth, by an independent run, of which is told; by its certificate and over its tolerances."""
     box, sign, scene = plain.space, plain.objective.sign, plain.scene
     here, at = plain(refined.point[None]), box.values(refined.point)
-    after = float(here.true[0])
-    gain = sign * (found.before - after)
+    found = _placed(found, plain, refined.point, float(here.true[0]))
     better = {**plain.params, **dict(zip(box.names, at, strict=True))}
     checked = None
     if search.confirm is not None:
@@ -175,14 +192,19 @@ def _assessed(found: Design, plain: Evaluator, search: Search, refined: Refined,
         ]
         with stage("checking by independent runs"):
             by = independent(scene, search.confirm, search.accuracy)
-            checked = confirm(scene, by, designs, plain.objective, gain)
+            checked = confirm(scene, by, designs, plain.objective, found.gain)
     sides = {-1: "lower", 1: "upper"}
-    return found._replace(
-        values=box.named(at), at_bound={n: sides[int(a)] for n, a in zip(box.names, refined.active, strict=True) if a},
-        after=after, gain=gain, gradient=box.named(sign * refined.values.slope[0] / box.slope(at)), step=refined.step,
-        curvature=refined.curvature, confirmation=checked, certificate=_certified(plain, better, search),
-        robustness=robustness(plain, refined.point, here, search, kinked),
+    found = found._replace(
+        at_bound={n: sides[int(a)] for n, a in zip(box.names, refined.active, strict=True) if a},
+        gradient=box.named(sign * refined.values.slope[0] / box.slope(at)), step=refined.step,
+        curvature=refined.curvature, confirmation=checked,
     )  # fmt: skip
+    left = "not complete yet: the gradient's certificate, tolerances and the objective about the optimum come next"
+    tell(found._replace(status=INCOMPLETE, reason=left))
+    return found._replace(
+        certificate=_certified(plain, better, search),
+        robustness=robustness(plain, refined.point, here, search, kinked),
+    )
 
 
 def _certified(plain: Evaluator, params: Params, search: Search) -> Certificate | None:
@@ -201,7 +223,8 @@ def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
         line[:, k] = np.sort(np.append(np.linspace(0.0, 1.0, _SLICE), x))
         rows.append(line)
     points = np.concatenate(rows)
-    true = plain(points).true.reshape(len(point), -1)
+    with stage("the objective about the optimum"):
+        true = plain(points).true.reshape(len(point), -1)
     values = plain.space.values(points).reshape(len(point), _SLICE + 1, -1)
     return {name: Slice(values[k, :, k], true[k]) for k, name in enumerate(plain.space.names)}
 

@@ -10,13 +10,14 @@ from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.api import design, posed
 from bcfj_jax.analysis.designs.designfile import Question, load
-from bcfj_jax.analysis.designs.result import FAILED
+from bcfj_jax.analysis.designs.result import FAILED, Design
 from bcfj_jax.analysis.designs.search import Search
 from bcfj_jax.analysis.designs.view import fact_rows, page, reason, value_rows, verdict
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import Picture
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
@@ -40,8 +41,13 @@ def _number(text: str) -> float | str:
         return text
 
 
-def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None]) -> tuple[str, bool]:
-    """Find the design that ``designfile.load`` reads, write and describe it; in words, and whether any start had a value."""
+def run(
+    what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
+) -> tuple[str, bool]:
+    """Find the design that ``designfile.load`` reads, write and describe it; in words, and whether any start had a value.
+
+    ``say`` receives the progress, ``show`` what is known before the design is complete.
+    """
     asked = load(what, more)
     check(asked)
     stem = Path(what).stem
@@ -54,10 +60,17 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
     plots.get_ready()
-    found = design(asked.scene, asked.given.params, asked.times, asked.objective, asked.free, **asked.options)
+    growing = Growing(folder / "design.json", show)
+
+    def so_far(found: Design) -> None:
+        growing.write(found.status, found.content())
+        growing.tell(_texts(found), reason(found))
+
+    given = asked.scene, asked.given.params, asked.times
+    found = design(*given, asked.objective, asked.free, tell=so_far, **asked.options)
     best = {**asked.given.params, **found.values} if found.status != FAILED else asked.given.params
     absurd = plausibility.at(asked.scene, best, asked.times)
-    outputs.write_json(folder / "design.json", found.content() | {"plausibility": plausibility.content(absurd)})
+    growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(absurd)})
     drawn: list[Picture] = []
     with stage("drawing"):
         if found.status != FAILED:
@@ -72,9 +85,14 @@ def run(what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str
     report.write(folder, shown, asked.given.scene.model_form)
     keep_asked()
     first = [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
-    tables = (report.text(rows) for rows in (value_rows(found), fact_rows(found)))
-    parts = [*first, f"{verdict(found)} {reason(found)}", *tables, f"results in {folder}"]
+    headline, *tables = _texts(found)
+    parts = [*first, f"{headline} {reason(found)}", *tables, f"results in {folder}"]
     return "\n\n".join(parts), found.status != FAILED
+
+
+def _texts(found: Design) -> list[str]:
+    """The outcome in a sentence, and its tables."""
+    return [verdict(found), *(report.text(rows) for rows in (value_rows(found), fact_rows(found)))]
 
 
 def check(asked: Question) -> None:

@@ -21,6 +21,8 @@ from bcfj_jax.io.units import engineering
 OK, FAILED, NOT_CONFIRMED, NOT_TRUSTED, ALONE, ROUGH, NO_GAIN = (
     "ok", "failed", "not confirmed", "gradient not trusted", "one start alone", "not converged", "no gain",
 )  # fmt: skip
+# Of a design that is told of before it is finished.
+UNCHECKED, INCOMPLETE = "not checked yet", "not complete yet"
 
 _BEST, _OTHER, _GIVEN = COLOURS[0], "#b5b5b5", COLOURS[1]
 
@@ -39,7 +41,8 @@ class Design(NamedTuple):
         status: "ok", or the worst of what is wrong: "failed" (no start had a value), "not confirmed" (by the
             independent run), "gradient not trusted" (by the certificate, where there is one), "not converged" (no
             optimum in the sense of derivatives: a kink, a flat place, or too few iterations), "one start alone" (no
-            other came to the same value), "no gain".
+            other came to the same value), "no gain". While it is told of: "not checked yet" (the best descent's end),
+            "not complete yet" (refined and checked by independent runs).
         reason: all that is to be said, in words.
         objective, sense, unit: what was made least or most.
         values, before_values: SI values of the free parameters after and before.

@@ -22,6 +22,7 @@ from scipy.stats import qmc
 
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
 from bcfj_jax.analysis.designs.search import SIGMAS, Search
+from bcfj_jax.core.progress import stage
 
 # Differences for the gradient of a worst change, over a range; and where |g_i| t_i is rounded, over the objective.
 _DIFFERENCE, _ROUNDED = 1e-4, 1e-6
@@ -81,7 +82,8 @@ def robustness(
         scatter = np.zeros_like(box)
         scatter[:, moved] = normal.ppf(np.clip(shares, 1e-9, 1.0 - 1e-9)) / SIGMAS["normal"]
         points += [*(at + halves * scatter)]
-    found = evaluate.at(np.array(points))
+    with stage("runs over the tolerances"):
+        found = evaluate.at(np.array(points))
     inside = sign * found.true[: 1 + len(box)]
     good = found.true[-len(box) :]
     good, reasons = good[np.isfinite(good)], dict(Counter(filter(None, found.reasons)))

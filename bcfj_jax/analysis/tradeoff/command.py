@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from bcfj_jax.analysis.tradeoff.pages import write
+from bcfj_jax.analysis.tradeoff.pages import so_far, write, write_tables
 from bcfj_jax.analysis.tradeoff.settings import settings
-from bcfj_jax.analysis.tradeoff.study import study
-from bcfj_jax.io import outputs, report
+from bcfj_jax.analysis.tradeoff.study import Study, study
+from bcfj_jax.core.progress import stage
+from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.growing import Growing
 from bcfj_jax.io.journal import NAME as JOURNAL
 from bcfj_jax.io.journal import Journal, key_of
 from bcfj_jax.io.scenefile import load, shown
@@ -19,31 +22,61 @@ DONE, FAILED, INTERRUPTED = 0, 3, 5
 FILES = ("tradeoff.csv", "tradeoff.json", "tradeoff.png", *report.FILES, "run.toml", "environment.json")
 # What tables, pictures and report take of the budget [s], at most a quarter of it.
 _REPORT_S = 4.0
+# Stages of tradeoff.json; while rows come it is written again after so long [s].
+OWN, ROWS, _EVERY_S = "not compared yet", "settings left", 5.0
+
+
+class Wanted(NamedTuple):
+    """What is tried (``only``, ``derivatives``: as ``settings.settings``), and the seconds for this call."""
+
+    only: Sequence[str]
+    derivatives: bool
+    budget: float
+
+
+class _Told:
+    """What is written and shown of a study as it grows."""
+
+    def __init__(self, folder: Path, show: Callable[[str], None]) -> None:
+        self.growing, self.next_s = Growing(folder / "tradeoff.json", show), 0.0
+
+    def __call__(self, found: Study) -> None:
+        new = self.growing.new(so_far(found))
+        if found.reference is None:
+            new.append("Not compared yet: two tight methods that agree, the reference, come next.\n")
+        if new:
+            self.growing.show("\n".join(new))
+        if found.reference is None or time.monotonic() > self.next_s:
+            write_tables(self.growing, ROWS if found.reference else OWN, found)
+            self.next_s = time.monotonic() + _EVERY_S * bool(found.reference)
 
 
 def run(
-    what: str, only: Sequence[str], derivatives: bool, budget: float, out: Path | None, say: Callable[[str], None]
+    what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
 ) -> tuple[str, int]:
     """Study a scene file, or go on with a study that its folder holds the journal of; in words, and the exit code.
 
-    ``only``, ``derivatives``: as ``settings.settings``; ``budget``: seconds for this call.
+    ``say`` receives the progress, ``show`` what is known before all is.
     """
     begin_s = time.monotonic()
-    given = shown(load(what))
-    todo = settings(given, only, derivatives)
+    given, budget = shown(load(what)), wanted.budget
+    todo = settings(given, wanted.only, wanted.derivatives)
     stem = given.source.stem if given.source else what
     folder = outputs.open_folder(out, "tradeoff", stem, FILES, goes_on=JOURNAL)
     known = outputs.environment(data=[given.source] if given.source else [])
-    key = key_of("tradeoff", given.resolved, derivatives, known["packages"], known["device"])
+    key = key_of("tradeoff", given.resolved, wanted.derivatives, known["packages"], known["device"])
+    told = _Told(folder, show)
+    plots.get_ready()
     with heeded(), Journal(folder, key) as journal:
         if journal.resumed:
             say(f"going on in {folder}: {len(journal)} pieces are finished")
         spent = time.monotonic() - begin_s + min(_REPORT_S, 0.25 * budget)
-        found = study(given, todo, journal, max(budget - spent, 0.0), say)
-    options = {"only": list(only), "derivatives": derivatives, "budget": budget}
+        found = study(given, todo, journal, max(budget - spent, 0.0), say, told)
+    options = {**wanted._asdict(), "only": list(wanted.only)}
     outputs.write_toml(folder / "run.toml", {**given.resolved, "tradeoff": options}, f"{what}, every default, SI")
     outputs.write_json(folder / "environment.json", known)
-    text = write(folder, found, stem, given.scene.model_form)
+    with stage("drawing"):
+        text = write(told.growing, found, stem, given.scene.model_form)
     if found.interrupted:
         say(f"interrupted; go on with: bcfj tradeoff {what} --out {folder}")
         return text, INTERRUPTED

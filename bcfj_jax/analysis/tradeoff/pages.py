@@ -13,12 +13,14 @@ from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
 from bcfj_jax.analysis.tradeoff.settings import MODEL
 from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study
 from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Picture, Table, Verdict, brief, span
 from bcfj_jax.io.units import format_si
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+INTERRUPTED = "interrupted"
 _AT_REFERENCE = "At the reference: the setting differs from the reference by less than the two reference runs differ."
 Rows = Sequence[Sequence[str]]
 _MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -26,11 +28,37 @@ _MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _TOP, _LEAST = 10.0, 1e-12
 
 
-def write(folder: Path, found: Study, stem: str, known: str) -> str:
-    """Write the tables, the picture and the report; the results in words. ``known``: the scene's ``model_form``."""
+def write_tables(growing: Growing, stage: str, found: Study) -> tuple[dict[str, Any], list[str]]:
+    """Write ``tradeoff.csv`` and ``tradeoff.json``; the advice in it, and the doubts."""
     advice, doubts = advise.recommended(found), advise.doubts(found.reference)
-    outputs.write_csv(folder / "tradeoff.csv", COLUMNS, [[row[name] for name in COLUMNS] for row in found.rows])
-    outputs.write_json(folder / "tradeoff.json", as_json(found, advice, doubts))
+    rows = [[row[name] for name in COLUMNS] for row in found.rows]
+    outputs.write_csv(growing.path.with_name("tradeoff.csv"), COLUMNS, rows)
+    growing.write(stage, as_json(found, advice, doubts))
+    return advice, doubts
+
+
+def so_far(found: Study) -> list[str]:
+    """What is known of the settings, a paragraph for the scene's own run and a line a finished row."""
+    own, count = found.rows[0], len(found.rows)
+    parts = []
+    if found.peaks:
+        peaks = ", ".join(f"{name} {brief(peak, 'N')}" for name, peak in found.peaks.items())
+        cost = f"{own['setting']}: {format_si(own['wall_s'], 's', 3)} a run, {own['steps']} steps"
+        parts = [f"{cost}; largest normal force: {peaks}"]
+    ran = ((k, row) for k, row in enumerate(found.rows, 1) if not row["status"].startswith("not "))
+    return parts + [f"[{k}/{count}] {row['setting']}: {_line(row)}" for k, row in ran]
+
+
+def _line(row: dict[str, Any]) -> str:
+    if row["status"] != OK:
+        return f"{row['status']} {row['reason']}".strip()
+    return f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s"
+
+
+def write(growing: Growing, found: Study, stem: str, known: str) -> str:
+    """Write the tables, the picture and the report; the results in words. ``known``: the scene's ``model_form``."""
+    folder = growing.path.parent
+    advice, doubts = write_tables(growing, COMPLETE if not found.interrupted else INTERRUPTED, found)
     chosen, choices, reference, moved = (
         recommended_rows(advice),
         model_rows(found),
@@ -81,6 +109,7 @@ def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str
     return {
         "status": status,
         "reasons": doubts,
+        "peaks": found.peaks,
         "reference": certificate,
         "safety": advise.SAFETY,
         "recommended": advice,

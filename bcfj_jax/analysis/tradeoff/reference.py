@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +19,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
-from bcfj_jax.analysis.tradeoff.settings import level, overlaid
+from bcfj_jax.analysis.tradeoff.settings import accuracy_of, level, overlaid
 from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
+from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, within
@@ -92,7 +94,8 @@ class _Attempts:
     def made(self, name: str, run: Callable[[], T]) -> T | None:
         """What a run gives; None where it gives nothing."""
         try:
-            return within(self.left(), run)
+            with stage(f"reference by {name}"):
+                return within(self.left(), run)
         except OutOfTime:
             self.late = True
             self.failures.append(f"{name} {_LATE}")
@@ -134,7 +137,7 @@ def reference(
 
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
     """The scene by another solver, with steps enough."""
-    accuracy = {"force_error": error, "solver": solver, "max_steps": max(given.max_steps, MAX_STEPS)}
+    accuracy = {**accuracy_of(given, error, solver), "max_steps": max(given.max_steps, MAX_STEPS)}
     return loaded(overlaid(given.resolved, {"accuracy": accuracy}))
 
 
@@ -148,12 +151,12 @@ def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> t
             break
         pair, spent = [], 0.0
         for label, file, pick in candidates:
-            # Beside an explicit method. Of two implicit ones a step costs about as much, and another budget of steps
-            # would be another program to compile.
+            # Beside an explicit method. Of two implicit ones a step costs about as much. Another budget of steps is another
+            # program, so that there are few.
             if pair and pair[0][0]["steps"] and not given.scene.traits.stiff:
                 each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
-                affordable = int(max(left() / 3.0 / each, _LEAST_STEPS))
-                file = replace(file, max_steps=min(file.max_steps, affordable))
+                excess = file.max_steps / max(left() / 3.0 / each, _LEAST_STEPS)
+                file = replace(file, max_steps=file.max_steps // 4 ** max(math.ceil(math.log(excess / 2.0, 4.0)), 0))
             found = tried.made(label["solver"], lambda file=file: trial(file, repeated=False))
             if tried.late:
                 best["reason"] = f"a tighter one {_LATE}"

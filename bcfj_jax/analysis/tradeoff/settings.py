@@ -164,7 +164,8 @@ def _same(table: Mapping[str, Any]) -> str:
     return json.dumps(plain({**table, "accuracy": accuracy}), sort_keys=True)
 
 
-def _accuracy(given: SceneFile, error: float, solver: str | None = None) -> dict[str, Any]:
+def accuracy_of(given: SceneFile, error: float, solver: str | None = None) -> dict[str, Any]:
+    """[accuracy] of a scene file at a force error; its default solver is not named: that would be another program."""
     chosen = solver or given.solver
     return {"force_error": error} | ({"solver": chosen} if chosen and chosen != _default_solver(given) else {})
 
@@ -185,7 +186,7 @@ def _laddered(
     """The same at a few force errors, of a model that asks for one."""
     for error in distinct(given.scene, _KNOBS_AT[given.scene.traits.large]):
         if moves:
-            at = {**change, "accuracy": _accuracy(given, error)}
+            at = {**change, "accuracy": accuracy_of(given, error)}
             yield _setting(given, f"{name} at {_percent(error)}", group, at, ladder=name, error=error, **more)
         else:
             yield _setting(given, name, group, change, error=error, **more)
@@ -195,7 +196,7 @@ def _tolerances(given: SceneFile) -> Iterator[Setting]:
     stiff = given.scene.traits.stiff
     for solver in named.known(stiff):
         for place, error in enumerate(distinct(given.scene)):
-            change = {"accuracy": _accuracy(given, error, solver)}
+            change = {"accuracy": accuracy_of(given, error, solver)}
             # The tangents' own control below 5e-4 is BDF's; looser ones are SDIRK2's (integrate).
             fit = {"sdirk2": error >= 5e-4, "bdf": 1e-5 <= error < 5e-4, "rodas3": False}
             more = {"ladder": solver, "error": error, "derivatives": fit[solver] if stiff else place % 2 == 0}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import statistics
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -22,13 +24,15 @@ from bcfj_jax.analysis.tradeoff.measures import (
 )
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
-from bcfj_jax.analysis.tradeoff.trial import loaded, single, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, singles, slopes, trial
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.progress import stage
+from bcfj_jax.core.threads import cores
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, check, within
 
-OK, FAILED = "ok", "failed"
+OK, FAILED, UNCOMPARED = "ok", "failed", "not compared: no reference yet"
 NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"
 COLUMNS = (
     "setting", "force_rms_error", "peak_error", "impulse_error", "derivative_error", "wall_s", "compile_s", "status",
@@ -54,12 +58,14 @@ class Study(NamedTuple):
         rows: of each a row with ``COLUMNS``; NaN for what is unknown.
         reference: the truth, or None where it was cut off before.
         interrupted: whether Ctrl-C ended it.
+        peaks: largest normal force of each contact in the scene's own run [N]; none where another call has run it.
     """
 
     settings: list[Setting]
     rows: list[dict[str, Any]]
     reference: Reference | None
     interrupted: bool
+    peaks: Mapping[str, float] = {}
 
 
 class _Clock:
@@ -100,7 +106,62 @@ class _Clock:
         return (statistics.median(self._tangents) if known else 0.0) + references.TANGENTS * wall_s
 
 
-def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float, say: Callable[[str], None]) -> Study:
+class _Runs:
+    """Runs of settings in the time left, as ``clock`` has it: the scene's own is made first; those in 32-bit numbers are made
+    together, beside the reference where there is a core for them.
+    """
+
+    def __init__(self, clock: _Clock, todo: list[Setting]) -> None:
+        self.clock, self.known = clock, dict[str, Trial | RuntimeError]()
+        self.narrow = [setting for setting in todo if setting.bits != 64]
+        self.beside = threading.Thread(target=self._beside, daemon=True)
+
+    def first(self, setting: Setting) -> dict[str, float]:
+        """Make the scene's own run: largest normal force by contact [N]; none where it fails or takes too long."""
+        try:
+            file = loaded(setting.table)
+            with stage("running the scene as given"):
+                found = self.known[setting.name] = within(self.clock.left(), lambda: trial(file))
+        except (OutOfTime, InputError, RuntimeError):
+            return {}
+        forces = found.run.force if found.run.status == OK else {}
+        return {name: float(np.max(force[..., 0], initial=0.0)) for name, force in forces.items()}
+
+    def _all_narrow(self) -> None:
+        found = singles([one.table for one in self.narrow], self.clock.left())
+        self.known |= dict(zip((one.name for one in self.narrow), found, strict=True))
+
+    def _beside(self) -> None:
+        with contextlib.suppress(KeyboardInterrupt):  # The main thread has it, too.
+            self._all_narrow()
+
+    def begin(self) -> None:
+        """Begin those in 32-bit numbers."""
+        if self.narrow and cores() > 1:
+            self.beside.start()
+
+    def settle(self) -> None:
+        """Wait for them: nothing else may compute while settings are timed."""
+        try:
+            if self.beside.is_alive():
+                within(self.clock.left(), self.beside.join)
+        except OutOfTime:
+            self.clock.stop()
+
+    def of(self, setting: Setting, file: SceneFile) -> Trial:
+        """A setting's run; errors as ``trial``."""
+        if setting.bits != 64 and setting.name not in self.known:
+            self._all_narrow()
+        known = self.known.pop(setting.name, None) or within(self.clock.left(), lambda: trial(file))
+        if isinstance(known, RuntimeError):
+            raise known
+        return known
+
+
+def study(
+    given: SceneFile, todo: list[Setting], journal: Journal, budget: float, say: Callable[[str], None],
+    tell: Callable[[Study], None] | None = None,
+) -> Study:  # fmt: skip
     """Measure settings of a scene, which as it stands defines the truth; Ctrl-C ends it with what is finished.
 
     Args:
@@ -108,37 +169,47 @@ def study(given: SceneFile, todo: list[Setting], journal: Journal, budget: float
         journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
         budget: seconds; what would not fit any more is not run, and what was begun and did not fit is left behind.
         given, say: the scene; receives the progress.
+        tell: called with what there is: the scene's own run, before the reference, then a row more each time.
     """
-    clock = _Clock(budget)
+    clock, told = _Clock(budget), tell or (lambda _: None)
+    runs, peaks = _Runs(clock, todo), dict[str, float]()
     rows = [_NOTHING | {"setting": s.name, "group": s.group, "force_error": s.error, "status": CUT_OFF} for s in todo]
-    truth = None
+    truth, interrupted = None, False
     try:
-        truth = _certified(given, any(setting.derivatives for setting in todo), journal, clock, say)
-        for number, setting in enumerate(todo):
-            check()
-            rows[number] |= _row(given, setting, truth, journal, clock)
-            if rows[number]["status"] not in (NO_TIME, NO_REFERENCE):
-                say(f"[{number + 1}/{len(todo)}] {setting.name}: {_line(rows[number])}")
+        truth = _restored(journal, say)
+        if truth is None and (peaks := runs.first(todo[0])):
+            own: Any = runs.known[todo[0].name]
+            rows[0] |= {**own.cost, "precision": "float64", "status": UNCOMPARED}
+            told(Study(todo, rows, None, False, peaks))
+            runs.begin()
+        truth = truth or _certified(given, any(setting.derivatives for setting in todo), journal, clock, say)
+        runs.settle()
+        with stage("running settings", len(todo)) as done:
+            for number, setting in enumerate(todo):
+                check()
+                rows[number] |= _row(given, setting, truth, journal, runs)
+                told(Study(todo, rows, truth, False, peaks))
+                done(number + 1)
     except KeyboardInterrupt:
-        return Study(todo, _fronted(rows, truth), truth, True)
-    return Study(todo, _fronted(rows, truth), truth, False)
+        interrupted = True
+    return Study(todo, _fronted(rows, truth), truth, interrupted, peaks)
 
 
-def _line(row: dict[str, Any]) -> str:
-    if row["status"] != OK:
-        return f"{row['status']} {row['reason']}".strip()
-    return f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s"
+def _restored(journal: Journal, say: Callable[[str], None]) -> Reference | None:
+    """The reference that another call has left."""
+    kept, folder = journal.get("reference"), journal.path.parent
+    if not isinstance(kept, dict):
+        return None
+    whole = restore(kept.get("certificate"), folder, kept.get("file"))
+    if whole is None:
+        say(f"{folder / references.NAME}: is missing or damaged; the reference is computed again")
+    return whole
 
 
 def _certified(
     given: SceneFile, derivatives: bool, journal: Journal, clock: _Clock, say: Callable[[str], None]
 ) -> Reference:
-    kept, folder = journal.get("reference"), journal.path.parent
-    if isinstance(kept, dict):
-        whole = restore(kept.get("certificate"), folder, kept.get("file"))
-        if whole is not None:
-            return whole
-        say(f"{folder / references.NAME}: is missing or damaged; the reference is computed again")
+    folder = journal.path.parent
     found = reference(given, clock.left, say, derivatives)
     parts = found.certificate["methods"], found.certificate["derivatives"]["methods"]
     clock.compiled(*([one.get("compile_s", 0.0) for one in part] for part in parts))
@@ -150,7 +221,7 @@ def _certified(
     return found
 
 
-def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal, clock: _Clock) -> dict[str, Any]:
+def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal, runs: _Runs) -> dict[str, Any]:
     """A setting's row, from the journal or else by running it; a failure is a row too."""
     # What was measured against another reference is no row of this study.
     name = f"{setting.name} {setting.digest} {truth.digest}"
@@ -159,12 +230,13 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
         return {key: float("nan") if value is None else value for key, value in kept.items()}
     if truth.truth is None:
         return {"status": NO_REFERENCE, "reason": truth.certificate["reason"]}
+    clock = runs.clock
     try:
         file = loaded(setting.table)
         program = (file.scene, len(file.times), file.solver, file.max_steps, setting.bits)
-        if clock.takes(setting, program) > clock.left():
+        if setting.name not in runs.known and clock.takes(setting, program) > clock.left():
             return {"status": NO_TIME, "reason": f"{max(clock.left(), 0.0):.0f} s are left"}
-        row = _measured(given, file, setting, program, truth, clock)
+        row = _measured(given, file, setting, program, truth, runs)
         clock.took(setting, program, row)
     except OutOfTime:
         clock.stop()
@@ -177,11 +249,10 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
 
 
 def _measured(
-    given: SceneFile, file: SceneFile, setting: Setting, program: Any, truth: Reference, clock: _Clock
+    given: SceneFile, file: SceneFile, setting: Setting, program: Any, truth: Reference, runs: _Runs
 ) -> dict[str, Any]:
     assert truth.truth is not None
-    left = clock.left()
-    found, cost = within(left, lambda: trial(file)) if setting.bits == 64 else single(setting.table, left)
+    found, cost = runs.of(setting, file)
     row: dict[str, Any] = {**cost, "precision": f"float{setting.bits}"}
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
@@ -193,7 +264,7 @@ def _measured(
     if moved := peak_change(ours, theirs):
         row |= {"contact": [name for name in wanted if name in names][moved[0]], "peak_change": moved[1]}
     if setting.derivatives and truth.slopes is not None:
-        row |= _differentiated(file, program, truth, row["wall_s"], clock)
+        row |= _differentiated(file, program, truth, row["wall_s"], runs.clock)
     return row
 
 

@@ -1,9 +1,9 @@
 """One setting run: what came out, what it cost. Compiling apart, every result waited for.
 
-    python -m bcfj_jax.analysis.tradeoff.trial TABLE.json OUT.npz
+    python -m bcfj_jax.analysis.tradeoff.trial FOLDER
 
-is a run in 32-bit numbers, to know what they would cost: the package refuses them, and JAX's width of numbers belongs to a
-whole process, so that the study's own cannot change it for one run.
+runs the scene files 0.json, 1.json, ... of a folder in 32-bit numbers, to know what they would cost: the package refuses them,
+and JAX's width of numbers belongs to a whole process, so that the study's own cannot change it for one run.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
 from bcfj_jax.io import usercode
-from bcfj_jax.io.outputs import plain
+from bcfj_jax.io.outputs import atomic, plain
 from bcfj_jax.io.scenefile import SceneFile, from_table, shown
 from bcfj_jax.io.stop import check
 from bcfj_jax.solve.plan import Plan, plan
@@ -39,7 +39,7 @@ _MAIN = (
 )  # fmt: skip
 _AT_MOST = 3
 # Seconds spent on repeating a run, and how often at least and at most; longer ones than the last are run once.
-_SPEND, _LEAST, _MOST, _ONCE = 0.4, 3, 9, 5.0
+_SPEND, _LEAST, _MOST, _ONCE = 0.2, 3, 9, 5.0
 # No program compiles in less; to look one up takes a millisecond, more on a busy machine.
 _LOOK_UP = 0.05
 # What of a run is compared, contact by contact.
@@ -60,16 +60,26 @@ def loaded(table: Mapping[str, Any]) -> SceneFile:
 
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
-    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), repeated)
+
+    def again() -> Callable[[], Run]:
+        """The same run, of what was checked already."""
+        scene = given.scene.suited(given.params, float(given.times[-1]), given.solver)
+        how = Plan(
+            plan(scene, given.accuracy, given.max_steps, given.solver).tolerance, given.max_steps, solver=given.solver
+        )
+        return lambda: timed(scene, given.params, given.times, how)
+
+    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), again if repeated else None)
 
 
-def repeatedly(once: Callable[[], Run], repeated: bool = True) -> Trial:
-    """The first of several runs that are the same, and what they cost."""
+def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] | None) -> Trial:
+    """A run and what it costs, by several that are the same, of which ``again`` makes each; None where one is enough."""
     run = once()
     compile_s, walls = run.stats["compile_s"], [run.stats["wall_s"]]
-    if repeated and walls[0] < _ONCE:
+    if again is not None and walls[0] < _ONCE:
         # The first run after a compilation also fills caches: it is not counted.
-        walls = [once().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
+        more = again()
+        walls = [more().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
     cost = {
         "wall_s": float(np.median(walls)),
         "compile_s": compile_s if compile_s > _LOOK_UP else 0.0,
@@ -111,59 +121,74 @@ def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
     return Slopes(found.derivative.force * sizes[:, None, None, None], found.wall_s, compile_s, "")
 
 
-def single(table: Mapping[str, Any], seconds: float) -> Trial:
-    """Run a scene file in 32-bit numbers, in another process, for so many seconds at most.
+def singles(every: Sequence[Mapping[str, Any]], seconds: float) -> list[Trial | RuntimeError]:
+    """Run scene files in 32-bit numbers, in one other process, for so many seconds at most.
+
+    Returns:
+        Of each its run; an error where the other process failed, with its last line, or did not come so far in time.
 
     Raises:
-        RuntimeError: where the other process failed, with its last line, or did not end in time.
         KeyboardInterrupt: for a Ctrl-C that came meanwhile, which the other process takes as well.
     """
     with tempfile.TemporaryDirectory() as place:
-        asked, out = Path(place, "table.json"), Path(place, "out.npz")
-        asked.write_text(json.dumps(plain(table)))
-        command = [
-            sys.executable,
-            "-m",
-            "bcfj_jax.analysis.tradeoff.trial",
-            str(asked),
-            str(out),
-            *usercode.arguments(),
-        ]
+        for k, table in enumerate(every):
+            Path(place, f"{k}.json").write_text(json.dumps(plain(table)))
+        command = [sys.executable, "-m", "bcfj_jax.analysis.tradeoff.trial", place, *usercode.arguments()]
+        why = ""
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=max(seconds, 1.0), check=False)
+            if done.returncode:
+                why = ([line for line in done.stderr.splitlines() if line.strip()] or [f"exit {done.returncode}"])[-1]
         except subprocess.TimeoutExpired:
-            raise RuntimeError(f"32-bit numbers: not done within the {seconds:.0f} s that were left") from None
+            why = f"not done within the {seconds:.0f} s that were left"
         check()
-        if done.returncode:
-            last = [line for line in done.stderr.splitlines() if line.strip()][-1:] or [f"exit {done.returncode}"]
-            raise RuntimeError(f"32-bit numbers: {last[0]}")
-        with np.load(out) as kept:
-            result = json.loads(str(kept["result"]))
-            parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in _READ}
-            run = Run(times=kept["times"], **parts, **result["status"])
-    return Trial(run, result["cost"])
+        return [_read(Path(place, f"{k}.npz"), why) for k in range(len(every))]
 
 
-def _child(table: Mapping[str, Any], out: Path) -> None:
-    given = loaded(table)
-    given.scene.check(given.params)
-    # Planned in the width that planning asks for.
-    tolerance = float(plan(given.scene, given.accuracy, given.max_steps, given.solver).tolerance)
-    jax.config.update("jax_enable_x64", False)
-    warnings.filterwarnings("ignore", message="Explicitly requested dtype")
+def _read(path: Path, why: str) -> Trial | RuntimeError:
+    """A run of the other process, or ``why`` there is none."""
+    if not path.exists():
+        return RuntimeError(f"32-bit numbers: {why}")
+    with np.load(path) as kept:
+        result = json.loads(str(kept["result"]))
+        if "error" in result:
+            return RuntimeError(f"32-bit numbers: {result['error']}")
+        parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in _READ}
+        return Trial(Run(times=kept["times"], **parts, **result["status"]), result["cost"])
+
+
+def _child(folder: Path) -> None:
+    files = sorted(folder.glob("*.json"), key=lambda path: int(path.stem))
+    for path in files:
+        jax.config.update("jax_enable_x64", True)  # Planned in the width that planning asks for.
+        try:
+            given = loaded(json.loads(path.read_text()))
+            given.scene.check(given.params)
+            tolerance = float(plan(given.scene, given.accuracy, given.max_steps, given.solver).tolerance)
+        except InputError as error:
+            np.savez(path.with_suffix(".npz"), result=json.dumps({"error": str(error)}))
+            continue
+        jax.config.update("jax_enable_x64", False)
+        warnings.filterwarnings("ignore", message="Explicitly requested dtype")
+        _narrow(given, tolerance, path.with_suffix(".npz"))
+
+
+def _narrow(given: SceneFile, tolerance: float, out: Path) -> None:
     params = {name: jax.numpy.asarray(np.float32(value)) for name, value in given.params.items()}
     how = Plan(jax.numpy.asarray(np.float32(tolerance)), given.max_steps, solver=given.solver)
-    run, cost = repeatedly(lambda: timed(given.scene, params, given.times, how))
+    once = lambda: timed(given.scene, params, given.times, how)  # noqa: E731
+    run, cost = repeatedly(once, lambda: once)
     result = {
         "contacts": {name: list(getattr(run, name)) for name in _READ},
         "status": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
         "cost": cost,
     }
     arrays = {f"{name} {c}": np.asarray(x, float) for name in _READ for c, x in getattr(run, name).items()}
-    np.savez(out, times=given.times, result=json.dumps(result), **arrays)  # pyright: ignore[reportArgumentType]
+    with atomic(out) as temporary, temporary.open("wb") as file:
+        np.savez(file, times=given.times, result=json.dumps(result), **arrays)  # pyright: ignore[reportArgumentType]
 
 
 if __name__ == "__main__":
     open_cache()
     usercode.from_arguments(sys.argv)
-    _child(json.loads(Path(sys.argv[1]).read_text()), Path(sys.argv[2]))
+    _child(Path(sys.argv[1]))
