@@ -252,7 +252,8 @@ def observed_features(scene: AbstractModel, experiments: tuple[Experiment, ...])
 
 def _period(scene: AbstractModel, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
     if scene.traits.turning:
-        return _repeat(times, found.force[:, channel, 0], about)
+        late = times >= times[-1] / 3.0
+        return comparison.repeated(times[late], found.force[late, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])
 
 
@@ -291,15 +292,3 @@ def _root(times: np.ndarray, depth: Array, rate: Array, k: Array) -> Array:
     s = jax.lax.fori_loop(0, 50, halve, (jnp.zeros(()), jnp.ones(())))[0]
     slope = fixed(jax.jvp(cubic, (s,), (jnp.ones(()),))[1])
     return jnp.asarray(times)[k] + h * (s - cubic(s) / slope)
-
-
-def _repeat(times: np.ndarray, force: Array, about: float) -> Array:
-    """Period of a force of the last two thirds that is about so long: its delay against itself, one period later."""
-    late = times >= times[-1] / 3.0
-    t, x = times[late], force[late]
-    later = max(1, round(about / (t[1] - t[0])))
-    if t.size - later < 8:
-        return jnp.asarray(jnp.nan)
-    early = t[: t.size - later]
-    width = min(about, float(early[-1] - early[0]))
-    return t[later] - t[0] + comparison.delay(early, x[: t.size - later], x[later:], width)

@@ -27,6 +27,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
@@ -43,8 +44,6 @@ _SHARES = np.linspace(0.0, 1.0, SAMPLES)
 _ERROR, _LOOSER = 1e-6, 10.0
 # A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
 _SETTLED = 0.1
-# What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
-KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
 class _Pitch(NamedTuple):
@@ -159,7 +158,7 @@ def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
     if not scene.recurs(params):
         return None
     begin = clock()
-    kinds = [f for f in problem.wanted if f.kind in KINDS]
+    kinds = [f for f in problem.wanted if f.kind in OF_TURN]
     if not kinds:
         return _none("it has none of these features")
     (first, last), why, compile_s = _orbits(scene, params, state, time, wrt, problem.max_steps)
@@ -371,7 +370,7 @@ def _features(
             continue
         number, slope = next(rest)
         # Times are shares of the pitch, which moves too.
-        moved = number * orbit.pitch_slope / orbit.pitch if feature.kind == "impulse" else 0.0
+        moved = number * orbit.pitch_slope / orbit.pitch if KINDS[feature.kind].turn == "longer" else 0.0
         numbers.append(number)
         changes.append(slope + moved)
     return np.array(numbers), np.stack(changes)
