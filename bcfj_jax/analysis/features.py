@@ -308,6 +308,10 @@ class Seen(NamedTuple):
     turning: bool = False
 
 
+def _mean(values: Any) -> Any:
+    return backend(values).mean(values)
+
+
 class Kind(NamedTuple):
     """A feature of a contact. Every command reads what it asks here.
 
@@ -324,6 +328,7 @@ class Kind(NamedTuple):
         cyclic: whether it needs the channel's period.
         curve: what of the continuous curve it is (``Curve``), or "".
         turn: whether a turn of steady motion has it. Where that takes no longer, it stays: "same"; or grows: "longer".
+        aside: whether the table of several contacts leaves it to the summary of each, to fit on a screen.
         named: whether it goes by a name; what does not is in a summary only.
     """
 
@@ -331,13 +336,14 @@ class Kind(NamedTuple):
     meaning: str
     of: Callable[[Seen], Any]
     fewest: int = 1
-    members: Callable[[Any], Any] = lambda values: backend(values).mean(values)
+    members: Callable[[Any], Any] = _mean
     rank: int = 0
     steps: Callable[[Mapping[str, float], float], float] | None = None
     host: bool = False
     cyclic: bool = False
     curve: str = ""
     turn: str = ""
+    aside: bool = False
     named: bool = True
 
     @property
@@ -439,13 +445,19 @@ KINDS: dict[str, Kind] = {
         "1", "share of the time in contact", lambda s: contact_fraction(s.times, s.depth), 2, rank=7,
         steps=lambda x, end: x["touching"] / end if end > 0.0 else float(x["deepest"] > 0.0), turn="same",
     ),
-    "contact_count": Kind("1", "number of contacts", _touches(0), steps=lambda x, end: x["count"], named=False),
+    "duration": Kind(
+        "s", "time in contact", lambda s: duration(s.times, s.depth), 2, steps=lambda x, end: x["touching"], turn="longer",
+        aside=True,
+    ),
+    "contact_count": Kind(
+        "1", "number of contacts", _touches(0), steps=lambda x, end: x["count"], aside=True, named=False
+    ),
     "contact_start": Kind(
-        "s", "when the surfaces first touch", _touches(1), named=False,
+        "s", "when the surfaces first touch", _touches(1), aside=True, named=False,
         steps=lambda x, end: x["onset"] if x["count"] else math.nan,
     ),
     "contact_end": Kind(
-        "s", "when they last part; NaN where they still touch at the end", _touches(2), named=False,
+        "s", "when they last part; NaN where they still touch at the end", _touches(2), aside=True, named=False,
         steps=lambda x, end: x["end"] if math.isfinite(x["end"]) else math.nan,
     ),
     "peak_penetration": Kind(
@@ -464,6 +476,41 @@ KINDS: dict[str, Kind] = {
         "s", "from when all members repeat themselves within 5 %", _settling, 1, _last, host=True, cyclic=True
     ),
 }  # fmt: skip
+
+
+class Event(NamedTuple):
+    """A feature of one contact of a run, which goes by its number: ``contact.begin_3``.
+
+    Attributes:
+        unit: SI; meaning: in words.
+        of: it, of the numbers of contacts (``derivatives.trains.Train``); linear, so that it gives their derivatives, too.
+        needs: of "begin" and "end" what must lie within the run.
+        integral: whether it needs an even force; summit: or one with a smooth peak.
+        late: whether it is a time of the record's clock.
+        members: one number of the members'.
+    """
+
+    unit: str
+    meaning: str
+    of: Callable[[Any], Any]
+    needs: tuple[str, ...] = ()
+    integral: bool = False
+    summit: bool = False
+    late: bool = False
+    members: Callable[[Any], Any] = _mean
+
+
+_BOTH = ("begin", "end")
+EVENTS: dict[str, Event] = {
+    "begin": Event("s", "when the penetration is first 0", lambda t: t.begin, ("begin",), late=True),
+    "peak_time": Event("s", "when the force is greatest", lambda t: t.peak_time, summit=True, late=True),
+    "end": Event("s", "when the penetration is 0 again", lambda t: t.end, ("end",), late=True),
+    "peak": Event("N", "greatest force", lambda t: t.peak, summit=True, members=_largest),
+    "impulse": Event("N s", "integral of the force from begin to end", lambda t: t.impulse, _BOTH, integral=True),
+    "center": Event("s", "mean time, weighed by the force", lambda t: t.center, _BOTH, integral=True, late=True),
+    "width": Event("s", "deviation of the time, weighed by the force", lambda t: t.width, _BOTH, integral=True),
+    "duration": Event("s", "time from begin to end", lambda t: t.end - t.begin, _BOTH),
+}
 # Of every contact where none is named; of a reading in a contact's place.
 DEFAULT = tuple(sorted((name for name, kind in KINDS.items() if kind.rank), key=lambda name: KINDS[name].rank))
 NAMED = (*DEFAULT, *(name for name, kind in KINDS.items() if kind.named and not kind.rank))

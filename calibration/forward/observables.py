@@ -16,6 +16,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import event, feature, members
 from bcfj_jax.analysis.derivatives.trains import flat, instants, planned, train
+from bcfj_jax.analysis.features import EVENTS
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
@@ -206,14 +207,13 @@ def single(
     ran = solution.code == OK
     values = jnp.zeros(len(wanted))
     for k, pairs in asked.items():
-        kind = event(wanted[k].kind)[0]  # pyright: ignore[reportOptionalSubscript]
+        kind = EVENTS[event(wanted[k].kind)[0]]  # pyright: ignore[reportOptionalSubscript]
         # A kind with a time of the record's clock, one of its readings, or neither.
-        late = kind in ("begin", "peak_time", "end", "center")
-        each = getattr(found, kind)[np.array([rows.index(pair) for pair in pairs])]
+        late = kind.late
+        each = kind.of(found)[np.array([rows.index(pair) for pair in pairs])]
         each = jnp.where(jnp.isfinite(each), each, jnp.where(ran, end if late else 0.0, jnp.nan))
-        value = jnp.max(each) if kind == "peak" else jnp.mean(each)
-        value = value + own["time_offset"] if late else value
-        values = values.at[k].set(own["gain"] * value if kind in ("peak", "impulse") else value)
+        value = kind.members(each) + (own["time_offset"] if late else 0.0)
+        values = values.at[k].set(own["gain"] * value if kind.unit.startswith("N") else value)
     return values
 
 

@@ -9,21 +9,11 @@ from typing import NamedTuple
 
 from jax import Array
 
-from bcfj_jax.analysis.features import DEFAULT, KINDS, NAMED, OF_READING, PAIR
+from bcfj_jax.analysis.features import DEFAULT, EVENTS, KINDS, NAMED, OF_READING, PAIR
 from bcfj_jax.core.errors import InputError, nearest, texts
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
-# Of one contact of a run, by its number: ``contact.begin_3`` (``contact_events``).
-EVENTS: dict[str, str] = {
-    "begin": "s",
-    "peak_time": "s",
-    "end": "s",
-    "peak": "N",
-    "impulse": "N s",
-    "center": "s",
-    "width": "s",
-}
 _EVENT = re.compile(rf"({'|'.join(EVENTS)})_([1-9][0-9]{{0,3}})")
 
 
@@ -42,8 +32,8 @@ def kind_unit(kind: str) -> str | None:
     """Unit of a kind of feature, with N for that of a reading; None for none that is known."""
     one = event(kind)
     if one:
-        return EVENTS[one[0]]
-    return KINDS[kind].unit if kind in NAMED else None
+        return EVENTS[one[0]].unit
+    return KINDS[kind].unit if kind in KINDS and KINDS[kind].named else None
 
 
 def nearest_kind(kind: str) -> str:
