@@ -179,9 +179,10 @@ def measured(scene: AbstractModel, observed: ObservedFeatures, found: Histories)
             cycles = [_period(scene, times, found, i, observed.about[k]) for i in own]
             values = values.at[k].set(jnp.mean(jnp.stack(cycles)))
         if one.kind == "delay":
-            values = values.at[k].set(
-                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, observed.about[k])
-            )
+            # Sought near the one that was measured: a period later they correlate as well.
+            step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
+            width = min(max(_NEAR * abs(observed.about[k]), _FEWEST * step), whole)
+            values = values.at[k].set(vector(times, found, [one], contacts, dict.fromkeys(place, width))[0])
     return values
 
 
@@ -255,17 +256,6 @@ def _period(scene: AbstractModel, times: np.ndarray, found: Histories, channel: 
         late = times >= times[-1] / 3.0
         return comparison.repeated(times[late], found.force[late, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])
-
-
-def _delay(times: np.ndarray, force: Array, pair: tuple[str, ...], place: dict, contacts: dict, about: float) -> Array:
-    """Mean delay of pairs of members, sought near the one that was measured: a period later they correlate as well."""
-    first, second = (members(c, contacts) for c in pair)
-    pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
-    step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
-    width = min(max(_NEAR * abs(about), _FEWEST * step), whole)
-    return jnp.mean(
-        jnp.stack([comparison.delay(times, force[:, place[a]], force[:, place[b]], width) for a, b in pairs])
-    )
 
 
 def _interval(times: np.ndarray, depth: Array, rate: Array) -> Array:

@@ -20,6 +20,7 @@ from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
@@ -80,7 +81,9 @@ def _product(
         found, _ = histories(scene, values, times, how)
         if wanted.kind == "peak":
             return _smooth_peak(
-                seen(np.frombuffer(samples), wanted.contacts[0], found.force[:, place, 0], None, None, None).force
+                seen(
+                    np.frombuffer(samples), is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None
+                ).force
             )
         return feature_vector(np.frombuffer(samples), found, [wanted], dict(contacts), {})[0]
 

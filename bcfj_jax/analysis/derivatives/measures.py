@@ -18,24 +18,24 @@ from bcfj_jax.analysis import crests
 from bcfj_jax.analysis.crests import UNKNOWN, Curve
 from bcfj_jax.analysis.derivatives.certificate import apart
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
-from bcfj_jax.analysis.derivatives.names import Feature, event, members
+from bcfj_jax.analysis.derivatives.names import Feature, event, members, smooth
 from bcfj_jax.analysis.features import KINDS, PAIR, Kind, Seen
-from bcfj_jax.core.dual import Dual, backend, still, unsloped
+from bcfj_jax.core.dual import Dual, backend, either, still, unsloped
 from bcfj_jax.mechanism.channels import is_reading
 
 _FEW = 6  # samples: of fewer in a contact the loop of force against penetration is not known
 
 
-def seen(times: np.ndarray, name: str, force: Any, depth: Any, rate: Any, curve: Any) -> Seen:
+def seen(times: np.ndarray, reading: Any, force: Any, depth: Any, rate: Any, curve: Any) -> Seen:
     """What features of a channel are taken from: (T,) normal force and others, and its row (4,) of ``Histories.curve``.
 
-    Of a contact with the size of the force; what is read in a contact's place keeps its sign. Pure, in JAX, NumPy and duals.
+    Of a contact with the size of the force; what is a ``reading`` in a contact's place keeps its sign. Pure, in JAX, NumPy and
+    duals.
     """
     known = UNKNOWN if curve is None else Curve(*(curve[k] for k in range(len(Curve._fields))))
-    if is_reading(name):
-        return Seen(times, force, depth, rate, known)
-    xp, value = backend(force), still(force)
-    return Seen(times, force * xp.where(value < 0, -1.0, 1.0), depth, rate, crests.size_of(known))
+    whole = known._replace(peak=either(reading, lambda: known.peak, lambda: crests.size_of(known).peak))
+    turned = (still(force) < 0) & (not reading if isinstance(reading, bool) else ~reading)
+    return Seen(times, force * backend(force).where(turned, -1.0, 1.0), depth, rate, whole)
 
 
 def _pairs(feature: Feature, contacts: Mapping[str, int]) -> list[tuple[str, str]]:
@@ -61,28 +61,28 @@ def vector(
         wanted, contacts: which features, and the members of each contact.
         periods: by channel, the period [s] within which a delay is sought; without one, or NaN: the whole history.
     """
-    place = {name: i for i, name in enumerate(channel_names(contacts))}
+    names = channel_names(contacts)
+    place, readings = {name: i for i, name in enumerate(names)}, np.array([is_reading(name) for name in names])
     curve = jnp.full((len(place), len(Curve._fields)), jnp.nan) if found.curve is None else found.curve
+    kinds = {f.kind: KINDS[f.kind] for f in wanted if smooth(f.kind) and len(times) >= KINDS[f.kind].fewest}
 
-    def at(name: str, k: Any) -> Seen:
-        return seen(times, name, found.force[:, k, 0], found.penetration[:, k], None, curve[k])
+    def each(reading: Any, force: Array, depth: Array, curve: Array) -> dict[str, Array]:
+        what = seen(times, reading, force, depth, None, curve)
+        return {"force": what.force} | {name: kind.of(what) for name, kind in kinds.items()}
+
+    every = jax.vmap(each, in_axes=(0, 1, 1, 0))(readings, found.force[:, :, 0], found.penetration, curve)
 
     def one(feature: Feature) -> Any:
-        if event(feature.kind):
-            return jnp.nan
-        kind = KINDS[feature.kind]
-        if kind.host or len(times) < kind.fewest:
-            return 0.0 if kind.host else jnp.nan
-        if feature.kind == PAIR:
-            each = [
-                kind.of(at(a, place[a])._replace(other=at(b, place[b]).force, cycle=periods.get(a, np.nan)))
-                for a, b in _pairs(feature, contacts)
-            ]
-            return kind.members(jnp.stack(each))
-        own = members(feature.contacts[0], contacts)
-        index = np.array([place[name] for name in own])
-        each = jax.vmap(lambda f, d, c: kind.of(seen(times, own[0], f, d, None, c)), in_axes=(1, 1, 0))
-        return kind.members(each(found.force[:, index, 0], found.penetration[:, index], curve[index]))
+        if feature.kind in kinds:
+            index = np.array([place[name] for name in members(feature.contacts[0], contacts)])
+            return kinds[feature.kind].members(every[feature.kind][index])
+        if feature.kind != PAIR or len(times) < KINDS[PAIR].fewest:
+            return 0.0 if feature.kind in KINDS and KINDS[feature.kind].host else jnp.nan
+        what = [
+            Seen(times, every["force"][place[a]], None, cycle=periods.get(a, np.nan), other=every["force"][place[b]])
+            for a, b in _pairs(feature, contacts)
+        ]
+        return KINDS[PAIR].members(jnp.stack([KINDS[PAIR].of(pair) for pair in what]))
 
     return jnp.stack([jnp.asarray(one(feature)) for feature in wanted])
 
@@ -102,7 +102,7 @@ class _Run:
             force = Dual(x.force[:, k, 0], np.ascontiguousarray(dx.force[:, :, k, 0]))
             depth = Dual(x.penetration[:, k], np.ascontiguousarray(dx.penetration[:, :, k]))
             curve = None if x.curve is None or dx.curve is None else Dual(x.curve[k], dx.curve[:, k])
-            found = seen(self.times, name, force, depth, Dual(x.rate[:, k], dx.rate[:, :, k]), curve)
+            found = seen(self.times, is_reading(name), force, depth, Dual(x.rate[:, k], dx.rate[:, :, k]), curve)
             self.channels[k] = found._replace(turning=self.turning)
         return self.channels[k]
 

@@ -207,11 +207,8 @@ class Evaluator:
         params = columns(self.params, names, points)
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
-        value = (
-            np.full(shape, np.nan),
-            np.full(shape, np.nan),
-            np.full((shape[0], shape[2], len(Curve._fields)), np.nan),
-        )
+        curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
+        value = np.full(shape, np.nan), np.full(shape, np.nan), curves
         none, by = np.zeros((*value[2].shape, len(names))), (*shape, len(names))
         slopes = np.full(by, np.nan), np.full(by, np.nan), none
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
