@@ -25,7 +25,7 @@ LAYERS = {
 # What is computed, without files, units, commands and pictures.
 PHYSICS = ("core", "contact", "mechanism", "models", "solve")
 PHYSICS_FILES = tuple(
-    f"analysis/{name}.py" for name in ("features", "histories", "energy_balance", "balance", "envelope")
+    f"analysis/{name}.py" for name in ("features", "crests", "histories", "energy_balance", "balance", "envelope")
 )
 TOOLS = {"pint", "pydantic", "typer", "matplotlib", "calibration"}
 # May know which model they hold: the models, what they are made of, and what is about one of them.

@@ -1,58 +1,52 @@
-"""What one contact's history amounts to: a number each, from times, normal force, penetration and its rate.
+"""Features of a contact: what its history amounts to, a number each. All of them are defined here, once.
 
-The features are ``peak``, ``mean``, ``impulse``, ``period``, ``dissipated_work``, ``residual_oscillation``,
-``contact_fraction`` and ``ripple``, and of a pair ``delay``; ``period`` and ``delay`` are those of ``histories``, which
-says what a window is and which errors those that take one raise.
+``KINDS`` is the table: name, unit, meaning and definition of every feature, and which commands take it. A definition is a pure
+function of what was seen of one channel (``Seen``), in arrays of NumPy, JAX or ``core.dual``, so that one definition gives the
+value, JAX's derivatives, and those of a finished run. A feature is added by one row; every command then has it.
+``derivatives.measures`` takes features of whole runs, ``derivatives.names`` reads their names, ``EVENTS`` are those of single
+contacts.
 
 A normal force that is read has a sign where a contact pushes both ways; a feature is of its size |F|, and ``side`` says
 which way it is where it is greatest: ``summary``, ``of_steps`` and ``derivatives.measures`` take the size before all else.
 
-All but ``period``, ``unseen``, ``contact_times`` and what counts these are pure and differentiable and take arrays of shape
-(T,); ``vmap`` them over members and batches. They see samples only: what happens between two samples is not in them, but in
-``of_steps``.
+Functions of arrays of shape (T,) see samples only: what happens between two samples is not in them, but in ``of_steps``.
+``period``, ``unseen``, ``contact_times`` and what counts these are NumPy; windows and what they raise: ``histories``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+import math
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 from numpy.polynomial.chebyshev import chebvander
 
-from bcfj_jax.analysis.histories import Window, samples
+from bcfj_jax.analysis import crests
+from bcfj_jax.analysis.crests import UNKNOWN, Curve
+from bcfj_jax.analysis.histories import Window, samples, settled_period, settling_time
 from bcfj_jax.analysis.histories import delay as delay
 from bcfj_jax.analysis.histories import period as period
 from bcfj_jax.analysis.histories import within as within
+from bcfj_jax.core.dual import Dual, backend, either, still, unsloped
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import power
 
-UNITS = {
-    "peak": "N",
-    "mean": "N",
-    "period": "s",
-    "impulse": "N s",
-    "dissipated_work": "J",
-    "contact_fraction": "1",
-    "contact_count": "1",
-    "contact_start": "s",
-    "contact_end": "s",
-    "peak_penetration": "m",
-    "side": "1",
-}
+# Share of its settled peak at which a contact's load has begun; and within which a settled force repeats itself.
+BEGUN = SETTLED = 0.05
 
 
 class NoClearanceFit(NamedTuple):
     """Smooth course of a force in a window: times [s], Chebyshev coefficients, fitted force and residual [N]."""
 
     times: np.ndarray
-    coefficients: Array
-    fitted: Array
-    residual: Array
+    coefficients: Any
+    fitted: Any
+    residual: Any
 
 
 class Oscillation(NamedTuple):
@@ -64,14 +58,9 @@ class Oscillation(NamedTuple):
     relative: Array
 
 
-def _numpy(*values: ArrayLike) -> Any:
-    """NumPy for arrays of the host, on which nothing is compiled; ``jax.numpy`` for traced ones."""
-    return jnp if any(isinstance(x, Array) for x in values) else np
-
-
-def peak(values: ArrayLike) -> Array:
+def peak(values: Any) -> Any:
     """Greatest sample of a force, max F [N], or of a penetration, max d [m]."""
-    return _numpy(values).max(values)
+    return backend(values).max(values)
 
 
 def side(greatest: float, least: float) -> float:
@@ -79,9 +68,9 @@ def side(greatest: float, least: float) -> float:
     return float(np.sign(greatest if greatest >= -least else least))
 
 
-def impulse(times: ArrayLike, force: ArrayLike) -> Array:
+def impulse(times: ArrayLike, force: Any) -> Any:
     """Impulse, the integral of F dt by the trapezoidal rule [N s]."""
-    return _numpy(times, force).trapezoid(force, times)
+    return backend(times, force).trapezoid(force, times)
 
 
 def settled(times: np.ndarray) -> int:
@@ -90,58 +79,63 @@ def settled(times: np.ndarray) -> int:
     return int(np.searchsorted(t, t[0] + (t[-1] - t[0]) / 3.0))
 
 
-def ripple(times: np.ndarray, force: ArrayLike) -> Array:
+def ripple(times: np.ndarray, force: Any) -> Any:
     """Greatest less least force, max F - min F, over the last two thirds of the span of (T,) known times [N]."""
-    late = jnp.asarray(force)[settled(times) :]
-    return jnp.max(late) - jnp.min(late)
+    late, xp = force[settled(times) :], backend(force)
+    return xp.max(late) - xp.min(late)
 
 
-def mean(times: ArrayLike, force: ArrayLike) -> Array:
+def mean(times: ArrayLike, force: Any) -> Any:
     """Time average of the force, (integral of F dt)/(t_end - t_0) [N], time apart included."""
-    t = _numpy(times).asarray(times)
+    t = backend(times, force).asarray(times)
     return impulse(t, force) / (t[-1] - t[0])
 
 
-def dissipated_work(force: ArrayLike, penetration: ArrayLike) -> Array:
+def dissipated_work(force: Any, penetration: Any) -> Any:
     """Work kept by the contact, the integral of F dd along the history by the trapezoidal rule [J].
 
     It is the area of the loop of force against penetration when the history starts and ends apart;
     else it still holds the elastic energy stored at the end.
     """
-    return _numpy(force, penetration).trapezoid(force, penetration)
+    return backend(force, penetration).trapezoid(force, penetration)
 
 
-def contact_fraction(times: ArrayLike, penetration: ArrayLike) -> Array:
+def duration(times: ArrayLike, penetration: Any) -> Any:
+    """Time with d > 0, d linear between samples [s]."""
+    xp = backend(times, penetration)
+    d = penetration if isinstance(penetration, Dual) else xp.asarray(penetration)
+    inside, size = xp.maximum(d, 0.0), xp.abs(d)
+    both = size[1:] + size[:-1]
+    share = (inside[1:] + inside[:-1]) / xp.where(still(both) == 0, 1.0, both)
+    return xp.sum(share * np.diff(times) if xp is np else share * jnp.diff(jnp.asarray(times)))
+
+
+def contact_fraction(times: ArrayLike, penetration: Any) -> Any:
     """Share of the time with d > 0, d linear between samples [-]."""
-    xp = _numpy(times, penetration)
-    t, d = xp.asarray(times), xp.asarray(penetration)
-    inside = xp.maximum(d, 0.0)
-    size = xp.abs(d[1:]) + xp.abs(d[:-1])
-    share = (inside[1:] + inside[:-1]) / xp.where(size == 0, 1.0, size)
-    return xp.sum(share * xp.diff(t)) / (t[-1] - t[0])
+    t = backend(times, penetration).asarray(times)
+    return duration(t, penetration) / (t[-1] - t[0])
 
 
-def onset_time(times: ArrayLike, force: ArrayLike, share: float = 0.5, level: float | None = None) -> float:
+def onset_time(times: ArrayLike, force: Any, share: float = 0.5, level: float | None = None) -> Any:
     """When a force first reaches a share of a level [s], linear between samples; infinite where it never does.
 
     The paper's delay of .04 s between the points 5 and 4 (.042 and .082 s, its sections 4.1.5 and 4.2.1) is a difference of
-    such onsets and no lag of correlated histories. NumPy, not traced.
+    such onsets and no lag of correlated histories. Not traced; it moves by  dt = (share dP - dF)/F'  with the level P and the
+    force F.
 
     Args:
         times, force: (T,) [s], [N]; of either sign, its size counts.
         share: of the level.
         level: [N]; by default the greatest size in the last third of the history, where a start is over.
     """
-    t, f = np.asarray(times, dtype=float), np.abs(np.asarray(force, dtype=float))
-    settled = t >= t[0] + 2.0 * (t[-1] - t[0]) / 3.0
-    limit = share * (float(np.max(f[settled])) if level is None else abs(level))
-    if not limit > 0.0:
-        return float("inf")
-    above = np.flatnonzero(f >= limit)
+    t, f = np.asarray(times, dtype=float), np.abs(force)
+    late = t >= t[0] + 2.0 * (t[-1] - t[0]) / 3.0
+    limit = share * (np.max(f[late]) if level is None else abs(level))
+    above = np.flatnonzero(still(f) >= still(limit)) if still(limit) > 0.0 else np.empty(0)
     if not above.size:
         return float("inf")
     k = int(above[0])
-    return float(t[0] if k == 0 else t[k - 1] + (limit - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1]))
+    return t[0] if k == 0 else t[k - 1] + (limit - f[k - 1]) / (f[k] - f[k - 1]) * (t[k] - t[k - 1])
 
 
 def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:
@@ -154,7 +148,7 @@ def transfer_loss(force_in: ArrayLike, force_out: ArrayLike) -> Array:
     return jnp.where(top > 0, (top - out) / jnp.where(top > 0, top, 1.0), jnp.nan)
 
 
-def no_clearance_fit(times: ArrayLike, force: ArrayLike, window: Window, order: int = 9) -> NoClearanceFit:
+def no_clearance_fit(times: ArrayLike, force: Any, window: Window, order: int = 9) -> NoClearanceFit:
     """Course that a force would have without clearance: least-squares polynomial over a window.
 
         fit(t) = sum_k c_k T_k(tau),   k = 0..order,   tau = 2 (t - start)/(end - start) - 1,   r = F - fit,
@@ -172,19 +166,26 @@ def no_clearance_fit(times: ArrayLike, force: ArrayLike, window: Window, order: 
         raise InputError(
             "window", f"{t.size} samples for order {order}", f"take a wider window, of at least {order + 1} samples"
         )
-    start, end = window or (t[0], t[-1])
-    basis, triangle = map(jnp.asarray, np.linalg.qr(chebvander(2.0 * (t - start) / (end - start) - 1.0, int(order))))
+    basis, inverse = _smooth(t.tobytes(), *map(float, window or (t[0], t[-1])), int(order))
     along = basis.T @ f
     fitted = basis @ along
-    return NoClearanceFit(t, jax.scipy.linalg.solve_triangular(triangle, along), fitted, f - fitted)
+    return NoClearanceFit(t, inverse @ along, fitted, f - fitted)
 
 
-def residual_oscillation(times: ArrayLike, force: ArrayLike, window: Window = None, order: int = 9) -> Array:
+@functools.lru_cache(maxsize=4)
+def _smooth(times: bytes, start: float, end: float, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal basis (T, order + 1) of smooth courses, and what makes Chebyshev's coefficients of its own."""
+    basis, triangle = np.linalg.qr(chebvander(2.0 * (np.frombuffer(times) - start) / (end - start) - 1.0, order))
+    return basis, np.linalg.inv(triangle)
+
+
+def residual_oscillation(times: ArrayLike, force: Any, window: Window = None, order: int = 9) -> Any:
     """What the clearance adds to a force in a window: amplitude (max r - min r)/2 of ``oscillation`` [N].
 
     The paper's "maximum amplitude" of a residual.
     """
-    return oscillation(times, force, window, order).amplitude
+    r, xp = no_clearance_fit(times, force, window, order).residual, backend(force)
+    return 0.5 * (xp.max(r) - xp.min(r))
 
 
 def oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int = 9) -> Oscillation:
@@ -196,13 +197,13 @@ def oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int =
     Raises:
         InputError: as ``no_clearance_fit``.
     """
-    fit = no_clearance_fit(times, force, window, order)
+    fit, xp = no_clearance_fit(times, force, window, order), backend(force)
     r = fit.residual
-    square = jnp.mean(r * r)
+    square = xp.mean(r * r)
     # ``power`` takes NaN for apart.
-    rms = jnp.where(jnp.isnan(square), jnp.nan, power(square, 0.5))
-    amplitude = 0.5 * (jnp.max(r) - jnp.min(r))
-    return Oscillation(jnp.max(jnp.abs(r)), rms, amplitude, rms / jnp.mean(jnp.abs(fit.fitted)))
+    rms = np.sqrt(square) if xp is np else jnp.where(jnp.isnan(square), jnp.nan, power(square, 0.5))
+    amplitude = 0.5 * (xp.max(r) - xp.min(r))
+    return Oscillation(xp.max(xp.abs(r)), rms, amplitude, rms / xp.mean(xp.abs(fit.fitted)))
 
 
 def unseen(penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -238,67 +239,302 @@ def contact_times(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> 
     return [(start, ends[i] if i < len(ends) else float("nan")) for i, start in enumerate(starts)]
 
 
-def _root(t: np.ndarray, d: np.ndarray, v: np.ndarray, k: np.integer) -> float:
-    """Root of the Hermite cubic between samples k and k + 1, which differ in sign, by bisection."""
-    if d[k] == 0.0:
-        return float(t[k])
+def _root(t: np.ndarray, d: Any, v: Any, k: Any) -> Any:
+    """Root t* of the Hermite cubic between samples k and k + 1, which differ in sign, by bisection; dt* = -(dd)/d'."""
     h = t[k + 1] - t[k]
     a, b, p, q = d[k], d[k + 1], h * v[k], h * v[k + 1]
-    low, high, upward = 0.0, 1.0, b > a
+
+    def cubic(s: float, a: Any, b: Any, p: Any, q: Any) -> Any:
+        return a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))
+
+    a0, b0, p0, q0 = fixed = [float(still(x)) for x in (a, b, p, q)]
+    low, high, upward = 0.0, 0.0 if a0 == 0.0 else 1.0, b0 > a0
     for _ in range(60):
         s = 0.5 * (low + high)
-        value = a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))
-        low, high = (s, high) if (value <= 0) == upward else (low, s)
-    return float(t[k] + h * 0.5 * (low + high))
+        low, high = (s, high) if (cubic(s, *fixed) <= 0) == upward else (low, s)
+    s = 0.5 * (low + high)
+    at = float(t[k] + h * s)
+    if not isinstance(d, Dual):
+        return at
+    steep = p0 + s * (2 * (3 * (b0 - a0) - 2 * p0 - q0) + s * 3 * (2 * (a0 - b0) + p0 + q0))
+    return Dual(at, cubic(s, a, b, p, q).slope * (-h / steep))
 
 
-def contact_interval(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> float:
-    """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2."""
-    starts = [start for start, _ in contact_times(times, penetration, rate)]
+def contact_interval(times: ArrayLike, penetration: Any, rate: Any) -> Any:
+    """Mean interval between the starts of contacts, (t_last - t_first)/(count - 1) [s]; NaN for fewer than 2.
+
+    Of duals with its slopes, as of ``start_at``.
+    """
+    t, depth = np.asarray(times), still(penetration)
     # What is pressed at the first sample began before it.
-    starts = starts[1:] if np.asarray(penetration)[0] > 0 else starts
-    return (starts[-1] - starts[0]) / (len(starts) - 1) if len(starts) > 1 else float("nan")
+    starts = [start for start, _ in contact_times(times, depth, still(rate))][int(depth[0] > 0) :]
+    if len(starts) < 2:
+        return unsloped(float("nan"), penetration)
+    first, last = (start_at(t, penetration, rate, at) for at in (starts[0], starts[-1]))
+    return (last - first) / (len(starts) - 1)
+
+
+def start_at(times: np.ndarray, penetration: Any, rate: Any, at: float) -> Any:
+    """The start of a contact that ``contact_times`` has found [s], of duals with its slopes; NaN of one between two samples."""
+    k = int(np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2))
+    seen = still(penetration)[k] <= 0 <= still(penetration)[k + 1]
+    return _root(times, penetration, rate, k) if seen else unsloped(at, penetration)
+
+
+# --- the table
+
+
+class Seen(NamedTuple):
+    """What a feature is taken from: one channel of a run.
+
+    Attributes:
+        times: (T,) [s], known numbers.
+        force: (T,) size of a contact's normal force [N]; what is read in a contact's place keeps its sign.
+        depth, rate: (T,) penetration [m] and its rate [m/s].
+        curve: what is known of the continuous force.
+        cycle: period [s]; of kinds that need one.
+        other: of a pair, the force of the second.
+        turning: whether a period is that of the force history (of the last two thirds), as in a joint, or the mean interval
+            between contacts.
+    """
+
+    times: np.ndarray
+    force: Any
+    depth: Any
+    rate: Any = None
+    curve: Curve = UNKNOWN
+    cycle: Any = math.nan
+    other: Any = None
+    turning: bool = False
+
+
+def _mean(values: Any) -> Any:
+    return backend(values).mean(values)
+
+
+class Kind(NamedTuple):
+    """A feature of a contact. Every command reads what it asks here.
+
+    Attributes:
+        unit: SI, with N for the unit of a reading.
+        meaning: in words, for tables of features.
+        of: its definition.
+        fewest: samples below which it is NaN.
+        members: one number of the members' (k,).
+        rank: its place among the features that are taken where none is named; 0: only where it is named.
+        steps: the same from what was found in the solver's steps (``solve.extremes.Extremes`` as numbers) from 0 to an end [s];
+            what has it is in ``summary.json``.
+        host: whether JAX does not differentiate it: it is sought in a finished run.
+        cyclic: whether it needs the channel's period.
+        curve: what of the continuous curve it is (``Curve``), or "".
+        turn: whether a turn of steady motion has it. Where that takes no longer, it stays: "same"; or grows: "longer".
+        aside: whether the table of several contacts leaves it to the summary of each, to fit on a screen.
+        named: whether it goes by a name; what does not is in a summary only.
+    """
+
+    unit: str
+    meaning: str
+    of: Callable[[Seen], Any]
+    fewest: int = 1
+    members: Callable[[Any], Any] = _mean
+    rank: int = 0
+    steps: Callable[[Mapping[str, float], float], float] | None = None
+    host: bool = False
+    cyclic: bool = False
+    curve: str = ""
+    turn: str = ""
+    aside: bool = False
+    named: bool = True
+
+    @property
+    def per_second(self) -> bool:
+        """Whether it grows with the duration of a run whose course is the same."""
+        return self.unit.endswith("s")
+
+
+def _largest(values: Any) -> Any:
+    return backend(values).max(values)
+
+
+def _first(values: Any) -> Any:
+    """Of members that are known."""
+    known = np.isfinite(values)
+    return np.min(values[known]) if known.any() else math.nan
+
+
+def _last(values: Any) -> Any:
+    return np.max(values) if np.isfinite(values).all() else math.nan
+
+
+def _known(column: str, otherwise: Callable[[Seen], Any]) -> Callable[[Seen], Any]:
+    """Of the continuous curve where it is known, else of samples."""
+
+    def of(s: Seen) -> Any:
+        found = getattr(s.curve, column)
+        return either(backend(found).isfinite(still(found)), lambda: found, lambda: otherwise(s))
+
+    return of
+
+
+_impulse = _known("impulse", lambda s: impulse(s.times, s.force))
+
+
+def _period(s: Seen) -> Any:
+    return settled_period(s.times, s.force) if s.turning else contact_interval(s.times, s.depth, s.rate)
+
+
+def _delay(s: Seen) -> Any:
+    cycle, span = float(still(s.cycle)), float(s.times[-1] - s.times[0])
+    cycle = cycle if math.isfinite(cycle) else span
+    return delay(s.times, s.force, s.other, cycle) if cycle * (s.times.size - 1) >= 4.0 * span else math.nan
+
+
+def _onset(s: Seen) -> Any:
+    found = onset_time(s.times, s.force, BEGUN)
+    return found if np.isfinite(still(found)) else math.nan
+
+
+def _settling(s: Seen) -> Any:
+    try:
+        return unsloped(settling_time(s.times, still(s.force), float(still(s.cycle)), SETTLED), s.force)
+    except InputError:
+        return math.nan
+
+
+def _touches(k: int) -> Callable[[Seen], float]:
+    """Of all contacts their number (0), when the first begins (1), and when the last ends (2)."""
+
+    def of(s: Seen) -> float:
+        found = contact_times(s.times, s.depth, s.rate)
+        return float(len(found)) if k == 0 else math.nan if not found else found[0][0] if k == 1 else found[-1][1]
+
+    return of
+
+
+def _interval(x: Mapping[str, float], end: float) -> float:
+    # What is pressed at time 0 began before it.
+    begun = x["count"] - (x["onset"] != x["first"])
+    return (x["latest"] - x["first"]) / (begun - 1.0) if begun > 1.0 else math.nan
+
+
+KINDS: dict[str, Kind] = {
+    "peak": Kind(
+        "N", "greatest force, of the continuous curve", lambda s: crests.greatest(s.times, s.force, s.curve), 1, _largest,
+        rank=1, steps=lambda x, end: x["peak"], curve="peak", turn="same",
+    ),
+    "largest": Kind(
+        "N", "greatest size of a reading of either sign",
+        lambda s: crests.greatest(s.times, s.force, s.curve, size=True), 1, _largest, curve="peak", turn="same",
+    ),
+    "mean": Kind(
+        "N", "time average of the force", lambda s: _impulse(s) / (s.times[-1] - s.times[0]), 2, rank=2,
+        steps=lambda x, end: x["impulse"] / end if end > 0.0 else x["peak"], curve="impulse", turn="same",
+    ),
+    "period": Kind(
+        "s", "of the force history, or interval of contacts", _period, 2, rank=4, steps=_interval, host=True, turn="longer",
+    ),
+    "impulse": Kind(
+        "N s", "integral of the force over time", _impulse, 2, rank=3, steps=lambda x, end: x["impulse"], curve="impulse",
+        turn="longer",
+    ),
+    "dissipated_work": Kind(
+        "J", "integral of the force over the penetration", _known("work", lambda s: dissipated_work(s.force, s.depth)), 2,
+        rank=5, steps=lambda x, end: x["work"], curve="work",
+    ),
+    "contact_fraction": Kind(
+        "1", "share of the time in contact", lambda s: contact_fraction(s.times, s.depth), 2, rank=7,
+        steps=lambda x, end: x["touching"] / end if end > 0.0 else float(x["deepest"] > 0.0), turn="same",
+    ),
+    "duration": Kind(
+        "s", "time in contact", lambda s: duration(s.times, s.depth), 2, steps=lambda x, end: x["touching"], turn="longer",
+        aside=True,
+    ),
+    "contact_count": Kind(
+        "1", "number of contacts", _touches(0), steps=lambda x, end: x["count"], aside=True, named=False
+    ),
+    "contact_start": Kind(
+        "s", "when the surfaces first touch", _touches(1), aside=True, named=False,
+        steps=lambda x, end: x["onset"] if x["count"] else math.nan,
+    ),
+    "contact_end": Kind(
+        "s", "when they last part; NaN where they still touch at the end", _touches(2), aside=True, named=False,
+        steps=lambda x, end: x["end"] if math.isfinite(x["end"]) else math.nan,
+    ),
+    "peak_penetration": Kind(
+        "m", "greatest penetration", lambda s: peak(s.depth), steps=lambda x, end: x["deepest"], turn="same",
+        named=False,
+    ),
+    "residual_oscillation": Kind(
+        # A residual of order 9 over fewer samples is rounding.
+        "N", "what clearance adds to the force", lambda s: residual_oscillation(s.times, s.force), 11, rank=6
+    ),
+    "delay": Kind("s", "by which the second force comes later", _delay, 2, cyclic=True),
+    "ripple": Kind("N", "greatest less least force of the last two thirds", lambda s: ripple(s.times, s.force)),
+    "onset": Kind("s", "when the first member first has 5 % of its settled peak", _onset, 1, _first, host=True),
+    "start_window": Kind("s", "when the last member first has", _onset, 1, _last, host=True),
+    "settling": Kind(
+        "s", "from when all members repeat themselves within 5 %", _settling, 1, _last, host=True, cyclic=True
+    ),
+}  # fmt: skip
+
+
+class Event(NamedTuple):
+    """A feature of one contact of a run, which goes by its number: ``contact.begin_3``.
+
+    Attributes:
+        unit: SI; meaning: in words.
+        of: it, of the numbers of contacts (``derivatives.trains.Train``); linear, so that it gives their derivatives, too.
+        needs: of "begin" and "end" what must lie within the run.
+        integral: whether it needs an even force; summit: or one with a smooth peak.
+        late: whether it is a time of the record's clock.
+        members: one number of the members'.
+    """
+
+    unit: str
+    meaning: str
+    of: Callable[[Any], Any]
+    needs: tuple[str, ...] = ()
+    integral: bool = False
+    summit: bool = False
+    late: bool = False
+    members: Callable[[Any], Any] = _mean
+
+
+_BOTH = ("begin", "end")
+EVENTS: dict[str, Event] = {
+    "begin": Event("s", "when the penetration is first 0", lambda t: t.begin, ("begin",), late=True),
+    "peak_time": Event("s", "when the force is greatest", lambda t: t.peak_time, summit=True, late=True),
+    "end": Event("s", "when the penetration is 0 again", lambda t: t.end, ("end",), late=True),
+    "peak": Event("N", "greatest force", lambda t: t.peak, summit=True, members=_largest),
+    "impulse": Event("N s", "integral of the force from begin to end", lambda t: t.impulse, _BOTH, integral=True),
+    "center": Event("s", "mean time, weighed by the force", lambda t: t.center, _BOTH, integral=True, late=True),
+    "width": Event("s", "deviation of the time, weighed by the force", lambda t: t.width, _BOTH, integral=True),
+    "duration": Event("s", "time from begin to end", lambda t: t.end - t.begin, _BOTH),
+}
+# Of every contact where none is named; of a reading in a contact's place.
+DEFAULT = tuple(sorted((name for name, kind in KINDS.items() if kind.rank), key=lambda name: KINDS[name].rank))
+NAMED = (*DEFAULT, *(name for name, kind in KINDS.items() if kind.named and not kind.rank))
+OF_READING = ("largest", "mean")
+PAIR = "delay"
+OF_TURN = tuple(name for name, kind in KINDS.items() if kind.turn)
+# Of a summary.
+UNITS = {name: kind.unit for name, kind in KINDS.items() if kind.steps} | {"side": "1"}
 
 
 def of_steps(end: float, steps: Mapping[str, float]) -> dict[str, float]:
     """``summary`` of what was found in the solver's steps from time 0 to ``end`` [s]: ``solve.extremes.Extremes`` as numbers."""
-    # What is pressed at time 0 began before it.
-    begun = steps["count"] - (steps["onset"] != steps["first"])
-    parted = np.isfinite(steps["end"])
-    return {
-        "peak": steps["peak"],
-        "mean": steps["impulse"] / end if end > 0.0 else steps["peak"],
-        "period": (steps["latest"] - steps["first"]) / (begun - 1.0) if begun > 1.0 else float("nan"),
-        "impulse": steps["impulse"],
-        "dissipated_work": steps["work"],
-        "contact_fraction": steps["touching"] / end if end > 0.0 else float(steps["deepest"] > 0.0),
-        "contact_count": steps["count"],
-        "contact_start": steps["onset"] if steps["count"] else float("nan"),
-        "contact_end": steps["end"] if parted else float("nan"),
-        "peak_penetration": steps["deepest"],
-        "side": side(steps["peak"] if steps["least"] != -steps["peak"] else 0.0, steps["least"]),
-    }
+    found = {name: kind.steps(steps, end) for name, kind in KINDS.items() if kind.steps}
+    return found | {"side": side(steps["peak"] if steps["least"] != -steps["peak"] else 0.0, steps["least"])}
 
 
-def summary(times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> dict[str, float]:
-    """The features that ``UNITS`` names, of one contact, in these units, from its samples.
+def summary(
+    times: ArrayLike, force: ArrayLike, penetration: ArrayLike, rate: ArrayLike, turning: bool = False
+) -> dict[str, float]:
+    """The features that ``UNITS`` names, of one contact, in these units, from its samples; the peak is the greatest of them.
 
-    The surfaces touch ``contact_count`` times: first from ``contact_start`` on, last until ``contact_end``, which is NaN
-    where they still touch at the end of the history. The period is ``contact_interval``.
+    ``turning``: as of ``Seen``.
     """
-    contacts, signed = contact_times(times, penetration, rate), _numpy(force).asarray(force)
-    force = _numpy(force).abs(signed)
-    start, end = (contacts[0][0], contacts[-1][1]) if contacts else (float("nan"), float("nan"))
-    return {
-        "peak": float(peak(force)),
-        "mean": float(mean(times, force)),
-        "period": contact_interval(times, penetration, rate),
-        "impulse": float(impulse(times, force)),
-        "dissipated_work": float(dissipated_work(force, penetration)),
-        "contact_fraction": float(contact_fraction(times, penetration)),
-        "contact_count": float(len(contacts)),
-        "contact_start": start,
-        "contact_end": end,
-        "peak_penetration": float(peak(penetration)),
-        "side": side(float(peak(signed)), -float(peak(-signed))),
-    }
+    signed, depth, speed = (np.asarray(x, dtype=float) for x in (force, penetration, rate))
+    seen = Seen(np.asarray(times), np.abs(signed), depth, speed, turning=turning)
+    found = {name: float(kind.of(seen)) for name, kind in KINDS.items() if kind.steps}
+    return found | {"peak": float(peak(seen.force)), "side": side(float(peak(signed)), -float(peak(-signed)))}

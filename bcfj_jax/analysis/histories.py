@@ -1,7 +1,7 @@
 """Histories held against time and against each other: windows, periods, delays, settling.
 
 A history is an array of shape (T,) over times of shape (T,) [s]. ``period`` and ``settling_time`` are
-NumPy and give a float; ``delay`` is JAX, differentiable in the histories.
+NumPy and give a float; ``delay`` and ``repeated`` are differentiable in the histories (arrays of JAX, or duals).
 
 A window is a pair (start, end) [s], both ends included, None for all times. What takes one needs times that are
 known numbers (close over them under ``jit`` or ``vmap``; the force may be traced) and raises ``InputError`` where they
@@ -12,7 +12,6 @@ no length, leaves the times or holds fewer than two samples. A history with NaN 
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import jax
@@ -21,6 +20,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.core.dual import Dual, backend, either, still, unsloped
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.numerics import power
@@ -51,10 +51,10 @@ def within(times: ArrayLike, window: Window) -> slice:
     return slice(int(np.searchsorted(t, start - slack)), int(np.searchsorted(t, end + slack, side="right")))
 
 
-def samples(times: ArrayLike, window: Window, *values: ArrayLike) -> tuple[np.ndarray, list[Array]]:
+def samples(times: ArrayLike, window: Window, *values: Any) -> tuple[np.ndarray, list[Any]]:
     """Times and histories of a window, checked: see the top of the file."""
     t = _known(times)
-    arrays: list[Any] = [x if isinstance(x, Array) else np.asarray(x, dtype=float) for x in values]
+    arrays: list[Any] = [x if isinstance(x, (Array, Dual)) else np.asarray(x, dtype=float) for x in values]
     for x in arrays:
         if x.shape != t.shape:
             raise InputError("history", f"shape {x.shape} over times of shape {t.shape}", "give one sample a time")
@@ -95,16 +95,42 @@ def period(times: ArrayLike, values: ArrayLike, window: Window = None) -> float:
     return _repeat(t, np.asarray(x))
 
 
-def settled_period(times: ArrayLike, values: ArrayLike) -> float:
-    """``period`` of the last two thirds [s]; NaN for 10 samples or fewer there."""
+def settled_period(times: ArrayLike, values: Any) -> Any:
+    """``period`` of the last two thirds [s]; NaN for 10 samples or fewer there. Of a dual with its slopes, good to about 1 %."""
     t = _known(times)
-    late = t >= t[-1] / 3.0
-    return period(t[late], np.asarray(values)[late]) if np.count_nonzero(late) > 10 else float("nan")
+    late = t >= t[0] + (t[-1] - t[0]) / 3.0
+    t, x = t[late], values[late]
+    if t.size <= 10:
+        return unsloped(math.nan, x)
+    found = period(t, still(x))
+    if not isinstance(x, Dual) or not math.isfinite(found):
+        return unsloped(found, x)
+    even, span = np.linspace(t[0], t[-1], t.size), t[-1] - t[0]
+    if t.size < 16 or found * (t.size - 1) < 8 * span:
+        return unsloped(found, x)
+    xp = backend(x)
+    moved = repeated(even, xp.interp(even, t, x), found, max(1, int(0.75 * span / found)))
+    return Dual(found, moved.slope)
 
 
-def delay(
-    times: ArrayLike, first: ArrayLike, second: ArrayLike, period: float | None = None, window: Window = None
-) -> Array:
+def repeated(times: np.ndarray, values: Any, about: float, many: int = 1) -> Any:
+    """Period of a history at even times that is about so long [s], T = (k h + s)/many, differentiable; NaN where too little
+    overlaps.
+
+    With s the ``delay`` of the history k steps of h later, about ``many`` periods, against itself. The derivative is good to
+    about 1 %: what overlaps holds no whole number of periods.
+    """
+    step = (times[-1] - times[0]) / (times.size - 1)
+    later = max(1, round(many * about / step))
+    kept = times.size - later
+    if kept < 8:
+        return unsloped(math.nan, values)
+    early = times[:kept]
+    width = min(about, 0.9 * float(early[-1] - early[0]))
+    return (times[later] - times[0] + delay(early, values[:kept], values[later:], width)) / many
+
+
+def delay(times: ArrayLike, first: Any, second: Any, period: float | None = None, window: Window = None) -> Any:
     """Shift of the second history against the first at their best correlation [s]; > 0 where the second comes later.
 
     argmax over |s| <= period/2 of the correlation coefficient (Pearson) of first(t) and second(t + s) over the times
@@ -120,7 +146,7 @@ def delay(
     if period is None:
         if isinstance(a, Tracer):
             raise InputError("period", "none, of a history traced by JAX", "give the period")
-        cycle = _repeat(t, np.asarray(a)) if t.size >= 8 else math.nan
+        cycle = _repeat(t, np.asarray(still(a))) if t.size >= 8 else math.nan
         period = cycle if math.isfinite(cycle) else float(t[-1] - t[0])
     _check_period(t, period)
     even = np.linspace(t[0], t[-1], t.size)
@@ -128,9 +154,10 @@ def delay(
     most = int(np.floor(0.5 * period / step + 1e-9))
     if most < 2:
         raise InputError("period", f"{period:g} s in steps of {step:g} s", "give one of at least 4 steps")
-    xp: Any = jnp if isinstance(a, Array) or isinstance(b, Array) else np
+    xp = backend(a, b)
     place, best = shifts(xp.interp(even, t, a), xp.interp(even, t, b), most)
-    return xp.where(best > 0, xp.clip(step * place, -0.5 * period, 0.5 * period), np.nan)
+    limited = xp.clip(step * place, -0.5 * period, 0.5 * period)
+    return either(best > 0, lambda: limited, lambda: unsloped(math.nan, limited))
 
 
 def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: float = 0.05) -> float:
@@ -206,31 +233,29 @@ def _repeat(t: np.ndarray, values: np.ndarray) -> float:
         if high > n.size or np.max(n[low:high]) < _EQUAL * n[base]:
             break
         top, multiple = low + int(np.argmax(n[low:high])), multiple + 1
-    crest = float(_crest(n, top))
+    crest = float(_crest(n, top)) if n.size > 4 else math.nan
     if not crest > 0.0:  # Too few samples to have one there.
         return float("nan")
     return float(even[1] - even[0]) * crest / multiple
 
 
-def shifts(a: ArrayLike, b: ArrayLike, most: int) -> tuple[Array, Array]:
+def shifts(a: Any, b: Any, most: int) -> tuple[Any, Any]:
     """Lag [samples], up to ``most`` either way, of the greatest correlation coefficient, and that of the samples."""
-    if isinstance(a, Array) or isinstance(b, Array):
-        return _best_shift(jnp.asarray(a), jnp.asarray(b), most)
+    return (_traced_shift if backend(a, b) is jnp else _best_shift)(a, b, most)
+
+
+def _best_shift(a: Any, b: Any, most: int) -> tuple[Any, Any]:
     match = correlations(a, b, most)
-    return _crest(match, int(np.argmax(match))) - most, np.max(match)
+    top = backend(match).argmax(still(match))
+    return _crest(match, top) - most, still(match)[top]
 
 
-@partial(jax.jit, static_argnames="most")
-def _best_shift(a: Array, b: Array, most: int) -> tuple[Array, Array]:
-    """``shifts`` in JAX."""
-    match = correlations(a, b, most)
-    return _crest(match, jnp.argmax(match)) - most, jnp.max(match)
+_traced_shift = jax.jit(_best_shift, static_argnums=2)
 
 
-def correlations(a: ArrayLike, b: ArrayLike, most: int) -> Any:
+def correlations(a: Any, b: Any, most: int) -> Any:
     """Pearson's coefficient of a(t) and b(t + k) over the times both have, k = -most .. most; -1 where one is flat."""
-    xp = jnp if isinstance(a, Array) or isinstance(b, Array) else np
-    a, b = xp.asarray(a), xp.asarray(b)
+    xp = backend(a, b)
     lags = np.arange(-most, most + 1)
     count, from_a, from_b = a.size - np.abs(lags), np.maximum(0, -lags), np.maximum(0, lags)
 
@@ -238,67 +263,55 @@ def correlations(a: ArrayLike, b: ArrayLike, most: int) -> Any:
         total = xp.concatenate([xp.zeros(1), xp.cumsum(values)])
         return total[start + count] - total[start]
 
-    raw_a, raw_b = xp.mean(a * a), xp.mean(b * b)
+    raw_a, raw_b = (xp.mean(still(x) * still(x)) for x in (a, b))
     a, b = a - xp.mean(a), b - xp.mean(b)
-    size = 2 * a.size
+    # A power of 2 is the quickest.
+    size = 1 << (2 * a.size - 1).bit_length()
     cross = xp.fft.irfft(xp.conj(xp.fft.rfft(a, size)) * xp.fft.rfft(b, size), size)[lags]
     sum_a, sum_b = sums(a, from_a), sums(b, from_b)
-    spread_a, spread_b = sums(a * a, from_a) - sum_a**2 / count, sums(b * b, from_b) - sum_b**2 / count
+    spread_a, spread_b = sums(a * a, from_a) - sum_a * sum_a / count, sums(b * b, from_b) - sum_b * sum_b / count
+
     # Where one is all but flat, over the shared times or at all, the coefficient is rounding.
-    varied_a = spread_a > count * xp.maximum(0.01 * xp.mean(a * a), 1e-24 * raw_a)
-    varied = varied_a & (spread_b > count * xp.maximum(0.01 * xp.mean(b * b), 1e-24 * raw_b))
+    def varies(spread: Any, x: Any, raw: Any) -> Any:
+        return still(spread) > count * xp.maximum(0.01 * xp.mean(still(x) * still(x)), 1e-24 * raw)
+
+    varied = varies(spread_a, a, raw_a) & varies(spread_b, b, raw_b)
     square = xp.where(varied, spread_a * spread_b, 1.0)
     scale = power(square, 0.5) if xp is jnp else np.sqrt(square)
     return xp.where(varied, (cross - sum_a * sum_b / count) / scale, -1.0)
 
 
-def crest_lags(values: np.ndarray, top: int) -> np.ndarray:
-    """Samples over which a crest's quartic is fitted: two or more either side, within 10 % of the greatest."""
-    low = np.flatnonzero(values < _EQUAL * values[top])
-    middle = int(np.clip(top, 2, values.size - 3))
-    left = middle - int(np.max(low[low < top] + 1, initial=0))
-    right = int(np.min(low[low > top] - 1, initial=values.size - 1)) - middle
-    half = max(2, min(left, right))
-    return np.arange(max(0, middle - half), min(values.size, middle + half + 1))
-
-
 def _crest(values: Any, top: Any) -> Any:
     """Place of a maximum between samples, counted in samples: crest of the least-squares quartic about ``top``.
 
-    Over as many samples either side, two or more, as are within 10 % of the greatest without a gap.
+    Over as many samples either side, two or more, as are within 10 % of the greatest without a gap. Where the quartic c has
+    its crest s, c'(s) = 0, so that ds = -dc'(s)/c''(s).
     """
-    if isinstance(values, Array):
-        return _jax_crest(values, top)
-    k = crest_lags(values, int(top))
-    middle, half = 0.5 * (k[0] + k[-1]), 0.5 * (k[-1] - k[0])
+    xp, flat = backend(values), still(values)
+    k = np.arange(values.size)
+    low = flat < _EQUAL * flat[top]
+    middle = xp.clip(top, 2, values.size - 3)
+    left = middle - xp.max(xp.where(low & (k < top), k + 1, 0))
+    right = xp.min(xp.where(low & (k > top), k - 1, values.size - 1)) - middle
+    half = xp.maximum(2, xp.minimum(left, right))
+    if xp is np:
+        # Only the samples that count; how many there are is known.
+        k = np.arange(middle - half, middle + half + 1)
+        values = values[k]
     u = (k - middle) / half
-    basis = u[:, None] ** np.arange(5)
-    c = np.linalg.lstsq(basis, values[k], rcond=None)[0]
-    start = place = u[int(np.argmax(basis @ c))]
-    for _ in range(6):
-        slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
-        bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
-        place = np.clip(place - slope / (bend if bend < 0 else -1.0), start - 1.0 / half, start + 1.0 / half)
-    return float(middle + half * place)
+    basis = xp.where((xp.abs(u) <= 1)[:, None], u[:, None] ** np.arange(5), 0.0)
+    weights = np.linalg.pinv(basis) if xp is np else jnp.linalg.solve(basis.T @ basis, basis.T)
+    c = weights @ values
+    fixed = still(c)
+    start = place = u[xp.argmax(xp.where(xp.abs(u) <= 1, basis @ fixed, -np.inf))]
 
+    def slope(c: Any, place: Any) -> Any:
+        return c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
 
-@jax.jit
-def _jax_crest(values: Array, top: ArrayLike) -> Array:
-    """``_crest`` in JAX."""
-    k = jnp.arange(values.shape[0])
-    fixed = jax.lax.stop_gradient(values)
-    low = fixed < _EQUAL * fixed[top]
-    middle = jnp.clip(top, 2, values.shape[0] - 3)
-    left = middle - jnp.max(jnp.where(low & (k < top), k + 1, 0))
-    right = jnp.min(jnp.where(low & (k > top), k - 1, values.shape[0] - 1)) - middle
-    half = jnp.maximum(2, jnp.minimum(left, right))
-    u = (k - middle) / half
-    basis = jnp.where((jnp.abs(u) <= 1)[:, None], u[:, None] ** jnp.arange(5), 0.0)
-    c = jnp.linalg.solve(basis.T @ basis, basis.T @ values)
-    start = u[jnp.argmax(jnp.where(jnp.abs(u) <= 1, jax.lax.stop_gradient(basis @ c), -jnp.inf))]
-    place = start
     for _ in range(6):
-        slope = c[1] + place * (2 * c[2] + place * (3 * c[3] + place * 4 * c[4]))
-        bend = 2 * c[2] + place * (6 * c[3] + place * 12 * c[4])
-        place = jnp.clip(place - slope / jnp.where(bend < 0, bend, -1.0), start - 1.0 / half, start + 1.0 / half)
-    return middle + half * place
+        bend = 2 * fixed[2] + place * (6 * fixed[3] + place * 12 * fixed[4])
+        step = slope(fixed, place) / xp.where(bend < 0, bend, -1.0)
+        place = xp.clip(place - step, start - 1.0 / half, start + 1.0 / half)
+    bend = 2 * fixed[2] + place * (6 * fixed[3] + place * 12 * fixed[4])
+    moved = slope(c, place) / xp.where(bend < 0, bend, -1.0)
+    return middle + half * (place - (moved - still(moved)))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis import features, histories
-from bcfj_jax.analysis.derivatives.starting import SETTLED, of_members, starting
+from bcfj_jax.analysis.features import KINDS, SETTLED, Seen
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.frames import ORDER, WINDOW_NORMAL, later, rhythm
 from bcfj_jax.reproduction.record import Balance
@@ -129,8 +129,8 @@ def six(run: Run, every: int = 1) -> np.ndarray:
 
 
 def _started(kind: str, times: np.ndarray, forces: np.ndarray, turn: float) -> float:
-    none = np.zeros((0, times.size))
-    return of_members(kind, [starting(kind, times, force, none, turn) for force in forces.T])[0]
+    each = [KINDS[kind].of(Seen(times, force, None, cycle=turn)) for force in forces.T]
+    return float(KINDS[kind].members(np.array(each, dtype=float)))
 
 
 def _parted(run: Run) -> float:

@@ -29,9 +29,9 @@ from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import apart as differing
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, numbers, solved_at, why
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, level
-from bcfj_jax.analysis.derivatives.measures import _start_slope
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete
 from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.programs import program
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
@@ -74,7 +74,7 @@ def from_samples(scene: Any, params: dict, end: float, wrt: tuple[str, ...], exa
     depth, rate = found.value.penetration[:, 0], found.value.rate[:, 0]
     starts = [begin for begin, _ in features.contact_times(times, depth, rate)]
     by = [found.derivative.penetration[:, :, 0], found.derivative.rate[:, :, 0]]
-    own = np.array([_start_slope(times, depth, rate, by[0], by[1], at) for at in starts])
+    own = np.array([features.start_at(times, Dual(depth, by[0]), Dual(rate, by[1]), at).slope for at in starts])
     value, slope = exact["begin"]
     slope, many = slope[:, [NAMES.index(n) for n in wrt]], min(value.size, len(own))
     least = LEAST * np.abs(value)[:many, None] / np.array([p[n] for n in wrt])

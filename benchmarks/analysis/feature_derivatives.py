@@ -26,8 +26,8 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
+from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.certificate import LEAST
-from bcfj_jax.analysis.derivatives.curves import PEAK
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
 from bcfj_jax.contact.laws import FRICTION, LAWS
 from bcfj_jax.mechanism.observed import observing
@@ -151,7 +151,7 @@ def curve_of(scene: Mechanism, channel: str) -> Callable[[dict[str, Any], float]
 
     def numbers(params: dict[str, Any], last: float) -> np.ndarray:
         found = run({n: jnp.asarray(x) for n, x in params.items()}, last)
-        return np.array([*found[force, :3], found[depth, PEAK]])
+        return np.array([*found[force, :3], found[depth, Curve._fields.index("peak")]])
 
     return numbers
 

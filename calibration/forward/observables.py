@@ -16,6 +16,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import event, feature, members
 from bcfj_jax.analysis.derivatives.trains import flat, instants, planned, train
+from bcfj_jax.analysis.features import EVENTS
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
@@ -178,9 +179,10 @@ def measured(scene: AbstractModel, observed: ObservedFeatures, found: Histories)
             cycles = [_period(scene, times, found, i, observed.about[k]) for i in own]
             values = values.at[k].set(jnp.mean(jnp.stack(cycles)))
         if one.kind == "delay":
-            values = values.at[k].set(
-                _delay(times, found.force[:, :, 0], one.contacts, place, contacts, observed.about[k])
-            )
+            # Sought near the one that was measured: a period later they correlate as well.
+            step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
+            width = min(max(_NEAR * abs(observed.about[k]), _FEWEST * step), whole)
+            values = values.at[k].set(vector(times, found, [one], contacts, dict.fromkeys(place, width))[0])
     return values
 
 
@@ -206,14 +208,13 @@ def single(
     ran = solution.code == OK
     values = jnp.zeros(len(wanted))
     for k, pairs in asked.items():
-        kind = event(wanted[k].kind)[0]  # pyright: ignore[reportOptionalSubscript]
+        kind = EVENTS[event(wanted[k].kind)[0]]  # pyright: ignore[reportOptionalSubscript]
         # A kind with a time of the record's clock, one of its readings, or neither.
-        late = kind in ("begin", "peak_time", "end", "center")
-        each = getattr(found, kind)[np.array([rows.index(pair) for pair in pairs])]
+        late = kind.late
+        each = kind.of(found)[np.array([rows.index(pair) for pair in pairs])]
         each = jnp.where(jnp.isfinite(each), each, jnp.where(ran, end if late else 0.0, jnp.nan))
-        value = jnp.max(each) if kind == "peak" else jnp.mean(each)
-        value = value + own["time_offset"] if late else value
-        values = values.at[k].set(own["gain"] * value if kind in ("peak", "impulse") else value)
+        value = kind.members(each) + (own["time_offset"] if late else 0.0)
+        values = values.at[k].set(own["gain"] * value if kind.unit.startswith("N") else value)
     return values
 
 
@@ -252,19 +253,9 @@ def observed_features(scene: AbstractModel, experiments: tuple[Experiment, ...])
 
 def _period(scene: AbstractModel, times: np.ndarray, found: Histories, channel: int, about: float) -> Array:
     if scene.traits.turning:
-        return _repeat(times, found.force[:, channel, 0], about)
+        late = times >= times[-1] / 3.0
+        return comparison.repeated(times[late], found.force[late, channel, 0], about)
     return _interval(times, found.penetration[:, channel], found.rate[:, channel])
-
-
-def _delay(times: np.ndarray, force: Array, pair: tuple[str, ...], place: dict, contacts: dict, about: float) -> Array:
-    """Mean delay of pairs of members, sought near the one that was measured: a period later they correlate as well."""
-    first, second = (members(c, contacts) for c in pair)
-    pairs = list(zip(first, second, strict=True)) if len(first) == len(second) else [(first[0], second[0])]
-    step, whole = float(times[1] - times[0]), float(times[-1] - times[0])
-    width = min(max(_NEAR * abs(about), _FEWEST * step), whole)
-    return jnp.mean(
-        jnp.stack([comparison.delay(times, force[:, place[a]], force[:, place[b]], width) for a, b in pairs])
-    )
 
 
 def _interval(times: np.ndarray, depth: Array, rate: Array) -> Array:
@@ -291,15 +282,3 @@ def _root(times: np.ndarray, depth: Array, rate: Array, k: Array) -> Array:
     s = jax.lax.fori_loop(0, 50, halve, (jnp.zeros(()), jnp.ones(())))[0]
     slope = fixed(jax.jvp(cubic, (s,), (jnp.ones(()),))[1])
     return jnp.asarray(times)[k] + h * (s - cubic(s) / slope)
-
-
-def _repeat(times: np.ndarray, force: Array, about: float) -> Array:
-    """Period of a force of the last two thirds that is about so long: its delay against itself, one period later."""
-    late = times >= times[-1] / 3.0
-    t, x = times[late], force[late]
-    later = max(1, round(about / (t[1] - t[0])))
-    if t.size - later < 8:
-        return jnp.asarray(jnp.nan)
-    early = t[: t.size - later]
-    width = min(about, float(early[-1] - early[0]))
-    return t[later] - t[0] + comparison.delay(early, x[: t.size - later], x[later:], width)

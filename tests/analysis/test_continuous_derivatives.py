@@ -11,7 +11,7 @@ import pytest
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
-from bcfj_jax.analysis.derivatives.curves import crest
+from bcfj_jax.analysis.crests import crest_with_error
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.solve.integrate import integrate
@@ -51,10 +51,10 @@ def test_a_crest_between_samples_states_its_error():
     for count, shift in ((9, 0.01), (15, 0.02), (40, 0.003)):
         t = np.linspace(0.0, 1.0, count)
         wave = np.sin(np.pi * (t - shift))
-        value, by, error = crest(t, wave, np.stack([-np.pi * np.cos(np.pi * (t - shift)), wave]))
+        value, by, error = crest_with_error(t, wave, np.stack([-np.pi * np.cos(np.pi * (t - shift)), wave]))
         assert value == pytest.approx(1.0, abs=1e-3)
         assert np.all(np.abs(by - [0.0, 1.0]) <= error)
-    flat = crest(np.arange(9.0), np.full(9, 2.0), np.full((1, 9), 3.0))
+    flat = crest_with_error(np.arange(9.0), np.full(9, 2.0), np.full((1, 9), 3.0))
     assert flat[0] == 2.0 and flat[1][0] == 3.0 and flat[2][0] == 0.0
 
 

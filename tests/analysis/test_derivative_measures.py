@@ -13,7 +13,17 @@ from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.histories import correlations, shifts
 
 CONTACTS = {"a": 0, "b": 2}
-KINDS = ("peak", "largest", "mean", "impulse", "dissipated_work", "residual_oscillation", "contact_fraction", "ripple")
+KINDS = (
+    "peak",
+    "largest",
+    "mean",
+    "impulse",
+    "dissipated_work",
+    "residual_oscillation",
+    "contact_fraction",
+    "ripple",
+    "duration",
+)
 CYCLE = 0.31
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bcfj_jax.analysis.derivatives.curves import quartic
+from bcfj_jax.analysis.crests import crest
 from bcfj_jax.analysis.designs.descent import descend, starts
 from bcfj_jax.analysis.designs.evaluate import Values
 from bcfj_jax.analysis.designs.objective import _norm
@@ -83,7 +83,7 @@ def test_crest_and_norm():
 
     def of(p):
         values = jnp.stack([p * jnp.sin(3.0 * (t - 0.01 * p)), 0.5 * jnp.ones_like(t)], axis=1)
-        return quartic(t, values)
+        return crest(t, values)
 
     every = jax.jit(lambda p: (of(p), jax.grad(of)(p), jax.jacfwd(jax.jacfwd(of))(p)))
 
@@ -95,7 +95,7 @@ def test_crest_and_norm():
         assert bend == pytest.approx(0.0, abs=1e-6)
     # A jump keeps its greatest sample.
     step = jnp.where(t > 0.5, 1.0 - t, 0.0)[:, None]
-    assert float(quartic(np.arange(len(step), dtype=float), step)) == pytest.approx(0.49)
+    assert float(crest(np.arange(len(step), dtype=float), step)) == pytest.approx(0.49)
     # ||t||_q over 0 to 1 is (q + 1)^(-1/q).
     fine = np.linspace(0.0, 1.0, 20001)
     for q in (2.0, 40.0):

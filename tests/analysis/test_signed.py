@@ -17,6 +17,7 @@ from bcfj_jax.solve.extremes import Look, after, begun
 TIMES = np.linspace(0.0, 1.0, 201)
 KINDS = (
     "peak", "mean", "impulse", "dissipated_work", "residual_oscillation", "contact_fraction", "largest", "ripple", "period",
+    "duration",
 )  # fmt: skip
 
 

@@ -61,13 +61,13 @@ def test_settling_is_when_what_fades_no_longer_shows():
         ("ball.settling", expected[2]),
     ):
         at = feature(name, CONTACTS)
-        assert 6.0 * batch._on_host(Turning, grid, at, force, force, force) == pytest.approx(wanted, abs=0.02)
         three = np.repeat(force[:, :, None], 3, 2)
         value, none = Histories(three, force, force, None), np.zeros((0, *force.shape))
+        assert 6.0 * batch.values_of(Turning, grid, value, [at])[0] == pytest.approx(wanted, abs=0.02)
         slopes = Histories(np.zeros((0, *three.shape)), none, none, None)
         assert measure(TIMES, value, slopes, [at], CONTACTS, True)[0][0] == pytest.approx(wanted, abs=0.02)
     onset = feature("ball.onset", CONTACTS)
-    assert batch._on_host(Turning, grid, onset, force, force, force) == 0.0
+    assert batch.values_of(Turning, grid, value, [onset])[0] == 0.0
 
 
 def test_no_batch_differentiates_a_time_of_a_start():

@@ -23,10 +23,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
-from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete, event, members
+from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, instants, planned, train
+from bcfj_jax.analysis.features import EVENTS
+from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
@@ -47,7 +49,6 @@ TIGHTER = 1.0 / 16.0
 BOUNDING = {False: (1.0 / 16.0, 1.0 / 256.0), True: (1.0 / 4.0, 1.0 / 40.0)}
 # An impulse of so uneven a force is not known.
 _UNEVEN = 1e-3
-_INTEGRATED = ("impulse", "center", "width")
 
 
 class ContactTrain(NamedTuple):
@@ -70,6 +71,11 @@ class ContactTrain(NamedTuple):
     force: Float[np.ndarray, "K N"]
     pointwise: Float[np.ndarray, "K N"]
 
+    @property
+    def duration(self) -> Float[np.ndarray, " K"]:
+        """(K,) from begin to end [s]."""
+        return EVENTS["duration"].of(self)
+
 
 class ContactEvents(NamedTuple):
     """What ``contact_events`` found.
@@ -79,7 +85,7 @@ class ContactEvents(NamedTuple):
         phases: (N,) at which forces are given, 0 at a contact's begin and 1 at its end.
         trains: by channel (``contact``, ``seat_ball_2``) its contacts.
         derivative: by parameter and channel.
-        apart: by parameter and channel, how far the derivatives of begin to width (7, K) are from
+        apart: by parameter and channel, how far the derivatives of each of ``features.EVENTS`` (E, K) are from
             those at a tolerance 16 times as large, as a share; 0.01 % of the number per 1 % of the parameter counts as
             least.
         features: value by name (``contact.begin_3``), those asked for or all.
@@ -277,14 +283,14 @@ def numbers(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> tu
     for i, one in enumerate(asked):
         kind, number = event(one.kind)  # pyright: ignore[reportGeneralTypeIssues]
         rows = [where[channels.index(m), number - 1] for m in members(one.contacts[0], scene.members)]
-        each = getattr(found.value, kind)[rows]
-        by = np.stack([getattr(d, kind)[rows] for d in found.derivative.values()], -1) if found.derivative else None
-        pick = slice(int(np.argmax(each)), int(np.argmax(each)) + 1) if kind == "peak" else slice(None)
+        of = EVENTS[kind].of
+        each = Dual(
+            of(found.value)[rows], np.reshape([of(d)[rows] for d in found.derivative.values()], (-1, len(rows)))
+        )
         # One reason for a value and its derivatives.
-        good = not why(scene, found, one)
-        values[i] = np.mean(each[pick]) if good else np.nan
-        if by is not None and good:
-            slopes[i] = np.mean(by[pick], axis=0)
+        if not why(scene, found, one):
+            whole = EVENTS[kind].members(each)
+            values[i], slopes[i] = whole.value, whole.slope
     return values, slopes
 
 
@@ -306,18 +312,18 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
         many = int(found.counts[channel])
         return f"{name} has {many or 'no'} contact{'' if many == 1 else 's'} until the run's end"
     row = int(np.flatnonzero((found.channel == channel) & (found.number == number - 1))[0])
-    v = found.value
-    if kind in ("begin", *_INTEGRATED) and not np.isfinite(v.begin[row]):
+    v, known = found.value, EVENTS[kind]
+    if "begin" in known.needs and not np.isfinite(v.begin[row]):
         return "it was closed at the start"
-    if kind in ("end", *_INTEGRATED) and not np.isfinite(v.end[row]):
+    if "end" in known.needs and not np.isfinite(v.end[row]):
         return "it lasts beyond the run's end" if found.code == OK else f"the run failed at {found.end:.6g} s"
-    if kind in _INTEGRATED and not v.unsure[row] <= _UNEVEN:
+    if known.integral and not v.unsure[row] <= _UNEVEN:
         return f"its force is too uneven: the points that it is read at give its impulse to {v.unsure[row]:.1g}"
-    if kind in ("peak", "peak_time"):
+    if known.summit:
         length = np.sqrt(2.0 * v.peak[row] / max(-v.bend[row], 1e-300))
         if not (v.bend[row] < 0 and abs(v.tilt[row]) * length <= TILTED * v.peak[row]):
             return "its force has no smooth peak"
-    return "" if np.isfinite(getattr(v, kind)[row]) else "it is not finite: the contact begins or ends without speed"
+    return "" if np.isfinite(known.of(v)[row]) else "it is not finite: the contact begins or ends without speed"
 
 
 def _presented(problem: Problem, loose: Solved, tight: Solved) -> ContactEvents:
@@ -359,12 +365,12 @@ def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
         table[found.number[own]] = values[own]
         return table
 
-    parts = (*(getattr(of, kind) for kind in EVENTS), of.force, of.fixed)
-    return ContactTrain(*map(placed, parts))
+    same = ContactTrain._fields[:-1]
+    return ContactTrain(*map(placed, (*(getattr(of, name) for name in same), of.fixed)))
 
 
 def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: float) -> np.ndarray:
-    """How far derivatives (7, K) at two tolerances are apart."""
+    """How far derivatives (E, K) at two tolerances are apart."""
     from bcfj_jax.analysis.derivatives.certificate import apart
 
     first, second, numbers = (
@@ -372,8 +378,8 @@ def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: fl
         for s, d in ((loose, loose.derivative[parameter]), (tight, tight.derivative[parameter]), (tight, tight.value))
     )
     rows = []
-    for k in range(len(EVENTS)):
-        a, b, n = first[k], second[k], numbers[k]
+    for known in EVENTS.values():
+        a, b, n = map(known.of, (first, second, numbers))
         full = np.full(b.size, np.nan)
         full[: min(a.size, b.size)] = a[: b.size]
         rows.append(apart(full[:, None], b[:, None], n, np.array([value]))[:, 0])

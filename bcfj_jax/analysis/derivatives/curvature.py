@@ -12,15 +12,15 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
-from bcfj_jax.analysis.derivatives.measures import sizes
+from bcfj_jax.analysis.derivatives.measures import seen
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
-from bcfj_jax.analysis.derivatives.names import Feature, complete, event
+from bcfj_jax.analysis.derivatives.names import Feature, complete, smooth
 from bcfj_jax.analysis.derivatives.names import feature as named
-from bcfj_jax.analysis.derivatives.starting import START
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
@@ -59,7 +59,7 @@ def hessian_vector(
     contacts = scene.members
     (one,) = texts("feature", [feature], 'name one feature, such as "contact.mean"')
     wanted = named(one, contacts)
-    if wanted.kind in ("period", "delay", *START) or event(wanted.kind):
+    if not smooth(wanted.kind):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
     v = real("vector", "vector", vector)
     if v.shape != (len(names),) or not np.isfinite(v).all():
@@ -80,7 +80,11 @@ def _product(
         values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
         found, _ = histories(scene, values, times, how)
         if wanted.kind == "peak":
-            return _smooth_peak(sizes(found, dict(contacts)).force[:, place, 0])
+            return _smooth_peak(
+                seen(
+                    np.frombuffer(samples), is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None
+                ).force
+            )
         return feature_vector(np.frombuffer(samples), found, [wanted], dict(contacts), {})[0]
 
     theta = jnp.stack([params[name] for name in names])

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -30,8 +31,7 @@ class Histories(NamedTuple):
     Attributes:
         force: (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one.
         state: (T, n) in units of the states' natural sizes.
-        curve: (C, 4) peak, impulse, work and least of the continuous curve (``curves``), NaN where a run knows them from samples
-            alone; None where there are samples alone.
+        curve: (C, 4) what is known of the continuous curve (``crests.Curve``); None where there are samples alone.
     """
 
     force: Any
@@ -80,15 +80,12 @@ def histories(
     scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    from bcfj_jax.analysis.derivatives.curves import (  # With diffrax, which a kept program does not need.
-        COLUMNS,
-        of_curve,
-    )
+    from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
     from bcfj_jax.solve.integrate import integrate
 
     solution = integrate(scene, params, times, how, mode, True, whole=True)
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
-    curve = jnp.full((force.shape[1], len(COLUMNS)), jnp.nan)
+    curve = jnp.full((force.shape[1], len(Curve._fields)), jnp.nan)
     if solution.whole is not None:
         curve = of_curve(scene, params, solution.whole, times[0], times[-1])
     found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)), curve)

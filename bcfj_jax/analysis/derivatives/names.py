@@ -9,29 +9,11 @@ from typing import NamedTuple
 
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.starting import START
+from bcfj_jax.analysis.features import DEFAULT, EVENTS, KINDS, NAMED, OF_READING, PAIR
 from bcfj_jax.core.errors import InputError, nearest, texts
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
-FEATURES = (
-    "peak", "mean", "impulse", "period", "dissipated_work", "residual_oscillation", "contact_fraction",
-)  # fmt: skip
-# By kind; ``largest`` is the greatest size of a reading of either sign, and ``ripple`` its greatest less its least value
-# over the last two thirds of the run; ``starting`` has those of a start. All are taken where they are named.
-UNITS: dict[str, str] = dict(zip((*FEATURES, "delay"), ("N", "N", "N s", "s", "J", "N", "1", "s"), strict=True))
-UNITS |= {"largest": "N", "ripple": "N"} | dict.fromkeys(START, "s")
-READING_FEATURES = ("largest", "mean")
-# Of one contact of a run, by its number: ``contact.begin_3`` (``contact_events``).
-EVENTS: dict[str, str] = {
-    "begin": "s",
-    "peak_time": "s",
-    "end": "s",
-    "peak": "N",
-    "impulse": "N s",
-    "center": "s",
-    "width": "s",
-}
 _EVENT = re.compile(rf"({'|'.join(EVENTS)})_([1-9][0-9]{{0,3}})")
 
 
@@ -41,16 +23,23 @@ def event(kind: str) -> tuple[str, int] | None:
     return (found[1], int(found[2])) if found else None
 
 
+def smooth(kind: str) -> bool:
+    """Whether JAX differentiates a kind of feature of one run, backward and twice, too."""
+    return kind in KINDS and not KINDS[kind].host and kind != PAIR
+
+
 def kind_unit(kind: str) -> str | None:
     """Unit of a kind of feature, with N for that of a reading; None for none that is known."""
     one = event(kind)
-    return EVENTS[one[0]] if one else UNITS.get(kind)
+    if one:
+        return EVENTS[one[0]].unit
+    return KINDS[kind].unit if kind in KINDS and KINDS[kind].named else None
 
 
 def nearest_kind(kind: str) -> str:
     """A remedy for a kind that is not known: the nearest that is, with its number where it has one."""
     plain, _, number = kind.rpartition("_")
-    known = [*UNITS, *(f"{name}_{number if plain and number.isdigit() and int(number) else 1}" for name in EVENTS)]
+    known = [*NAMED, *(f"{name}_{number if plain and number.isdigit() and int(number) else 1}" for name in EVENTS)]
     return nearest(kind, known)
 
 
@@ -97,7 +86,7 @@ def expanded(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
 
 
 class Feature(NamedTuple):
-    """One number of a run: its full name, its kind (of ``UNITS``, or an ``event``) and the contact, or the pair, it is of."""
+    """One number of a run: its full name, its kind (``features.KINDS`` or ``event``) and the contact, or the pair, it is of."""
 
     name: str
     kind: str
@@ -164,8 +153,8 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
         found = f"no feature '{kind}'" if place else f"'{name}' is not <contact>.<feature>"
         raise InputError(f"feature '{name}'", found, nearest_kind(kind))
     parts = tuple(place.split(":"))
-    if len(parts) != (2 if kind == "delay" else 1):
-        right = "write <first>:<second>.delay" if kind == "delay" else f"write <contact>.{kind}"
+    if len(parts) != (2 if kind == PAIR else 1):
+        right = f"write <first>:<second>.{kind}" if kind == PAIR else f"write <contact>.{kind}"
         raise InputError(f"feature '{name}'", f"of {len(parts)} contact(s)", right)
     known = [*contacts, *(f"{c}_{k + 1}" for c, members in contacts.items() for k in range(members))]
     for part in parts:
@@ -178,7 +167,7 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
 
 def default_features(contacts: Mapping[str, int]) -> list[Feature]:
     """Every feature of every contact, members taken together; of a reading in a contact's place its size and mean."""
-    kinds = {contact: READING_FEATURES if is_reading(contact) else FEATURES for contact in contacts}
+    kinds = {contact: OF_READING if is_reading(contact) else DEFAULT for contact in contacts}
     return [Feature(f"{contact}.{kind}", kind, (contact,)) for contact in contacts for kind in kinds[contact]]
 
 

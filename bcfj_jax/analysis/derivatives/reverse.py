@@ -16,8 +16,7 @@ from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
-from bcfj_jax.analysis.derivatives.names import Feature, event
-from bcfj_jax.analysis.derivatives.starting import START
+from bcfj_jax.analysis.derivatives.names import Feature, smooth
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
@@ -43,7 +42,7 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
     Raises:
         InputError: where there is none.
     """
-    good = [f for f in wanted if f.kind not in ("period", "delay", *START) and not event(f.kind)]
+    good = [f for f in wanted if smooth(f.kind)]
     if not good:
         found = ", ".join(f.name for f in wanted)
         raise InputError(

@@ -69,7 +69,7 @@ class Sensitivity(NamedTuple):
         wrt: names of the parameters.
         force: per contact (T, 3) or (T, k, 3) [N], from the same solve as the derivatives.
         derivative: per parameter and contact the same shape [N per SI unit]; empty in reverse mode.
-        features: value by name, in ``derivatives.names.UNITS``.
+        features: value by name, in ``analysis.features.KINDS``.
         feature_derivatives: per parameter and feature, per SI unit.
         certificate: how good they are; None where it was not asked for.
         status, reason, failure_time: as ``Run``.

@@ -28,6 +28,7 @@ from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
@@ -47,8 +48,6 @@ _SETTLED = 0.1
 # Share of a derivative by which it may be wrong where the pitch that is told of begins, and what it is after the looser
 # pitches; pitches at most.
 _FORGOTTEN, _LOOSE, _MOST = 1e-3, 0.1, 40
-# What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
-KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
 class _Start(NamedTuple):
@@ -196,7 +195,7 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     if not scene.recurs(params):
         return None
     begin, sizes = clock(), _sizes(params, wrt)
-    kinds = [f for f in problem.wanted if f.kind in KINDS]
+    kinds = [f for f in problem.wanted if f.kind in OF_TURN]
     if not kinds:
         nothing = _none("it has none of these features")
         return nothing, lambda: nothing
@@ -438,7 +437,7 @@ def _features(
             continue
         number, slope = next(rest)
         # Times are shares of the pitch, which moves too.
-        moved = number * orbit.pitch_slope / orbit.pitch if feature.kind == "impulse" else 0.0
+        moved = number * orbit.pitch_slope / orbit.pitch if KINDS[feature.kind].turn == "longer" else 0.0
         numbers.append(number)
         changes.append(slope + moved)
     return np.array(numbers), np.stack(changes)

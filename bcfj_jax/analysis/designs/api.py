@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
-from bcfj_jax.analysis.derivatives.names import FEATURES, complete
+from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
 from bcfj_jax.analysis.designs.confirm import confirm, independent
@@ -36,6 +36,7 @@ from bcfj_jax.analysis.designs.result import (
 from bcfj_jax.analysis.designs.search import Search
 from bcfj_jax.analysis.designs.space import Free, space
 from bcfj_jax.analysis.designs.tolerance import robust, robustness
+from bcfj_jax.analysis.features import KINDS, NAMED, OF_TURN
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import increasing
@@ -49,7 +50,7 @@ _AGREE, _NEAR = 1e-4, 1e-2
 # Points of a slice, on either side of the optimum together.
 _SLICE = 25
 # What does not ask how long a turn lasts.
-_OF_A_TURN = ("peak", "largest", "mean", "contact_fraction", "peak_penetration")
+_OF_A_TURN = tuple(name for name in OF_TURN if KINDS[name].turn == "same")
 
 
 def design(
@@ -211,7 +212,7 @@ def _certified(plain: Evaluator, params: Params, search: Search) -> Certificate 
     """Equilibria have no tolerance to hold against another, and no chaos."""
     if not (search.certify and plain.scene.traits.history):
         return None
-    names = [f.name for f in plain.objective.features if f.kind in FEATURES]
+    names = [f.name for f in plain.objective.features if f.kind in NAMED]
     how: dict[str, Any] = {"accuracy": search.accuracy, "max_steps": search.max_steps}
     return sensitivity(plain.scene, params, plain.times, plain.space.names, features=names, **how).certificate
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.batch import jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
 from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
@@ -76,7 +77,7 @@ class _Read(NamedTuple):
     """What N runs left, for any objective.
 
     Attributes:
-        value: normal forces and penetrations (N, T, C), continuous curves (N, C, 3); slopes: theirs, (..., P).
+        value: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); slopes: theirs, (..., P).
         code: (N,); near: equilibria, from which the next search begins.
     """
 
@@ -206,7 +207,8 @@ class Evaluator:
         params = columns(self.params, names, points)
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
-        value = np.full(shape, np.nan), np.full(shape, np.nan), np.full((shape[0], shape[2], 3), np.nan)
+        curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
+        value = np.full(shape, np.nan), np.full(shape, np.nan), curves
         none, by = np.zeros((*value[2].shape, len(names))), (*shape, len(names))
         slopes = np.full(by, np.nan), np.full(by, np.nan), none
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
@@ -286,7 +288,7 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
         else:
             solution, places = scene.instants(params, times, near, rates=False)
             force, depth, _ = by_channel(scene, readings(scene, params, times, solution.states))
-            read, code = (force[:, :, 0], depth, jnp.full((depth.shape[1], 3), jnp.nan)), solution.code
+            read, code = (force[:, :, 0], depth, jnp.full((depth.shape[1], len(Curve._fields)), jnp.nan)), solution.code
         return read, (read, code, places)
 
     whole = jax.jacfwd(one, has_aux=True)

@@ -22,17 +22,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.curves import COLUMNS, quartic, top
+from bcfj_jax.analysis import crests
+from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
-from bcfj_jax.analysis.derivatives.starting import START
+from bcfj_jax.analysis.features import KINDS
 from bcfj_jax.core.errors import InputError, quoted, texts
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
 OWN = {"peak_penetration": "m", "largest": "N"}
 _PEAKS = ("peak", *OWN)
-_NOT = ("period", *START)
 
 Combine = Callable[[Mapping[str, Array]], Array]
 
@@ -101,7 +101,7 @@ def unit_of(name: str) -> str:
 
 def _feature(name: str, contacts: Mapping[str, int]) -> Feature:
     place, _, kind = name.rpartition(".")
-    if kind in _NOT:
+    if kind in KINDS and KINDS[kind].host:
         raise InputError(f"feature '{name}'", f"a {kind} has no derivative in a batch", "take another feature")
     if event(kind):
         found = "a single contact may vanish on the way, and the objective with it"
@@ -129,16 +129,15 @@ def measured(
             values = jnp.where(values < 0, -values, values)
         high = jnp.max(values)
         # Of a force the summit of the continuous curve, where the run knows it.
-        curve = jnp.full((index.size, len(COLUMNS)), jnp.nan) if found.curve is None else found.curve[index]
-        column, there = jax.vmap(lambda c: top("largest" if feature.of_size else feature.kind, c, high))(
-            jax.lax.stop_gradient(curve)
-        )
-        sizes = jnp.abs(jnp.take_along_axis(curve, column[:, None], 1)[:, 0])
-        summit = jnp.max(jnp.where(there, sizes, -jnp.inf))
-        given = jnp.any(there) & (feature.kind != "peak_penetration")
+        curve = None if feature.kind == "peak_penetration" else found.curve
+        summit = jnp.asarray(jnp.nan)
+        if curve is not None:
+            each = jax.vmap(lambda c: crests.summit(high, Curve(*c), feature.of_size))(curve[index])
+            summit = jnp.max(jnp.where(jnp.isnan(each), -jnp.inf, each))
+        given = jnp.isfinite(summit)
         if norm is None:
             return jnp.where(given, summit, high)
-        crest = jnp.where(given, summit, quartic(times, values))
+        crest = jnp.where(given, summit, crests.crest(times, values))
         return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), crest)
 
     return [one(feature) for feature in wanted.features]

@@ -29,7 +29,7 @@ ORDERS = "order_spectrum.png"
 # Of a contact in the summary: how often it was in contact between two samples alone.
 BETWEEN = "between_samples"
 # Features that a table of several contacts leaves to the table of each.
-_ASIDE = ("contact_count", "contact_start", "contact_end")
+_ASIDE = tuple(name for name, kind in features.KINDS.items() if kind.aside)
 # Of the models that have what they show.
 VIEWS = (AROUND, ORBITS, STATE, ORDERS)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis import balance, envelope, features, histories, plausibility
+from bcfj_jax.analysis import balance, envelope, features, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, counted, model_form
@@ -148,10 +148,9 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
     penetration, rate, state = (outputs.channels(x) for x in (run.penetration, run.rate, run.state))
     stats, contacts = run.stats, {}
     for name, force in outputs.channels(run.force, 1).items():
-        one: dict[str, Any] = features.summary(run.times, force[:, 0], penetration[name], rate[name])
-        if turning:
-            settled = run.status == "ok"
-            one["period"] = histories.settled_period(run.times, np.abs(force[:, 0])) if settled else float("nan")
+        one: dict[str, Any] = features.summary(run.times, force[:, 0], penetration[name], rate[name], turning)
+        if turning and run.status != "ok":
+            one["period"] = float("nan")
         contacts[name] = one | {page.BETWEEN: len(features.unseen(penetration[name], rate[name]))}
     # Of a failed run nothing is known as a whole.
     for name, found in resolved(run).items() if run.status != "failed" else ():

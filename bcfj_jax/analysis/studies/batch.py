@@ -19,15 +19,13 @@ from jax.sharding import Mesh
 from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.derivatives.contact_events import TIGHTER
 from bcfj_jax.analysis.derivatives.contact_events import filled as with_events
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, channel_names
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure, vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.problem import Problem
-from bcfj_jax.analysis.derivatives.starting import START, of_members, starting
 from bcfj_jax.analysis.derivatives.steady import steady, to_the_end
 from bcfj_jax.analysis.engine import differentiated, planned, simulated
-from bcfj_jax.analysis.features import contact_interval
-from bcfj_jax.analysis.histories import delay, settled_period
+from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.programs import program
@@ -37,11 +35,7 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
-# What grows with the duration where the samples' times are those of a run that takes one second.
 _OF_FORCE = ("peak", "mean", "impulse")
-_PER_SECOND = ("impulse", "period", "delay", *START)
-# Periods, delays and times of a start are sought on the host.
-HOST = ("period", "delay", *START)
 # Points whose histories are in memory at once while features are taken.
 _AT_ONCE = 8
 
@@ -122,7 +116,7 @@ def run(
     """
     ends, grid, count = points.ends, points.grid, len(points.ends)
     fill, mesh = derivatives.filled(count, size)
-    host = forces or any(feature.kind in HOST for feature in wanted)
+    host = forces or any(map(on_host, wanted))
     arguments = {name: leaf[fill] for name, leaf in points.params.items()}, ends[fill], how, np.asarray(count)
     static = _Static(scene, np.asarray(grid).tobytes(), tuple(wanted), host)
     batch, _ = program("batch", _program, (static, mesh), arguments)
@@ -133,12 +127,12 @@ def run(
     force, depth, rate = (x[:count] for x in found[5:]) if host else (nothing,) * 3
     values = np.array(values)
     for k, feature in enumerate(wanted):
-        if feature.kind in HOST:
-            values[:, k] = [
-                _on_host(scene, grid, feature, force[i, :, :, 0], depth[i], rate[i]) if code[i] == OK else np.nan
-                for i in range(count)
-            ]
-        if feature.kind in _PER_SECOND:
+        if on_host(feature):
+            for i in range(count):
+                one = Histories(force[i], depth[i], rate[i], None)
+                values[i, k] = values_of(scene, grid, one, [feature])[0] if code[i] == OK else np.nan
+        # The samples' times are those of a run that takes one second.
+        if KINDS[feature.kind].per_second:
             values[:, k] *= ends
     # A peak or a mean that is not finite is that of a force that is not.
     sums = [k for k, feature in enumerate(wanted) if feature.kind in _OF_FORCE]
@@ -147,6 +141,21 @@ def run(
     values[code != OK] = np.nan
     reasons = [reason(one, how.max_steps) for one in code]
     return Batch(values, reasons, end, steps, int(np.max(rounds)), force if forces else nothing)
+
+
+def on_host(feature: Feature) -> bool:
+    """Whether a feature is sought in a finished run: a period, a delay, a time of a start."""
+    return KINDS[feature.kind].host or feature.kind == PAIR
+
+
+def none_of(value: Histories) -> Histories:
+    """The derivatives of histories by no parameter."""
+    return Histories(*(None if x is None else x[None][:0] for x in value))
+
+
+def values_of(scene: AbstractModel, times: np.ndarray, value: Histories, wanted: Sequence[Feature]) -> np.ndarray:
+    """Features (F,) of a finished run."""
+    return measure(times, value, none_of(value), wanted, scene.members, scene.traits.turning)[0]
 
 
 def _program(static: _Static, mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
@@ -175,38 +184,6 @@ def _part(static: _Static, params: dict, ends: Array, how: Plan, count: Array) -
         solution = equilibria(scene, params, ends, jnp.asarray(grid))
     features, *read = jax.lax.map(look, (params, ends, solution.states), batch_size=min(_AT_ONCE, ends.size))
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
-
-
-def _on_host(
-    scene: AbstractModel, grid: np.ndarray, feature: Feature, force: np.ndarray, depth: np.ndarray, rate: np.ndarray
-) -> float:
-    """A period or a delay of a run that takes one second, as ``outputs.summary`` and ``measures`` have it."""
-    contacts = scene.members
-    place = {name: i for i, name in enumerate(channel_names(contacts))}
-
-    def cycle(name: str) -> float:
-        at = place[name]
-        if scene.traits.turning:
-            return settled_period(grid, force[:, at])
-        return contact_interval(grid, depth[:, at], rate[:, at])
-
-    parts = [members(part, contacts) for part in feature.contacts]
-    if feature.kind == "period":
-        return float(np.mean([cycle(name) for name in parts[0]]))
-    if feature.kind in START:
-        none = np.zeros((0, len(grid)))
-        each = []
-        for name in parts[0]:
-            span = cycle(name) if feature.kind == "settling" else float("nan")
-            each.append(starting(feature.kind, grid, force[:, place[name]], none, span))
-        return of_members(feature.kind, each)[0]
-    first, second = parts if len(parts[0]) == len(parts[1]) else (parts[0][:1], parts[1][:1])
-    shifts = []
-    for a, b in zip(first, second, strict=True):
-        span = cycle(a)
-        within = span if np.isfinite(span) else float(grid[-1] - grid[0])
-        shifts.append(float(delay(grid, force[:, place[a]], force[:, place[b]], within)))
-    return float(np.mean(shifts))
 
 
 def _measured(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> tuple[np.ndarray, np.ndarray]:
@@ -251,7 +228,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
             value = Histories(force, depth, rate, None)
-            slopes = value._replace(**{name: x[None][:0] for name, x in value._asdict().items() if x is not None})
+            slopes = none_of(value)
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
         numbers, by = _measured(study, times, value, slopes)

@@ -26,9 +26,9 @@ from jax import Array
 from bcfj_jax.analysis.axes import SCALES, Axis, bounded
 from bcfj_jax.analysis.derivatives.contact_events import check_followed
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, expanded, feature
-from bcfj_jax.analysis.derivatives.steady import KINDS as OF_STEADY
 from bcfj_jax.analysis.derivatives.steady import check_recurs
 from bcfj_jax.analysis.engine import columns
+from bcfj_jax.analysis.features import OF_TURN
 from bcfj_jax.analysis.studies.design import KINDS, Design
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.core.programs import program
@@ -215,8 +215,8 @@ def _kept(given: SceneFile, results: _Results) -> tuple[SceneFile, tuple[Feature
     if results.histories:
         raise InputError("histories", "with steady = true", "say histories = false: a turn's forces are not kept")
     for one in features:
-        if one.kind not in OF_STEADY:
-            raise InputError(f"feature '{one.name}'", "is none of steady motion", f"take {', '.join(OF_STEADY)}")
+        if one.kind not in OF_TURN:
+            raise InputError(f"feature '{one.name}'", "is none of steady motion", f"take {', '.join(OF_TURN)}")
     return given, features
 
 

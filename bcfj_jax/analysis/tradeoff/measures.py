@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis import features, histories
+from bcfj_jax.analysis import features
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.solve.measured_error import shares
 from bcfj_jax.solve.simulation import Run
@@ -69,9 +69,8 @@ def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
             rubbed = np.trapezoid(np.hypot(part[:, 1], part[:, 2]) * slip[name], run.times)
         work.append(step.sum() + rubbed)
         moved.append(np.abs(step).sum() + rubbed)
-        period.append(
-            _repeats(run, normal) if turning else features.contact_interval(run.times, depth[name], rate[name])
-        )
+        seen = features.Seen(run.times, normal, depth[name], rate[name], turning=turning)
+        period.append(features.KINDS["period"].of(seen))
     if len(times) != len(run.times):
         flat = stacked.reshape(len(run.times), -1)
         stacked = np.stack([np.interp(times, run.times, x) for x in flat.T], 1).reshape(len(times), *stacked.shape[1:])
@@ -105,12 +104,6 @@ def peak_change(found: Measured, truth: Measured) -> tuple[int, float] | None:
     moved = np.where((theirs > 0.0) & np.isfinite(ours), np.abs(ours - theirs), -1.0)
     most = int(np.argmax(moved)) if moved.size else -1
     return (most, float(ours[most] / theirs[most] - 1.0)) if most >= 0 and moved[most] >= 0.0 else None
-
-
-def _repeats(run: Run, normal: np.ndarray) -> float:
-    settled = (float(run.times[-1]) / 3.0, float(run.times[-1]))
-    enough = np.count_nonzero(run.times >= settled[0]) > 10
-    return histories.period(run.times, normal, settled) if enough else float("nan")
 
 
 def errors(found: Measured, truth: Measured, times: np.ndarray) -> dict[str, float]:
