@@ -15,9 +15,12 @@ is XLA's. A worker therefore runs whole files (``--dist loadfile``), whose tests
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
+# As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
+gc.set_threshold(100_000, 20, 20)
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are (see the CLI).
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
