@@ -19,8 +19,6 @@ import gc
 import os
 from pathlib import Path
 
-# As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
-gc.set_threshold(100_000, 20, 20)
 # Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are (see the CLI).
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
@@ -32,6 +30,9 @@ from problems import PROBLEM, SCENE, TABLE
 BUILD = Path(__file__).resolve().parent.parent / "build"
 # Where the command and its child processes keep programs: not in the user's own folder.
 os.environ["BCFJ_CACHE"] = str(BUILD / "jax-cache")
+
+# As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
+gc.set_threshold(100_000, 20, 20)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
