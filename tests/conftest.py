@@ -27,6 +27,8 @@ import pytest
 from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
+from bcfj_jax.core import programs
+
 BUILD = Path(__file__).resolve().parent.parent / "build"
 # Where the command and its child processes keep programs: not in the user's own folder.
 os.environ["BCFJ_CACHE"] = str(BUILD / "jax-cache")
@@ -36,7 +38,8 @@ gc.set_threshold(100_000, 20, 20)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+_KEPT_FROM = 0.2
+jax.config.update("jax_persistent_cache_min_compile_time_secs", _KEPT_FROM)
 
 # Deterministic on CI and here; compiling inside an example is slow, which is no failure.
 # All tests take a hundred examples; the fast tier takes 25 (--hypothesis-profile fast).
@@ -53,6 +56,15 @@ LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py"
 def pytest_collection_modifyitems(items):
     """Long files first."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
+
+@pytest.fixture(autouse=True)
+def kept_for_one_test():
+    """Keeping of programs that a test's command has switched on ends with it: what is kept is traced and lowered twice."""
+    yield
+    if programs.Settings.folder is not None:
+        programs.Settings.folder = None
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _KEPT_FROM)
 
 
 @pytest.fixture
