@@ -27,11 +27,20 @@ import pytest
 from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
-from bcfj_jax.core import programs
+from bcfj_jax.core import programs, surroundings
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
-# Where the command and its child processes keep programs: not in the user's own folder.
+# Where child processes keep programs: not in the user's own folder.
 os.environ["BCFJ_CACHE"] = str(BUILD / "jax-cache")
+
+
+def _opened(open_cache=surroundings.open_cache):
+    """A command within this process keeps programs only where its test names a folder: what is kept is lowered twice."""
+    if os.environ.get("BCFJ_CACHE") != str(BUILD / "jax-cache"):
+        open_cache()
+
+
+surroundings.open_cache = _opened
 
 # As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
 gc.set_threshold(100_000, 20, 20)
@@ -60,7 +69,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(autouse=True)
 def kept_for_one_test():
-    """Keeping of programs that a test's command has switched on ends with it: what is kept is traced and lowered twice."""
+    """Keeping of programs that a test's command has switched on ends with it."""
     yield
     if programs.Settings.folder is not None:
         programs.Settings.folder = None
