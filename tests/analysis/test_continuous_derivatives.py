@@ -71,9 +71,10 @@ def test_remembering_laws_in_a_sensitivity(law):
     assert set(check.feature_verdicts.values()) == {"trusted"} and max(check.features.values()) < 1e-4
 
 
-# The others: tests/contact/test_remembered_derivatives.py takes their derivatives in CI's tier.
+# The others, and in reverse: tests/contact/test_remembered_derivatives.py takes them in CI's tier.
+@pytest.mark.parametrize("way", ["ahead", pytest.param("back", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "exact" else pytest.mark.slow) for x in REMEMBERING])
-def test_a_memory_passes_the_touch(law):
+def test_a_memory_passes_the_touch(law, way):
     # Without gravity in the contact e does not depend on the speed: v' = e' sqrt(2 g h), so that d ln v'/d ln h = 1/2.
     scene = bj.scenes.bounce(law=law, smoothing=False)
     given = scene.parameters(restitution=0.7, drop_height=0.1)
@@ -87,9 +88,10 @@ def test_a_memory_passes_the_touch(law):
 
     step = 1e-4
     right = float(leaving(0.1 + step, accuracy=1e-9) - leaving(0.1 - step, accuracy=1e-9)) / (2 * step)
-    ahead = jax.jit(lambda h: jax.jvp(leaving, (h,), (1.0,))[1])
-    for along in (ahead, jax.jit(jax.jacfwd(leaving)), jax.jit(jax.grad(lambda h: leaving(h, "reverse")))):
-        assert float(along(0.1)) == pytest.approx(right, rel=1e-4)
+    along = lambda h: jax.jvp(leaving, (h,), (1.0,))[1]  # noqa: E731
+    ways = {"ahead": (along, jax.jacfwd(leaving)), "back": (jax.grad(lambda h: leaving(h, "reverse")),)}
+    for slope in ways[way]:
+        assert float(jax.jit(slope)(0.1)) == pytest.approx(right, rel=1e-4)
 
 
 @pytest.mark.full

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,9 +64,8 @@ def test_features_and_their_derivatives_are_those_of_the_size(signs):
     off = [sampling(TIMES, x, d, wanted, contacts, np.ones(1)) for x, d in zip((plain, signed), by, strict=True)]
     assert np.allclose(*off, rtol=1e-9)
     smooth = [f for f in wanted if f.kind != "period"]
-    values = [
-        vector(TIMES, Histories(*(jnp.asarray(x) for x in h[:3]), None), smooth, contacts, {}) for h in (plain, signed)
-    ]
+    traced = jax.jit(lambda *x: vector(TIMES, Histories(*x, None), smooth, contacts, {}))
+    values = [traced(*h[:3]) for h in (plain, signed)]
     assert np.allclose(*values, rtol=1e-12)
 
 
