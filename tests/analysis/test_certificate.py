@@ -104,6 +104,25 @@ def test_a_longer_step_is_taken_only_where_the_shorter_disagrees():
         assert len(runs) == count
 
 
+def test_a_longer_step_is_taken_where_the_shorter_disagrees_by_more_than_a_small_noise():
+    line, runs = np.stack([TIMES, 2.0 * TIMES], 1), []
+
+    def found(error, slope):
+        runs.clear()
+        rng = np.random.default_rng(0)
+
+        def forces(values):
+            runs.append(values[0])
+            return values[0] * line + error * np.sqrt(np.mean(line**2)) * rng.choice([-1.0, 1.0], line.shape)
+
+        return against(Beside(TIMES, forces, np.ones(1), error, 0.05), np.ones(1), slope * line, enough=1e-4)
+
+    assert found(1e-5, 1.0).pointwise.relative == 0.0 and len(runs) == 2
+    # 3 % is more than the noise of .9 %, and a noise of 40 % hides too much.
+    assert found(1e-5, 1.03).pointwise.relative > 0.01 and len(runs) == 4
+    assert not found(3e-3, 1.0).vague and len(runs) == 4
+
+
 @pytest.mark.slow
 def test_the_budget_ends_the_comparison_and_says_so():
     # At 1e-6 the direction of all is bad at this loose tolerance, so that each parameter is asked for.

@@ -10,7 +10,7 @@ import pytest
 from joints import plain_joint
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.derivatives import sensitivity
+from bcfj_jax.analysis.derivatives import sensitivity, steady
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.repeating import fold
 from bcfj_jax.core.status import OK
@@ -66,15 +66,50 @@ def test_what_has_not_faded_is_seen():
     assert 0.02 < found.uneven[1] < 0.1
 
 
+@pytest.mark.parametrize("kept", [0.0, 1e-3, 0.3, 0.8, 1.02])
+def test_pitch_after_pitch_leads_to_the_derivatives_of_the_fixed_point(kept):
+    # x' = A x + B p, A of spectral radius "kept": dx/dp = (I - A)^-1 B.
+    rng = np.random.default_rng(1)
+    turned, _ = np.linalg.qr(rng.normal(size=(5, 5)))
+    matrix, given = kept * turned, rng.normal(size=(5, 2))
+
+    def solve(begin: steady._Start) -> steady._Pitch:
+        slopes, left = matrix @ begin.slopes + given, matrix @ begin.disturbance
+        size = np.linalg.norm(left)
+        end = begin._replace(slopes=slopes, disturbance=left / (size or 1.0))
+        # The pitch's forces are its start.
+        return steady._Pitch(
+            end, np.zeros((1, 5, 1)), np.zeros((1, 5)), begin.slopes[None, :, None], begin.slopes[None], size, 1.0,
+            np.zeros(2), OK, 1,
+        )  # fmt: skip
+
+    start = steady._Start(np.zeros(5), np.zeros((5, 2)), np.full(5, 0.2**0.5), 1.0)
+    found = steady._orbit(solve, start, 1.0)
+    assert found is not None and found.memory == pytest.approx(kept)
+    if kept < 1.0:
+        exact = np.linalg.solve(np.eye(5) - matrix, given)
+        assert np.abs(found.derivative.force[:, 0, :, 0].T - exact).max() < 2e-3 * np.abs(exact).max()
+
+
 @pytest.mark.slow
 def test_derivatives_of_the_short_run_are_those_of_the_whole(monkeypatch):
     joint = plain_joint()
     params, times, wrt = joint.parameters(), np.linspace(0.0, 2.0, 1001), ("stiffness", "clearance_seat_cage")
     stages: list[Any] = []
     short = bj.sensitivity(joint, params, times, wrt, differences="none", steady=True, tell=stages.append)
-    # What nothing was compared with is told first.
-    assert stages[0].features == short.features and stages[0].certificate is None
-    assert short.steady and not short.steady.reason
+    # Steady motion is told first, then what nothing was compared with.
+    alone, first = stages[:2]
+    assert not alone.features and alone.steady and not alone.steady.verdicts
+    assert first.features == short.features and first.certificate is None and first.steady is alone.steady
+    assert short.steady and not short.steady.reason and short.steady.memory < 0.01
+    for name, row in short.steady.feature_derivatives.items():
+        for feature, slope in row.items():
+            stated, least = (
+                short.steady.apart[name][feature],
+                0.01 * abs(short.steady.features[feature] / float(params[name])),
+            )
+            other = alone.steady.feature_derivatives[name][feature]
+            assert abs(slope - other) <= (stated + 0.01) * max(abs(slope), abs(other), least)
     folded = []
     monkeypatch.setattr(sensitivity, "settled", lambda *_: folded.append(0))
     whole = bj.sensitivity(joint, params, times, wrt, differences="none")

@@ -38,12 +38,14 @@ FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
 )  # fmt: skip
 # How far a result has come: what ``certificate.json`` holds, what is said below its tables, and what is done next.
-UNCHECKED, BOUNDED, COMPLETE = "not checked yet", "bounded", "complete"
+STEADY, UNCHECKED, BOUNDED, COMPLETE = "steady motion, not checked yet", "not checked yet", "bounded", "complete"
 _NEXT = {
+    STEADY: "Not checked yet: the derivatives of the whole run come next.",
     UNCHECKED: "Not checked yet: far tighter solves come next.",
     BOUNDED: "Before the comparison with central differences: {}",
 }
 _NOW = {
+    STEADY: "solving the whole run with derivatives",
     UNCHECKED: "bounding the errors by far tighter solves",
     BOUNDED: "comparing with central differences, for {:g} s at most",
 }
@@ -73,16 +75,16 @@ class _Told:
     def write(self, found: Sensitivity, stage: str) -> list[Any]:
         """The files; tables as they are shown."""
         ends = [_end(found, name) for name in found.wrt]
-        if ends != self.ends:
+        if ends != self.ends and found.derivative:
             write_histories(self.folder / "sensitivity.csv", self.scene, found)
             self.ends = ends
         content = certificate_json(found, self.params, self.scene) | {"plausibility": plausibility.content(self.absurd)}
         outputs.write_json(self.folder / "certificate.json", {"stage": stage, **content})
-        return _tables(found, self.params)
+        return _tables(found, self.params, UNCHECKED if stage == UNCHECKED else "")
 
     def so_far(self, found: Sensitivity) -> tuple[str, str]:
         """What is new, in words, and how far the result has come."""
-        stage = BOUNDED if found.certificate else UNCHECKED
+        stage = BOUNDED if found.certificate else UNCHECKED if found.derivative else STEADY
         tables = self.write(found, stage)
         new = [table for table in tables if table not in self.tables]
         drives = [text for text in _driven(found, self.params) if text not in self.spoken]
@@ -213,15 +215,17 @@ def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tup
     return names, [one.name for one in wanted]
 
 
-def _tables(found: Sensitivity, params: Any) -> list[tuple[str, list[list[str]]]]:
-    """Of the run's features, and of those of steady motion."""
-    head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
-    mark = UNCHECKED if found.certificate is None and not found.steady else ""
-    tables = [(head, ranked_rows(found.features, ranking(found, params), found.sampled, mark))]
+def _tables(found: Sensitivity, params: Any, mark: str) -> list[tuple[str, list[list[str]]]]:
+    """Of the run's features, with a mark in every row, and of those of steady motion."""
+    tables = []
+    if found.features:
+        head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
+        tables.append((head, ranked_rows(found.features, ranking(found, params), found.sampled, mark)))
     if found.steady is not None and not found.steady.reason:
         turn = format_si(found.steady.turn, "s", 4)
-        head = f"The same of steady motion, over one turn of {turn}, whatever the start"
-        tables.append((head, ranked_rows(found.steady.features, steady_ranking(found, params))))
+        head = f"Percent change per percent change of parameters in steady motion, over one turn of {turn}, whatever the start"
+        pending = "" if found.steady.verdicts else UNCHECKED
+        tables.append((head, ranked_rows(found.steady.features, steady_ranking(found, params), mark=pending)))
     return tables
 
 

@@ -5,8 +5,8 @@ A step changes the forces by about a share h of themselves: parameter k moves by
     s_k = min(|p_k|, ||F||/||dF/dp_k||),    h = 0.3 e^(1/3),
 
 e the force error of the histories, so that their noise e/h and the truncation h^2 are alike. A second step a quarter
-as long is the one compared; where it does not agree at once, the longer one is run too and gives the error of the
-differences, and what exceeds it and the noise is the derivative's. Where a run of the shorter step fails, the
+as long is the one compared; where it agrees neither at once nor within a small noise, the longer one is run too and gives the
+error of the differences, and what exceeds it and the noise is the derivative's. Where a run of the shorter step fails, the
 comparison ends there; where it fails early, the difference is infinite: nothing was checked.
 """
 
@@ -25,6 +25,8 @@ Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4
 # Share of the samples that a comparison needs, and what is found where there is something; own error beyond which it is none.
 _LEAST, _VAGUE = 0.1, 0.5
+# Noise, as a share of the derivative, within which the shorter step alone is believed: a joint's two steps are as much apart.
+_CLEAR = 0.05
 
 
 def scales(times: np.ndarray, values: np.ndarray, force: np.ndarray, derivative: np.ndarray) -> np.ndarray:
@@ -71,7 +73,7 @@ def against(runs: Beside, step: np.ndarray, derivative: np.ndarray, what: str = 
         step: the direction (P,), scaled by ``scales``.
         derivative: along it.
         what: in words.
-        enough: pointwise difference of the shorter step at which the longer one is not run.
+        enough: pointwise difference of the shorter step at which the longer one is not run; nor is it within a noise of 5 %.
     """
     times, forces, values, error, width = runs
     h = 0.3 * error ** (1.0 / 3.0)
@@ -91,19 +93,27 @@ def against(runs: Beside, step: np.ndarray, derivative: np.ndarray, what: str = 
     noise = error * float(np.sqrt(np.mean(np.sum(above * above, axis=-1)))) / (0.25 * h)
     found = compare(f"{what}, relative steps of {0.25 * h:.2g}", times, derivative, near, noise, width)
     found = found._replace(until=float(times[-1]) if count < whole else float("nan"))
+    size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
+    noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
     if found.pointwise.relative <= enough:
         return found
+    if found.pointwise.relative <= noisy <= _CLEAR:
+        nothing = Difference(0.0, 0.0, float("nan"))
+        return _beyond(found, nothing, nothing, noisy)
     far = np.subtract(*pair(h))[: len(times)] / (2.0 * h)
     found = found._replace(what=f"{what}, relative steps of {h:.2g} and {0.25 * h:.2g}")
     own = compare("", times, far, near, noise, width)
-    size = max(float(norm(times, derivative)), float(norm(times, near)), 1e-300)
-    noisy = noise * float(np.sqrt(max(times[-1] - times[0], 0.0) or 1.0)) / size
-
-    def excess(d: Difference, o: Difference) -> Difference:
-        # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.
-        known = o.relative if np.isfinite(o.relative) else 0.0
-        return d._replace(relative=max(0.0, d.relative - known - noisy) if np.isfinite(d.relative) else d.relative)
-
-    left = found._replace(pointwise=excess(found.pointwise, own.pointwise), average=excess(found.average, own.average))
+    left = _beyond(found, own.pointwise, own.average, noisy)
     # Differences that disagree with each other by half check nothing, unless even that does not explain what they find.
     return left._replace(vague=bool(own.pointwise.relative + noisy > _VAGUE and left.pointwise.relative < _LEAST))
+
+
+def _beyond(found: Comparison, pointwise: Difference, average: Difference, noisy: float) -> Comparison:
+    """What of a comparison exceeds the differences' own error and noise."""
+
+    def excess(d: Difference, own: Difference) -> Difference:
+        # Where the longer step's run failed nothing is known of the differences' own error, and none is taken off.
+        known = own.relative if np.isfinite(own.relative) else 0.0
+        return d._replace(relative=max(0.0, d.relative - known - noisy) if np.isfinite(d.relative) else d.relative)
+
+    return found._replace(pointwise=excess(found.pointwise, pointwise), average=excess(found.average, average))

@@ -216,4 +216,4 @@ def _of_steady(found: Sensitivity) -> list[str]:
     if steady.reason:
         return [f"Steady motion has no derivative of its own: {steady.reason}."]
     told = [v for row in steady.verdicts.values() for v in row.values()]
-    return [f"Derivatives of features of steady motion: {_counted(told)}."]
+    return [f"Derivatives of features of steady motion: {_counted(told) or 'not checked'}."]

@@ -14,9 +14,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Level
+from bcfj_jax.core.programs import ask, program
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
@@ -113,6 +116,17 @@ def _later(scene: AbstractModel, params: Params) -> np.ndarray:
     return np.array(found, dtype=int)
 
 
+def _slope(scene: AbstractModel, params: dict) -> Params:
+    """Derivative of the pitch by every parameter."""
+    return jax.grad(lambda p: jnp.asarray(scene.pitch(p)))(params)
+
+
+def _drift(scene: AbstractModel, params: dict, states: Array) -> Array:
+    """(N,) by how much (N, n) states a pitch apart are off the last one, taken back as many pitches, in their natural sizes."""
+    _, ago = jax.lax.scan(lambda x, _: (scene.pitch_before(params, x), x), states[-1], None, length=len(states))
+    return jnp.max(jnp.abs(ago[::-1] - states) / scene.error_scale(params), axis=1)
+
+
 def settled(
     scene: AbstractModel, params: Params, times: np.ndarray, names: tuple[str, ...], how: Plan
 ) -> tuple[Fold, np.ndarray, float] | None:
@@ -126,10 +140,10 @@ def settled(
     # What is read of a body that turns on does not repeat itself.
     if not scene.recurs(params) or len(times) < 4 * _PHASES or any(map(is_reading, scene.members)):
         return None
-    slope = jax.jacfwd(lambda p: scene.pitch({**params, **p}))({name: params[name] for name in names})
+    slopes = ask("slope of the pitch", _slope, (scene,), (dict(params),))
     begin, pitch = scene.settled_from(params), scene.period(params)[1]
     count = int((times[-1] - begin) / pitch) + 1
-    if any(np.any(x) for x in slope.values()) or not 2 * _LEAST <= count < len(times) // 2:
+    if any(np.any(slopes[name]) for name in names) or not 2 * _LEAST <= count < len(times) // 2:
         return None
     ends = begin + pitch * np.arange(count)
     # As many instants as are wanted: the program of ``simulate``; finer, so that its errors are no drift.
@@ -137,10 +151,9 @@ def settled(
     run = timed(scene, params, np.append(before, ends), Plan(_FINER * how.tolerance, how.max_steps))
     if run.status != "ok" or run.trajectory is None:
         return None
-    states = jax.numpy.asarray(run.trajectory[-count:])
-    ago = jax.vmap(lambda state: scene.pitch_before(params, state))(states[1:])
-    drift = np.max(np.abs(ago - states[:-1]) / scene.error_scale(params), axis=1)
-    uneven = np.flatnonzero(drift * np.arange(count - 2, -1, -1) > _DRIFT)
+    given = dict(params), run.trajectory[-count:]
+    drift = program("drift", _drift, (scene,), given)[0](*given)
+    uneven = np.flatnonzero(drift > _DRIFT)
     # One pitch that repeats the one before, and one more for derivatives.
     last = max(int(uneven[-1]) + 1 if uneven.size else 0, _LEAST - 2) + 2
     if _SHORTER * ends[min(last, count - 1)] > times[-1]:

@@ -32,7 +32,7 @@ from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.repeating import settled
 from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
-from bcfj_jax.analysis.derivatives.steady import Steady, prepared
+from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
 from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
@@ -145,8 +145,8 @@ def sensitivity(
         steady: whether to differentiate the steady motion too (``derivatives.steady``), of a model that knows a pitch.
         budget: seconds for far tighter solves and central differences, compiling included: none is begun that is not
             expected to end within, and one that does not is left behind, in a thread that may compute on; None: no end.
-        tell: receives what is known so far: derivatives that nothing was compared with (no certificate); those with bounds,
-            before central differences are taken and steady motion is differentiated.
+        tell: receives what is known so far: of steady motion alone, where a short run shows it, with no verdicts; derivatives
+            that nothing was compared with (no certificate); those with bounds, before central differences are taken.
 
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
@@ -207,9 +207,14 @@ def _forward(
     problem = problem._replace(fold=short[0]) if short else problem
     told: list[tuple[Level, Sensitivity]] = []
 
+    # Steady motion has a first answer before the run's derivatives are solved.
+    turned = first_of_steady(problem, *short[1:]) if steady and levels and short else None
+    if turned:
+        tell(_of_steady_alone(problem, turned[0]))
+
     def first(level: Level) -> None:
         if level.good and levels:
-            told[:] = [(level, _uncertified(problem, how, level))]
+            told[:] = [(level, _uncertified(problem, how, level)._replace(steady=turned and turned[0]))]
             tell(told[0][1])
 
     climbed = climb(problem, how, levels, spend, first)
@@ -224,6 +229,8 @@ def _forward(
     def orbit() -> Any:
         if not steady or not last.good:
             return None
+        if turned:
+            return turned[1]()
         late = short[1:] if short else (last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
         return steady_of(problem, *late)
 
@@ -247,10 +254,19 @@ def _forward(
         alone = differences == "each"
         return unasked(problem) if differences == "none" else beside(problem, climbed, histories, alone, spend)
 
-    others, turned = together(compared, orbit)
-    if turned is not None:
-        agree = np.maximum(agree, _off_steady(problem, last, turned))
-    return found._replace(steady=turned, certificate=judge(agree, others))
+    others, turn = together(compared, orbit)
+    if turn is not None:
+        agree = np.maximum(agree, _off_steady(problem, last, turn))
+    return found._replace(steady=turn, certificate=judge(agree, others))
+
+
+def _of_steady_alone(problem: Problem, turned: Steady) -> Sensitivity:
+    """What there is before the run's own derivatives."""
+    values = dict(zip(problem.names, map(float, problem.values), strict=True))
+    return Sensitivity(
+        problem.times, problem.names, {}, {}, {}, {n: {} for n in problem.names}, None, "ok", "", float("nan"),
+        {"wall_s": turned.wall_s, "compile_s": turned.compile_s, "levels": 0}, turned, values,
+    )  # fmt: skip
 
 
 def _uncertified(problem: Problem, how: Plan, last: Level) -> Sensitivity:

@@ -1,18 +1,19 @@
-"""Derivatives of steady motion: of the periodic orbit, by the implicit function theorem over one pitch.
+"""Derivatives of steady motion: of a pitch that repeats the one before, as soon as derivatives have forgotten their start.
 
 A turning model that has forgotten its start repeats itself after a pitch T(p), its members renumbered. With the map
-P(x, p) over one pitch, renumbered back, the state x at one phase of the drive solves
+P(x, p) over one pitch, renumbered back, the state x at one phase of the drive and its derivative are fixed points,
 
-    x = P(x, p),    dx/dp = (I - dP/dx)^-1 dP/dp,
+    x = P(x, p),    dx/dp = dP/dx dx/dp + dP/dp.
 
-and Newton's method with the same matrix finds x from the end of a run. What the motion does not decide (phase of a
-prescribed drive, a length that is kept: ``model.neutral``) is taken out of dP/dx and moves with the initial state.
-Times are shares of the pitch. One program: a solve of one pitch with all tangents, of states and parameters.
+A pitch after the other leads there, each from the end of the one before: what is wrong with dx/dp is multiplied by dP/dx.
+A disturbance that is solved beside the derivatives shows how much of itself a pitch leaves, and so how many are enough. What
+the motion does not decide (phase of a prescribed drive, a length that is kept: ``model.neutral``) is no part of it and
+moves with the initial state. Times are shares of the pitch. One program: a solve of one pitch with its tangents.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from time import perf_counter as clock
 from typing import Any, NamedTuple
 
@@ -41,66 +42,90 @@ _SHARES = np.linspace(0.0, 1.0, SAMPLES)
 # Force error of a pitch's solve; a second one, so much looser, says how good its derivatives are. At 1e-5 those by weak
 # parameters are 4 to 8 % off, at 1e-6 less than 1 %, in half as many steps again (benchmarks/models/joint_steady.py).
 _ERROR, _LOOSER = 1e-6, 10.0
-# A motion repeats itself where Newton's last correction is less, in units of the states' natural sizes.
+# A motion repeats itself where a pitch changes its state by less, in units of the states' natural sizes.
 _SETTLED = 0.1
+# Share of a derivative by which it may be wrong where the pitch that is told of begins, and what it is after the looser
+# pitches; pitches at most.
+_FORGOTTEN, _LOOSE, _MOST = 1e-3, 0.1, 40
 # What a turn of steady motion has; its impulse is that of one turn. Its work is a small rest of what samples resolve.
 KINDS = ("peak", "largest", "mean", "impulse", "period", "contact_fraction")
 
 
+class _Start(NamedTuple):
+    """Where a pitch begins, so many pitches after time 0: state (n,), derivatives (n, P) and a disturbance (n,).
+
+    In units of the states' natural sizes, derivatives by shares of the parameters; NaN stands for those of the initial state.
+    """
+
+    state: Any
+    slopes: Any
+    disturbance: Any
+    pitches: Any
+
+
 class _Pitch(NamedTuple):
-    """What one pitch gave; states in units of their natural sizes, parameters in shares of their sizes (P).
+    """What one pitch gave.
 
     Attributes:
-        end: (n,) state after the pitch, renumbered back; force (K, C, 3) [N], depth (K, C) [m] at K shares of it.
-        by_params, by_start: derivatives of (end, force, depth), parameters (P) or states (n) as the last axis.
-        scale: (n,) the states' natural sizes.
-        kept: (n, n) projection that ``model.neutral`` makes; begun: (n, P) derivative of the initial state.
+        end: of the pitch, renumbered back, so that the next can begin there.
+        force (K, C, 3) [N], depth (K, C) [m] at K shares of it, and their derivatives, parameters (P) as the last axis.
+        grown: size of the disturbance over what it was.
         pitch: [s], with its derivative (P,).
     """
 
-    end: Any
+    end: _Start
     force: Any
     depth: Any
-    by_params: Any
-    by_start: Any
-    kept: Any
-    begun: Any
+    force_slopes: Any
+    depth_slopes: Any
+    grown: Any
     pitch: Any
     pitch_slope: Any
-    scale: Any
     code: Any
     steps: Any
 
+    @property
+    def good(self) -> bool:
+        """Whether it was solved, with finite derivatives."""
+        return int(self.code) == OK and bool(
+            np.isfinite(self.end.slopes).all() and np.isfinite(self.force_slopes).all()
+        )
+
 
 def _pitch(
-    scene: AbstractModel, wrt: tuple[str, ...], params: Params, sizes: Array, state: Array, pitches: Array,
-    shares: Array, how: Plan,
-) -> _Pitch:  # fmt: skip
-    """The map over one pitch from a state ``pitches`` pitches after time 0, and what contacts do meanwhile. Pure."""
+    scene: AbstractModel, wrt: tuple[str, ...], params: Params, sizes: Array, begin: _Start, shares: Array, how: Plan
+) -> _Pitch:
+    """The map over one pitch, and what contacts do meanwhile. Pure."""
     from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
 
-    scale = scene.error_scale(params)
+    scale, theta = scene.error_scale(params), jnp.zeros(len(wrt) + 1)
 
     def moved(theta: Array) -> dict:
         return {**params, **{name: params[name] + sizes[k] * theta[k] for k, name in enumerate(wrt)}}
 
-    def at(theta: Array, start: Array) -> Any:
+    initial = jax.jacfwd(lambda theta: scene.initial_state(moved(theta)) / scale)(theta)[:, :-1]
+    begun = jnp.where(jnp.isnan(begin.slopes), initial, begin.slopes)
+    disturbance = scene.neutral(scale * begin.state, scale * begin.disturbance) / scale
+    before = jnp.column_stack([begun, disturbance])
+
+    def at(theta: Array) -> Any:
         p = moved(theta)
         pitch = scene.pitch(p)
-        onward, given = Onward(scene), {**p, START: state + scale * start, BEGIN: pitches * pitch}
-        times = shares * pitch
-        found = integrate(onward, given, times, how, "forward", True)
-        force, depth, _ = by_channel(scene, readings(onward, given, times, found.states))
-        end = scene.pitch_before(p, found.states[-1]) / scale
-        return (end, force, depth), (end, force, depth, found.code, found.accepted + found.rejected)
+        start = scale * (begin.state + before @ theta)
+        onward, given = Onward(scene), {**p, START: start, BEGIN: begin.pitches * pitch}
+        found = integrate(onward, given, shares * pitch, how, "forward", True)
+        force, depth, _ = by_channel(scene, readings(onward, given, shares * pitch, found.states))
+        value = scene.pitch_before(p, found.states[-1]) / scale, force, depth, pitch
+        return value, (value, found.code, found.accepted + found.rejected)
 
-    theta, zero = jnp.zeros(len(wrt)), jnp.zeros(state.size)
-    slopes, (end, force, depth, code, steps) = jax.jacfwd(at, argnums=(0, 1), has_aux=True)(theta, zero)
-    by_params, by_start = zip(*slopes, strict=True)
-    kept = jax.vmap(lambda e: scene.neutral(state, scale * e) / scale, out_axes=1)(jnp.eye(state.size))
-    begun = jax.jacfwd(lambda theta: scene.initial_state(moved(theta)) / scale)(theta)
-    pitch, pitch_slope = scene.pitch(params), jax.jacfwd(lambda theta: scene.pitch(moved(theta)))(theta)
-    return _Pitch(end, force, depth, by_params, by_start, kept, begun, pitch, pitch_slope, scale, code, steps)
+    slopes, (value, code, steps) = jax.jacfwd(at, has_aux=True)(theta)
+    after, force, depth, pitch = (x[..., :-1] for x in slopes)
+    left = scene.neutral(scale * value[0], scale * slopes[0][:, -1]) / scale
+    size = jnp.linalg.norm(left)
+    end = begin._replace(state=value[0], slopes=after, disturbance=left / jnp.where(size > 0.0, size, 1.0))
+    return _Pitch(
+        end, value[1], value[2], force, depth, size / jnp.linalg.norm(disturbance), value[3], pitch, code, steps
+    )
 
 
 class Steady(NamedTuple):
@@ -113,7 +138,7 @@ class Steady(NamedTuple):
         verdicts: likewise: what that difference makes of them.
         force: per channel (K, C, 3) over one pitch [N], K even shares of it; derivative: (P, K, C, 3) per SI unit.
         off: what one more pitch would change the state by, in units of the states' natural sizes.
-        memory: share of a disturbance that is left after a pitch (spectral radius of the map).
+        memory: share of a disturbance that is left after a pitch, the greatest that was seen.
         reason: why there is none; "" where there is.
         steps, wall_s, compile_s: of its solves.
     """
@@ -135,17 +160,23 @@ class Steady(NamedTuple):
 
 
 class _Orbit(NamedTuple):
-    """A solved pitch: force and depth as ``_Pitch``'s, with their whole derivatives, parameters in shares (P) first."""
+    """A pitch that repeats the one before: force and depth as ``_Pitch``'s, parameters in shares (P) first.
+
+    off, memory: as ``Steady``'s; end: where the next would begin.
+    """
 
     value: Histories
     derivative: Histories
     pitch: float
     pitch_slope: np.ndarray
-    state: np.ndarray
+    end: _Start
     off: float
     memory: float
-    good: bool
     steps: int
+
+
+class _Restless(Exception):
+    """Why a motion has no derivatives of its own."""
 
 
 def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
@@ -155,28 +186,46 @@ def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
         problem: what is differentiated.
         state: (n,) of the run at ``time`` [s], late in it.
     """
+    found = first_of_steady(problem, state, time)
+    return found and found[1]()
+
+
+def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[Steady, Callable[[], Steady]] | None:
+    """As ``steady``, at the looser tolerance alone, with no verdicts; and what gives the whole."""
     scene, params, wrt = problem.scene, problem.params, problem.names
     if not scene.recurs(params):
         return None
-    begin = clock()
+    begin, sizes = clock(), _sizes(params, wrt)
     kinds = [f for f in problem.wanted if f.kind in KINDS]
     if not kinds:
-        return _none("it has none of these features")
-    (first, last), why, compile_s = _orbits(scene, params, state, time, wrt, problem.max_steps)
-    if why:
-        return _none(why)
-    sizes, pitch = _sizes(params, wrt), last.pitch
-    numbers, slopes = _features(scene, params, last, kinds)
-    loose_slopes = _features(scene, params, first, kinds)[1]
-    distance = apart(loose_slopes, slopes, numbers, np.ones(len(wrt)))
-    named = {n: {f.name: float(distance[i, k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
-    per_unit = {n: {f.name: float(slopes[i, k] / sizes[k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
-    return Steady(
-        pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)}, per_unit, named,
-        {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items()},
-        last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
-        first.steps + last.steps, clock() - begin - compile_s, compile_s,
-    )  # fmt: skip
+        nothing = _none("it has none of these features")
+        return nothing, lambda: nothing
+    solve, compile_s = prepared(scene, params, wrt, problem.max_steps)
+    orbits = _orbits(scene, params, state, time, wrt, solve)
+
+    def found(solved: Sequence[_Orbit]) -> Steady:
+        last, named = solved[-1], {n: {} for n in wrt}
+        numbers, slopes = _features(scene, params, last, kinds)
+        if len(solved) > 1:
+            distance = apart(_features(scene, params, solved[0], kinds)[1], slopes, numbers, np.ones(len(wrt)))
+            named = {n: {f.name: float(distance[i, k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
+        per_unit = {n: {f.name: float(slopes[i, k] / sizes[k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
+        return Steady(
+            last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)}, per_unit,
+            named, {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
+            last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
+            sum(one.steps for one in solved), clock() - begin - compile_s, compile_s,
+        )  # fmt: skip
+
+    def tried(*earlier: _Orbit) -> tuple[Steady, _Orbit | None]:
+        try:
+            one = next(orbits)
+        except _Restless as why:
+            return _none(str(why)), None
+        return found([*earlier, one]), one
+
+    first, loose = tried()
+    return first, lambda: first if loose is None else tried(loose)[0]
 
 
 def check_recurs(scene: AbstractModel, params: Params) -> None:
@@ -209,9 +258,11 @@ def turn(
     nothing = Histories(None, None, None, None)
     if not scene.recurs(params):
         return Turn(nothing, nothing, "its motion has no pitch", 0.0)
-    (_, last), why, compile_s = _orbits(scene, params, state, time, wrt, max_steps)
-    if why:
-        return Turn(nothing, nothing, why, compile_s)
+    solve, compile_s = prepared(scene, params, wrt, max_steps)
+    try:
+        *_, last = _orbits(scene, params, state, time, wrt, solve)
+    except _Restless as why:
+        return Turn(nothing, nothing, str(why), compile_s)
     value, slopes = _turn(scene, params, last)
     unit = _sizes(params, wrt)
     by = [x / unit.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
@@ -255,40 +306,55 @@ def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Arr
 
 
 def _orbits(
-    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...], max_steps: int
-) -> tuple[list[_Orbit], str, float]:
-    """The orbit at two tolerances, why there is none or "", and the seconds that getting the program took."""
-    nothing: list[Any] = [None, None]
+    scene: AbstractModel,
+    params: Params,
+    state: np.ndarray,
+    time: float,
+    wrt: tuple[str, ...],
+    solve: Callable[..., _Pitch],
+) -> Iterator[_Orbit]:
+    """The orbit at two tolerances, the looser first.
+
+    Raises:
+        _Restless: where there is none.
+    """
     settled = scene.settled_from(params)
     if time < settled:
-        return nothing, f"the run ends before {settled:.4g} s, when {scene.settled_when}", 0.0
-    pitch, sizes, start = scene.period(params)[1], _sizes(params, wrt), clock()
-    solve, tight = prepared(scene, params, wrt, max_steps)
-    compile_s = clock() - start
-    loose = Plan(_LOOSER * tight.tolerance, max_steps, tight.tangents)
-    orbits: list[_Orbit] = []
-    for how in (loose, tight):
-        found = solve(dict(params), sizes, state, np.asarray(time / pitch), _SHARES, how)
-        orbits.append(_orbit(params, wrt, found, state, scene))
-        state = orbits[-1].state
-        if not orbits[-1].good:
-            return nothing, "no motion was found that repeats itself every pitch", compile_s
-    last = orbits[-1]
-    # Newton's correction at the tighter tolerance says how far the first was from repeating itself.
-    if not last.off <= _SETTLED or not last.memory < 1.0:
-        why = f"the motion does not repeat itself: a disturbance keeps {last.memory:.2g} of itself in a pitch"
-        return nothing, why, compile_s
-    return orbits, "", compile_s
+        raise _Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
+    pitches = np.asarray(time / scene.period(params)[1])
+    begin = _begin(state / np.asarray(scene.error_scale(params)), len(wrt), pitches)
+    for tightened, wrong in ((1.0 / _LOOSER, 1.0), (1.0, _LOOSE)):
+        orbit = _orbit(lambda begin, by=tightened: solve(_sizes(params, wrt), begin, by), begin, wrong)
+        if orbit is None:
+            raise _Restless("no motion was found that repeats itself every pitch")
+        if not orbit.off <= _SETTLED or not orbit.memory < 1.0:
+            raise _Restless(
+                f"the motion does not repeat itself: a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
+            )
+        yield orbit
+        begin = orbit.end
+
+
+def _begin(state: np.ndarray, parameters: int, pitches: np.ndarray) -> _Start:
+    """A pitch's start at a late state of a run, with some disturbance of all of it."""
+    disturbance = np.random.default_rng(0).normal(size=len(state)) / np.sqrt(len(state))
+    return _Start(state, np.full((len(state), parameters), np.nan), disturbance, pitches)
 
 
 def prepared(
     scene: AbstractModel, params: Params, wrt: tuple[str, ...], max_steps: int
-) -> tuple[Callable[..., _Pitch], Plan]:
-    """The compiled map over a pitch of a model that knows one, and how it is solved at the tighter tolerance."""
+) -> tuple[Callable[[np.ndarray, _Start, float], _Pitch], float]:
+    """The compiled map over a pitch, of sizes, a start and how much tighter than ``_ERROR``; the seconds of getting it."""
     tight = plan(scene, _ERROR, max_steps)
-    state = np.zeros(jax.eval_shape(scene.initial_state, params).shape)
-    arguments = (dict(params), _sizes(params, wrt), state, np.asarray(1.0), _SHARES, tight)
-    return program("pitch", _pitch, (scene, wrt), arguments)[0], tight
+    (count,) = jax.eval_shape(scene.initial_state, params).shape
+    begin = _begin(np.zeros(count), len(wrt), np.asarray(1.0))
+    arguments = (dict(params), _sizes(params, wrt), begin, _SHARES, tight)
+    solve, compile_s = program("pitch", _pitch, (scene, wrt), arguments)
+
+    def solved(sizes: np.ndarray, begin: _Start, tightened: float) -> _Pitch:
+        return solve(dict(params), sizes, begin, _SHARES, Plan(tight.tolerance / tightened, max_steps, tight.tangents))
+
+    return solved, compile_s
 
 
 def _none(why: str) -> Steady:
@@ -302,25 +368,26 @@ def _sizes(params: Params, wrt: Sequence[str]) -> np.ndarray:
     return np.where(values == 0.0, 1.0, np.abs(values))
 
 
-def _orbit(params: Params, wrt: Sequence[str], found: _Pitch, state: np.ndarray, scene: AbstractModel) -> _Orbit:
-    """Newton's next state, and derivatives along the orbit, dx/dp = (I - dP/dx)^-1 dP/dp, in what the motion decides."""
-    kept, by_start = found.kept, found.by_start[0]
-    inner = kept @ by_start @ kept
-    good = int(found.code) == OK and bool(np.isfinite(inner).all() and np.isfinite(found.by_params[0]).all())
-    if not good:
-        nothing = Histories(None, None, None, None)
-        return _Orbit(nothing, nothing, 0.0, np.zeros(0), state, np.inf, np.inf, False, int(found.steps))
-    scale, matrix = found.scale, np.eye(len(state)) - inner
-    given = (np.eye(len(state)) - kept) @ found.begun
-    change = given + np.linalg.solve(matrix, kept @ (by_start @ given + found.by_params[0]))
-    correction = np.linalg.solve(matrix, kept @ (found.end - state / scale))
-    force, depth = (found.by_params[k] + found.by_start[k] @ change for k in (1, 2))
-    memory = float(np.abs(np.linalg.eigvals(inner)).max())
+def _orbit(solve: Callable[[_Start], _Pitch], begin: _Start, wrong: float) -> _Orbit | None:
+    """Pitch after pitch until derivatives, wrong by that share at first, have forgotten it; None where one fails."""
+    memory, steps = 0.0, 0
+    for count in range(_MOST):
+        found = solve(begin)
+        steps += int(found.steps)
+        if not found.good:
+            return None
+        memory, off = max(memory, float(found.grown)), float(np.abs(found.end.state - begin.state).max())
+        begin = found.end
+        if wrong <= _FORGOTTEN or (memory >= 1.0 and count > 1):
+            break
+        wrong *= memory
+    else:
+        memory = 1.0
+    force, depth = (np.moveaxis(x, -1, 0) for x in (found.force_slopes, found.depth_slopes))
     return _Orbit(
         Histories(found.force, found.depth, np.zeros_like(found.depth), None),
-        Histories(np.moveaxis(force, -1, 0), np.moveaxis(depth, -1, 0), np.moveaxis(0.0 * depth, -1, 0), None),
-        float(found.pitch), np.asarray(found.pitch_slope), state + scale * correction,
-        float(np.abs(correction).max()), memory, True, int(found.steps),
+        Histories(force, depth, np.zeros_like(depth), None), float(found.pitch), np.asarray(found.pitch_slope), begin,
+        off, memory, steps,
     )  # fmt: skip
 
 
