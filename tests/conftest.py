@@ -15,6 +15,7 @@ is XLA's. A worker therefore runs whole files (``--dist loadfile``), whose tests
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -26,13 +27,28 @@ import pytest
 from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
+from bcfj_jax.core import programs, surroundings
+
 BUILD = Path(__file__).resolve().parent.parent / "build"
-# Where the command and its child processes keep programs: not in the user's own folder.
+# Where child processes keep programs: not in the user's own folder.
 os.environ["BCFJ_CACHE"] = str(BUILD / "jax-cache")
+
+
+def _opened(open_cache=surroundings.open_cache):
+    """A command within this process keeps programs only where its test names a folder: what is kept is lowered twice."""
+    if os.environ.get("BCFJ_CACHE") != str(BUILD / "jax-cache"):
+        open_cache()
+
+
+surroundings.open_cache = _opened
+
+# As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
+gc.set_threshold(100_000, 20, 20)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+_KEPT_FROM = 0.2
+jax.config.update("jax_persistent_cache_min_compile_time_secs", _KEPT_FROM)
 
 # Deterministic on CI and here; compiling inside an example is slow, which is no failure.
 # All tests take a hundred examples; the fast tier takes 25 (--hypothesis-profile fast).
@@ -49,6 +65,15 @@ LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py"
 def pytest_collection_modifyitems(items):
     """Long files first."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
+
+@pytest.fixture(autouse=True)
+def kept_for_one_test():
+    """Keeping of programs that a test's command has switched on ends with it."""
+    yield
+    if programs.Settings.folder is not None:
+        programs.Settings.folder = None
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", _KEPT_FROM)
 
 
 @pytest.fixture

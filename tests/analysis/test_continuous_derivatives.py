@@ -34,10 +34,10 @@ def test_a_peak_is_that_of_the_continuous_force():
         "height": m * g * k / root, "b.mass": g + (m * g * g + g * h * k) / root,
         "gravity": m + (m * m * g + m * h * k) / root, "c.stiffness": m * g * h / root,
     }  # fmt: skip
-    for samples in (601, 2001):
-        found = bj.sensitivity(
-            scene, scene.parameters(), np.linspace(0, 0.2, samples), list(right), features=["c.peak"]
-        )
+    # Evenly, and more closely in the middle than at both ends.
+    even = np.linspace(0.0, 1.0, 601)
+    for times in (0.2 * even, 0.2 * (even + 0.9 * even * (1.0 - even) * (0.5 - even))):
+        found = bj.sensitivity(scene, scene.parameters(), times, list(right), features=["c.peak"])
         assert found.features["c.peak"] == pytest.approx(m * g + root, rel=1e-6)
         for name, value in right.items():
             check = found.certificate.parameters[name]
@@ -73,10 +73,10 @@ def test_remembering_laws_in_a_sensitivity(law):
     assert set(check.feature_verdicts.values()) == {"trusted"} and max(check.features.values()) < 1e-4
 
 
-@pytest.mark.parametrize(
-    "law", [pytest.param(x, marks=() if x in ("flores", "exact") else pytest.mark.slow) for x in REMEMBERING]
-)
-def test_a_memory_passes_the_touch(law):
+# The others, and in reverse: tests/contact/test_remembered_derivatives.py takes them in CI's tier.
+@pytest.mark.parametrize("way", ["ahead", pytest.param("back", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "exact" else pytest.mark.slow) for x in REMEMBERING])
+def test_a_memory_passes_the_touch(law, way):
     # Without gravity in the contact e does not depend on the speed: v' = e' sqrt(2 g h), so that d ln v'/d ln h = 1/2.
     scene = bj.scenes.bounce(law=law, smoothing=False)
     given = scene.parameters(restitution=0.7, drop_height=0.1)
@@ -90,9 +90,10 @@ def test_a_memory_passes_the_touch(law):
 
     step = 1e-4
     right = float(leaving(0.1 + step, accuracy=1e-9) - leaving(0.1 - step, accuracy=1e-9)) / (2 * step)
-    assert float(jax.jvp(leaving, (0.1,), (1.0,))[1]) == pytest.approx(right, rel=1e-4)
-    assert float(jax.jacfwd(leaving)(0.1)) == pytest.approx(right, rel=1e-4)
-    assert float(jax.grad(lambda h: leaving(h, "reverse"))(0.1)) == pytest.approx(right, rel=1e-4)
+    along = lambda h: jax.jvp(leaving, (h,), (1.0,))[1]  # noqa: E731
+    ways = {"ahead": (along, jax.jacfwd(leaving)), "back": (jax.grad(lambda h: leaving(h, "reverse")),)}
+    for slope in ways[way]:
+        assert float(jax.jit(slope)(0.1)) == pytest.approx(right, rel=1e-4)
 
 
 @pytest.mark.full
@@ -107,8 +108,9 @@ def test_a_memory_passes_the_touch_of_implicit_steps():
         return history["body.velocity.y"][-1]
 
     right = float(leaving(0.101, accuracy=1e-7) - leaving(0.099, accuracy=1e-7)) / 2e-3
-    assert float(jax.jvp(leaving, (0.1,), (1.0,))[1]) == pytest.approx(right, rel=1e-3)
-    assert float(jax.grad(lambda h: leaving(h, "reverse"))(0.1)) == pytest.approx(right, rel=1e-3)
+    ahead = jax.jit(lambda h: jax.jvp(leaving, (h,), (1.0,))[1])
+    for along in (ahead, jax.jit(jax.grad(lambda h: leaving(h, "reverse")))):
+        assert float(along(0.1)) == pytest.approx(right, rel=1e-3)
 
 
 def test_derivatives_land_at_every_accuracy():
@@ -127,21 +129,20 @@ def test_derivatives_land_at_every_accuracy():
     scene = Mechanism("m", [body], [contact], [loads.Gravity("-y")], own=[height], given=given, end=8.2e-3)
     params, times = scene.parameters(), jnp.linspace(0, 8.2e-3, 41)
 
-    @jax.jit
     def last(height, accuracy):
         found = bj.reading_history(scene, {**params, "height": height}, times, ["a.velocity.x"], accuracy=accuracy)
         return found["a.velocity.x"][-1]
 
+    along = jax.jit(lambda h, accuracy: jax.jvp(lambda h: last(h, accuracy), (h,), (1.0,))[1])
     # Traced accuracies share one program; three steps of differences at 1e-9 agree on the number.
     for accuracy in (1e-2, 1e-5):
-        along = jax.jvp(lambda h: last(h, accuracy), (0.0105,), (1.0,))[1]  # noqa: B023
-        assert float(along) == pytest.approx(-1.614127, rel=1e-5)
+        assert float(along(0.0105, accuracy)) == pytest.approx(-1.614127, rel=1e-5)
     # What is not differentiated takes the steps of a run of values.
-    plain = integrate(scene, {n: jnp.asarray(x) for n, x in params.items()}, times, bj.Plan(jnp.asarray(5e-6)))
-    given = integrate(
-        scene, {n: jnp.asarray(x) for n, x in params.items()}, times, bj.Plan(jnp.asarray(5e-6)), "forward", True
+    plain, given = (
+        jax.jit(lambda p, how=how: integrate(scene, p, times, bj.Plan(jnp.asarray(5e-6)), *how).accepted)
+        for how in ((), ("forward", True))
     )
-    assert int(plain.accepted) == int(given.accepted)
+    assert int(plain(params)) == int(given(params))
 
 
 @pytest.mark.full

@@ -111,7 +111,10 @@ def test_every_verb_plans_every_scene(scene, here):
     ],
     ids=lambda x: " ".join(x),
 )  # fmt: skip
-def test_verbs_that_write_nothing(command, here):
+def test_verbs_that_write_nothing(command, here, monkeypatch, tmp_path_factory):
+    if command == ("doctor",):
+        # It asks for a folder of programs.
+        monkeypatch.setenv("BCFJ_CACHE", str(tmp_path_factory.mktemp("kept")))
     before = state(here)
     done = bcfj(*command, "--json")
     assert done.exit_code == 0, (done.stderr, done.exception)

@@ -23,6 +23,7 @@ from bcfj_jax.analysis.designs import designfile
 from bcfj_jax.analysis.studies import command as studies
 from bcfj_jax.cli import app, plan
 from bcfj_jax.cli.options import asked
+from bcfj_jax.core import programs
 from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.io import changes, doctor, outputs, scenefile
 from calibration import problemfile
@@ -231,7 +232,10 @@ def test_the_page_of_commands_names_every_verb_and_option():
                 assert f"`{option}" in page, (name, option)
 
 
-def test_doctor_finds_faults(monkeypatch):
+def test_doctor_finds_faults(monkeypatch, tmp_path):
+    kept = tmp_path / "programs"
+    kept.mkdir(mode=0o700)
+    monkeypatch.setattr(programs.Settings, "folder", kept)
     assert doctor.healthy(doctor.examine())
     monkeypatch.setattr(doctor, "_installed", lambda name: {"jax": "0.10.2", "pyarrow": None}.get(name, "99.0"))
     found = {one.what: one for one in doctor.examine()}

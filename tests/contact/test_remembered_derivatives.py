@@ -55,17 +55,18 @@ def speeds():
     return Ways(SPEEDS, {}, ("height", "restitution"))
 
 
+def close(found, right, size):
+    np.testing.assert_array_less(np.abs(found - right), 2e-4 * (np.abs(right) + size))
+
+
 def check(ways, name):
     """Every way to a derivative of a run through one impact."""
-    which, x, wrt = float(ways.names.index(name)), ways.at, ways.wrt
+    which, x = float(ways.names.index(name)), ways.at
     moves = [STEP * x * e for e in np.eye(len(x))]
     tight = [float(ways.value(x + m, which, TIGHT) - ways.value(x - m, which, TIGHT)) / 2 for m in moves]
     right = np.array(tight) / (STEP * x)
     assert np.all(np.abs(right) > 0)
     size = float(ways.value(x, which, TIGHT)) / x
-
-    def close(found, right, size):
-        np.testing.assert_array_less(np.abs(found - right), 2e-4 * (np.abs(right) + size))
 
     for k, unit in enumerate(np.eye(len(x))):
         value, along = ways.jvp(x, unit, which, ACCURACY)
@@ -73,7 +74,12 @@ def check(ways, name):
         close(along, right[k], size[k])
     close(ways.jacfwd(x, which, ACCURACY), right, size)
     close(ways.grad(x, which, ACCURACY), right, size)
-    # Features of the run and of its contact, against differences of tight runs, whose quadrature is good to 2e-4.
+
+
+def check_features(ways, name):
+    """Derivatives of features of a run and of its contact against differences of tight runs."""
+    which, x, wrt = float(ways.names.index(name)), ways.at, ways.wrt
+    # Their quadrature is good to 2e-4.
     params, times = ways.params(which), np.array([0.0, END])
     kinds = ["begin_1", "end_1", "peak_1", "impulse_1"]
     names = [f"contact.{kind}" for kind in kinds]
@@ -108,3 +114,10 @@ def check(ways, name):
 @pytest.mark.parametrize("law", [pytest.param(x, marks=pytest.mark.slow if x == "exact" else ()) for x in SPEEDS])
 def test_laws_with_an_approach_speed(speeds, law):
     check(speeds, law)
+
+
+# Of one law: test_continuous_derivatives.py, by sensitivity and contact_events.
+@pytest.mark.slow
+@pytest.mark.parametrize("law", SPEEDS)
+def test_features_of_laws_with_an_approach_speed(speeds, law):
+    check_features(speeds, law)

@@ -51,7 +51,9 @@ CALLS = {
     "Mechanism": lambda out: bj.Mechanism("m", (bj.Body("b", "slide", mass=1.0),), samples=N(11)),
     "Plan": lambda out: bj.Plan(np.asarray(1e-6), N(1000)),
     "simulate": lambda out: bj.simulate(SCENE, PARAMS, TIMES, max_steps=N(4000)),
-    "sensitivity": lambda out: bj.sensitivity(SCENE, PARAMS, TIMES, "mass", levels=N(2), max_steps=N(4000)),
+    "sensitivity": lambda out: bj.sensitivity(
+        SCENE, PARAMS, TIMES, "mass", levels=N(2), max_steps=N(4000), differences="none"
+    ),
     "smoothing_ladder": lambda out: bj.smoothing_ladder(
         SCENE, PARAMS, TIMES, "mass", [1e-7], levels=N(2), max_steps=N(4000)
     ),

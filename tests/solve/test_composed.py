@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,18 +25,32 @@ def total(x, mode):
     return 1e-5 * jnp.sum(bj.force_history(SCENE, params, TIMES, mode=mode)["contact"][:, 0])
 
 
+@functools.cache
+def slope_of_one(mode):
+    return jax.jit(jax.grad(lambda x: total(x, mode)))(jnp.array([0.5, 0.1]))
+
+
+# test_forward_reverse.py has every way on a function of one line.
+WAYS = [
+    pytest.param(mode, way, marks=() if (mode, way) == ("auto", "shard_map") else pytest.mark.slow)
+    for mode in ("auto", "forward", "reverse")
+    for way in ("shard_map", "pmap", "export")
+]
+
+
 @pytest.mark.full
-@pytest.mark.parametrize("mode", ["auto", *(pytest.param(m, marks=pytest.mark.slow) for m in ("forward", "reverse"))])
-def test_gradients_among_devices_and_exported(mode):
+@pytest.mark.parametrize(("mode", "way"), WAYS)
+def test_gradients_among_devices_and_exported(mode, way):
     x = jnp.array([[0.5, 0.1]])
     slope = jax.grad(lambda x: total(x, mode))
-    expected = jax.jit(slope)(x[0])
-    mesh, rows = Mesh(np.array(jax.devices()[:1]), ("i",)), PartitionSpec("i")
-    among = jax.jit(jax.shard_map(jax.vmap(slope), mesh=mesh, in_specs=rows, out_specs=rows))
-    np.testing.assert_allclose(among(x)[0], expected, rtol=1e-12)
-    np.testing.assert_allclose(jax.pmap(slope)(x)[0], expected, rtol=1e-12)
-    kept = jax.export.deserialize(jax.export.export(jax.jit(slope))(x[0]).serialize())
-    np.testing.assert_allclose(kept.call(x[0]), expected, rtol=1e-12)
+    if way == "shard_map":
+        mesh, rows = Mesh(np.array(jax.devices()[:1]), ("i",)), PartitionSpec("i")
+        found = jax.jit(jax.shard_map(jax.vmap(slope), mesh=mesh, in_specs=rows, out_specs=rows))(x)[0]
+    elif way == "pmap":
+        found = jax.pmap(slope)(x)[0]
+    else:
+        found = jax.export.deserialize(jax.export.export(jax.jit(slope))(x[0]).serialize()).call(x[0])
+    np.testing.assert_allclose(found, slope_of_one(mode), rtol=1e-12)
 
 
 @pytest.mark.full
@@ -53,10 +69,13 @@ DERIVATIVES = {"grad": jax.grad, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "jv
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks={"jacfwd": (), "jacrev": pytest.mark.full}.get(n, pytest.mark.slow)) for n in DERIVATIVES],
+    [pytest.param(n, marks=() if n == "jacfwd" else pytest.mark.slow) for n in DERIVATIVES],
 )
 def test_derivatives_of_a_batch_are_those_of_its_runs(name):
-    """vmap of a derivative and the derivative of a vmap, compiled and not, against one run after the other."""
+    """vmap of a derivative and the derivative of a vmap, compiled and not, against one run after the other.
+
+    Those that are slow: test_forward_reverse.py has them on a function of one line.
+    """
     x, derivative = jnp.array([[0.5, 0.1], [0.3, 0.2]]), DERIVATIVES[name](lambda x: total(x, "auto"))
     one = jnp.stack([jax.jit(derivative)(row) for row in x])
     np.testing.assert_allclose(jax.vmap(derivative)(x), one, rtol=1e-6)
@@ -92,9 +111,9 @@ def test_derivatives_after_a_contact_are_those_of_the_motion(solver):
         return bj.reading_history(SCENE, values, times, ["body.position"], accuracy=how, mode=mode)["body.position"]
 
     exact = -period / (2.0 * stiffness)
-    np.testing.assert_allclose(jax.jacfwd(place)(stiffness), exact, rtol=5e-3)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(place))(stiffness), exact, rtol=5e-3)
     for mode in ("forward", "reverse"):
-        np.testing.assert_allclose(jax.grad(lambda k, m=mode: place(k, m)[-1])(stiffness), exact, rtol=5e-3)
+        np.testing.assert_allclose(jax.jit(jax.grad(lambda k, m=mode: place(k, m)[-1]))(stiffness), exact, rtol=5e-3)
     if solver is None:
         with pytest.raises(bj.InputError, match="'auto' is of force_history alone"):
             place(stiffness, "auto")

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_numpy import by_numpy
 from gap_cases import CASES
 from hypothesis import given
 from hypothesis import strategies as st
@@ -116,6 +117,26 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
     # Only a gap of the user's own may say nothing.
     assert length > 0.0
     share, looked = 0.1, 0
+    sizes = {k: np.asarray(v, dtype=float) for k, v in case.sizes.items()}
+
+    def moving(place, way, spin, axis):
+        """Penetrations at begin, middle and end of a motion from 0 to 1, and their rates at both ends."""
+
+        def depths(t):
+            turn = spin * t
+            c, s = jnp.cos(turn), jnp.sin(turn)
+            zero = jnp.zeros(())
+            cross = jnp.array([[zero, -axis[2], axis[1]], [axis[2], zero, -axis[0]], [-axis[1], axis[0], zero]])
+            axes = c * jnp.eye(3) + s * cross + (1 - c) * jnp.outer(axis, axis)
+            columns = tuple(tuple(axes[i, j] for i in range(3)) for j in range(3))
+            moved = tuple(place[..., i] + way[i] * t for i in range(3))
+            a = gaps.Frame((0.0, 0.0, 0.0), cast(Any, columns))
+            b = gaps.Frame(moved, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+            return jnp.concatenate([jnp.ravel(jnp.asarray(f.depth)) for f in case.gap.faces(a, b, cast(Any, sizes))])
+
+        return jax.vmap(lambda t: jax.jvp(depths, (t,), (jnp.ones_like(t),)))(jnp.array([0.0, 0.5, 1.0]))
+
+    looking = by_numpy(moving)
     for _ in range(60):
         place = np.broadcast_to(case.place(rng), case.place(rng).shape)
         way = rng.normal(size=3)
@@ -124,26 +145,12 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
         spin = min(spin, share * length / float(arm)) if arm else spin
         axis = rng.normal(size=3)
         axis /= np.linalg.norm(axis)
-
-        def depths(t, place=place, way=way, spin=spin, axis=axis):
-            turn = spin * t
-            c, s = jnp.cos(turn), jnp.sin(turn)
-            cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-            axes = c * jnp.eye(3) + s * cross + (1 - c) * np.outer(axis, axis)
-            columns = tuple(tuple(axes[i, j] for i in range(3)) for j in range(3))
-            moved = tuple(place[..., i] + way[i] * t for i in range(3))
-            a = gaps.Frame((0.0, 0.0, 0.0), cast(Any, columns))
-            b = gaps.Frame(moved, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-            faces = case.gap.faces(a, b, cast(Any, {k: jnp.asarray(v) for k, v in case.sizes.items()}))
-            return jnp.concatenate([jnp.ravel(jnp.asarray(f.depth)) for f in faces])
-
-        if np.isfinite(np.min(bends)) and float(np.min(depths(jnp.asarray(0.5)))) < -0.5 * length:
+        values, slopes = looking(place, way, spin, axis)
+        if np.isfinite(np.min(bends)) and float(np.min(values[1])) < -0.5 * length:
             continue  # In the middle of a hollow the course bends sooner, and there is nothing to touch.
         looked += 1
-        values = jax.vmap(depths)(jnp.array([0.0, 0.5, 1.0]))
-        slopes = jax.vmap(lambda t, f=depths: jax.jvp(f, (t,), (jnp.ones_like(t),))[1])(jnp.array([0.0, 1.0]))
-        middle = 0.5 * (values[0] + values[2]) + (slopes[0] - slopes[1]) / 8.0
-        assert float(jnp.max(jnp.abs(values[1] - middle))) <= 1e-3 * share * length + 1e-15
+        middle = 0.5 * (values[0] + values[2]) + (slopes[0] - slopes[2]) / 8.0
+        assert float(np.max(np.abs(values[1] - middle))) <= 1e-3 * share * length + 1e-15
     assert looked
 
 
@@ -273,10 +280,12 @@ def test_functions_go_through_implicit_solvers(solver):
     known = [(bj.Quantity(name, "s", name), 0.0) for name in ("middle", "width")]
     scene = block(loads.Load("push", wave, ("block",), tuple(known))).suited({}, 1.0, solver)
     params = scene.parameters(middle=0.4, width=0.01)
-    slope = jax.grad(
-        lambda w: bj.reading_history(scene, {**params, "width": w}, jnp.array([0.0, 1.0]), ["block.velocity.x"])[
-            "block.velocity.x"
-        ][-1]
+    slope = jax.jit(
+        jax.grad(
+            lambda w: bj.reading_history(scene, {**params, "width": w}, jnp.array([0.0, 1.0]), ["block.velocity.x"])[
+                "block.velocity.x"
+            ][-1]
+        )
     )
     run = bj.simulate(scene, params, np.array([0.0, 1.0]), read=["block.velocity.x"], solver=solver)
     assert run.readings["block.velocity.x"][-1] == within(10.0 * 0.01 / 2.0, 2e-2)
@@ -301,18 +310,15 @@ def test_unloading_is_seen_where_every_body_is_driven():
     scene = Mechanism("press", [Body("platen", "slide", axis="x", mass=1.0, drive=press)], [pad],
                       given={"stiffness": 2e5, "restitution": 0.7, "clearance_pad": 1e-4}, end=2.0)  # fmt: skip
     times = np.linspace(0.0, 2.0, 4001)
-    for samples in (times, times[::100]):
-        run = bj.simulate(scene, scene.parameters(), samples)
-        force = np.interp(1.25, run.times, run.force["pad"][:, 0])
-        assert force == within(
-            2e5 * (4e-4 - (4e-4 - float(press.position(jnp.asarray(1.25), "", {})) + 1e-4) / 0.49), 1e-3
-        )
-    run = bj.simulate(scene, scene.parameters(), times)
+    expected = 2e5 * (4e-4 - (4e-4 - float(press.position(jnp.asarray(1.25), "", {})) + 1e-4) / 0.49)
+    many = bj.simulate(scene, scene.parameters(), times)
+    few = bj.simulate(scene, scene.parameters(), times[::100], resolved_peaks=True)
+    for run in (many, few):
+        assert np.interp(1.25, run.times, run.force["pad"][:, 0]) == within(expected, 1e-3)
     held = 0.5 * 2e5 * 4e-4**2 * (1.0 - 0.49)
-    assert np.trapezoid(run.force["pad"][:, 0], run.penetration["pad"]) == within(held, 1e-4)
+    assert np.trapezoid(many.force["pad"][:, 0], many.penetration["pad"]) == within(held, 1e-4)
     # What is summed in the solver's steps, however few samples are asked for.
-    run = bj.simulate(scene, scene.parameters(), times[::400], resolved_peaks=True)
-    assert run.extremes["pad"].work == within(held, 1e-3)
+    assert few.extremes["pad"].work == within(held, 1e-3)
 
 
 # Limits and checks.
@@ -332,8 +338,9 @@ def test_the_longest_step_is_kept():
 def test_parameters_that_are_not_finite_do_not_cost_the_step_budget():
     scene, times = bj.scenes.impact(), jnp.linspace(0.0, 1e-3, 3)
     params = scene.parameters()
+    run = jax.jit(lambda p: integrate(scene, p, times, plan(scene)))
     for name in ("stiffness", "mass", "approach_speed"):
-        found = integrate(scene, {**params, name: jnp.asarray(np.nan)}, times, plan(scene))
+        found = run({**params, name: jnp.asarray(np.nan)})
         assert found.code != 0 and int(found.accepted + found.rejected) < 100
 
 
