@@ -162,11 +162,13 @@ def _batch(operands, axes, *, points, of):
     size = next(x.shape[a] for x, a in zip(operands, axes, strict=True) if a is not NOT_MAPPED)
     moved = [x if a is NOT_MAPPED else jnp.moveaxis(x, a, 0) for x, a in zip(operands, axes, strict=True)]
     point_axes = [None if a is NOT_MAPPED else 0 for a in axes[:points]]
+
+    def each(x: Array, axis: int | None) -> Array:
+        # JAX 0.12 refuses a custom vjp some of whose results are the same for the whole batch.
+        return jnp.broadcast_to(x, (size, *x.shape)) if axis is None else x
+
     # Vectors are broadcast so that the batched map and its transpose have the same shape of arguments.
-    vectors = [
-        jnp.broadcast_to(x, (size, *x.shape)) if a is NOT_MAPPED else x
-        for x, a in zip(moved[points:], axes[points:], strict=True)
-    ]
+    vectors = [each(x, None if a is NOT_MAPPED else 0) for x, a in zip(moved[points:], axes[points:], strict=True)]
     # Values beside tangents of several ways are the same for all of them.
     same = len(of.outs) // 2 if all(a is None for a in point_axes[: points - of.ways]) and of.ways else 0
     out_axes = [None] * same + [0] * (len(of.outs) - same)
@@ -181,7 +183,7 @@ def _batch(operands, axes, *, points, of):
         smooth=many(of.smooth, out_axes),
         quick=many(of.quick, out_axes),
         pull=many(of.pull, 0),
-        reverse=of.reverse and (lambda at: jax.vmap(of.reverse, (point_axes,))(list(at))),
+        reverse=of.reverse and (lambda at: jax.vmap(of.reverse)([*map(each, at, point_axes)])),
         vectors=wide(of.vectors),
         outs=of.outs[:same] + wide(of.outs[same:]),
     )
