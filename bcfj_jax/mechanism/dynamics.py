@@ -326,12 +326,16 @@ class Dynamics(AbstractModel):
             bodies = c.parts(now.bodies.parts)
             place, acting = c.place(1, bodies[1], p), []
             for face, touch in now.faces[c.name]:
-                point, forces = add(place, face.lever), (negative(touch.force), touch.force)
-                moments = (cross(subtract(point, body.place), f) for body, f in zip(bodies, forces, strict=True))
-                acting += zip((0, 1), forces, moments, strict=True)
+                point = add(place, face.lever)
+                arms = (subtract(point, body.place) for body in bodies)
+                acting += zip((1, 0), (touch.force, negative(touch.force)), [*arms][::-1], strict=True)
             # A body of several contacts takes the sum of their forces; bodies that differ take each its own.
-            parted = alike.apart(c, acting) if alike.scattered(c) else {c.name: acting}
-            for one in c.each if alike.scattered(c) else (c,):
+            if not alike.scattered(c):
+                for which, force, arm in acting:
+                    found.act(bodies[which], arm, force)
+                continue
+            parted = alike.apart(c, [(which, force, cross(arm, force)) for which, force, arm in acting])
+            for one in c.each:
                 own = one.parts(now.bodies.parts)
                 for which, force, moment in parted[one.name]:
                     found.wrench(own[which], force, moment)

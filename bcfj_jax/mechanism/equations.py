@@ -71,7 +71,8 @@ class Equations:
 
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
         """A force at ``arm`` from a body's origin, and a torque; world."""
-        self.wrench(part, force, add(cross(arm, force), torque))
+        for j, (w, v) in part.partials.items():
+            self.push(j, plus(dot(add(v, cross(w, arm)), force), dot(w, torque)))
 
     def wrench(self, part: Part, force: Vector, moment: Vector) -> None:
         """A force, and its moment about a body's origin; world."""

@@ -21,7 +21,7 @@ from jax import Array
 
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.core.vectors import Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
@@ -62,11 +62,13 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     rates = gathered.accelerations(count)
     felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
-    freed = {name: _freed(part, rates) for name, part in parts.items()}
+    freed = {name: _freed(part, rates) for name, part in parts.items()} if any(map(alike.scattered, scene.bundles)) else {}
     brought, stored, flight = {}, {}, {}
     forces, speeds, masses = [], [], []
     for c in scene.bundles:
-        first, second = c.parts(freed)
+        # Velocities are each body's own: those of bodies side by side are gathered before, in their accelerations.
+        scattered = alike.scattered(c)
+        first, second = c.parts(freed if scattered else parts)
         count_of = len(c.each)
         place = c.place(1, second, params)
         energies, held, flights = [], [], []
@@ -74,12 +76,15 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             point = add(place, face.lever)
             arms = subtract(point, first.place), subtract(point, second.place)
             gain = subtract(second.drift_at(arms[1]), first.drift_at(arms[0]))
+            partials = {} if scattered else felt.partials((first, second), arms)
+            gain = add(gain, *(scale(rates[j], v) for j, v in partials.items()))
             moving = add(touch.slide, scale(touch.rate, face.normal))
             way = _direction(face.normal, gain, moving)
-            # Velocities are each contact's own.
-            apart = alike.apart(c, (way, *arms)) if alike.scattered(c) else {c.name: (way, *arms)}
-            each = [felt.mass(one.parts(parts), *apart[one.name]) for one in (c.each if alike.scattered(c) else (c,))]
-            mass = jnp.stack(each) if len(each) > 1 else each[0]
+            if scattered:
+                own_arms = alike.apart(c, (way, *arms))
+                mass = jnp.stack([felt.apart(one.parts(parts), *own_arms[one.name]) for one in c.each])
+            else:
+                mass = felt.mass(partials, way)
             pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
             gap = positive(-jnp.asarray(face.depth))
             squared = rate**2 + 2.0 * pull * gap
@@ -156,17 +161,26 @@ class _Felt(NamedTuple):
     count: int
     levers: list[list[Array]]
 
-    def mass(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
-        """Along a direction, at ``arms`` from the two bodies' origins; 0 of what nothing moves."""
-        row: dict[int, Number] = {}
+    def partials(self, bodies: tuple[Part, Part], arms: tuple[Vector, Vector]) -> dict[int, Vector]:
+        """By velocity, that of the second body's point past the first's, at ``arms`` from their origins."""
+        found: dict[int, Vector] = {}
         for part, arm, sign in zip(bodies, arms, (-1.0, 1.0), strict=True):
             for j in part.partials:
                 if j < self.count:
-                    v = part.partial_at(j, arm)
-                    row[j] = plus(row.get(j, 0.0), times(sign, dot(way, v)))
+                    v = scale(sign, part.partial_at(j, arm))
+                    found[j] = add(found.get(j, ZERO), v)
                     self.levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
+        return found
+
+    def mass(self, partials: dict[int, Vector], way: Vector) -> Array:
+        """Along a direction; 0 of what nothing moves."""
+        row = {j: dot(way, v) for j, v in partials.items()}
         mass = 1.0 / jnp.maximum(jnp.asarray(_compliance(self.gathered, row, self.count)), 1e-30)
         return jnp.where(mass < 1e20, mass, 0.0)
+
+    def apart(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
+        """Of one of several contacts side by side."""
+        return self.mass(self.partials(bodies, (arms[0], arms[1])), way)
 
 
 def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +62,20 @@ def run(
     plots.get_ready()
     growing = Growing(folder / "design.json", show)
 
-    def so_far(found: Design) -> None:
-        growing.write(found.status, found.content())
-        growing.tell(_texts(found), reason(found))
-
     given = asked.scene, asked.given.params, asked.times
+
+    def absurd(found: Design) -> list[plausibility.Finding]:
+        """What is not plausible of a design, which is said first."""
+        return plausibility.at(asked.scene, {**asked.given.params, **found.values}, asked.times)
+
+    def so_far(found: Design) -> None:
+        doubts = absurd(found)
+        growing.write(found.status, found.content() | {"plausibility": plausibility.content(doubts)})
+        growing.tell([*_doubted(doubts), *_texts(found)], reason(found))
+
     found = design(*given, asked.objective, asked.free, tell=so_far, **asked.options)
-    best = {**asked.given.params, **found.values} if found.status != FAILED else asked.given.params
-    absurd = plausibility.at(asked.scene, best, asked.times)
-    growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(absurd)})
+    doubts = absurd(found) if found.status != FAILED else plausibility.at(*given)
+    growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(doubts)})
     drawn: list[Picture] = []
     with stage("drawing"):
         if found.status != FAILED:
@@ -81,13 +86,16 @@ def run(
             result.draw_slices(found, folder / "slices.png")
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
-    shown = page(f"Design of {stem}", found, asked.note, drawn, absurd)
+    shown = page(f"Design of {stem}", found, asked.note, drawn, doubts)
     report.write(folder, shown, asked.given.scene.model_form)
     keep_asked()
-    first = [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
     headline, *tables = _texts(found)
-    parts = [*first, f"{headline} {reason(found)}", *tables, f"results in {folder}"]
+    parts = [*_doubted(doubts), f"{headline} {reason(found)}", *tables, f"results in {folder}"]
     return "\n\n".join(parts), found.status != FAILED
+
+
+def _doubted(absurd: Sequence[plausibility.Finding]) -> list[str]:
+    return [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
 
 
 def _texts(found: Design) -> list[str]:
