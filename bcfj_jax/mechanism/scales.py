@@ -62,7 +62,9 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     rates = gathered.accelerations(count)
     felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
-    freed = {name: _freed(part, rates) for name, part in parts.items()} if any(map(alike.scattered, scene.bundles)) else {}
+    freed = (
+        {name: _freed(part, rates) for name, part in parts.items()} if any(map(alike.scattered, scene.bundles)) else {}
+    )
     brought, stored, flight = {}, {}, {}
     forces, speeds, masses = [], [], []
     for c in scene.bundles:
