@@ -66,7 +66,7 @@ import bcfj_jax as bj
 count = int(sys.argv[1])
 place = lambda k: {"position": 0.0201 * k, "velocity": 0.0 if k else 1.0}
 bodies = [bj.Body(f"ball_{k}", "slide", axis="x", mass=0.1, start=place(k)) for k in range(count)]
-contacts = [bj.Contact(f"{k}", (f"ball_{k}", f"ball_{k + 1}"), bj.gaps.SphereOnSphere()) for k in range(count - 1)]
+contacts = [bj.Contact(f"touch_{k}", (f"ball_{k}", f"ball_{k + 1}"), bj.gaps.SphereOnSphere()) for k in range(count - 1)]
 given = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.1, "radius_a": 0.01, "radius_b": 0.01}
 loads, end = [], 0.005
 """
