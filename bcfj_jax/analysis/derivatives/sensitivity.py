@@ -22,7 +22,7 @@ from bcfj_jax.analysis.derivatives.bounds import (
     luckless,
     target,
 )
-from bcfj_jax.analysis.derivatives.certificate import Certificate
+from bcfj_jax.analysis.derivatives.certificate import Certificate, Comparison
 from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
@@ -206,15 +206,15 @@ def _forward(
     # A short run stands for the whole.
     problem = problem._replace(fold=short[0]) if short else problem
     told: list[tuple[Level, Sensitivity]] = []
-
     # Steady motion has a first answer before the run's derivatives are solved.
     turned = first_of_steady(problem, *short[1:]) if steady and levels and short else None
-    if turned:
-        tell(_of_steady_alone(problem, turned[0]))
+    alone = turned[0] if turned and not turned[0].reason else None
+    if alone:
+        tell(_of_steady_alone(problem, alone))
 
     def first(level: Level) -> None:
         if level.good and levels:
-            told[:] = [(level, _uncertified(problem, how, level)._replace(steady=turned and turned[0]))]
+            told[:] = [(level, _uncertified(problem, how, level)._replace(steady=alone))]
             tell(told[0][1])
 
     climbed = climb(problem, how, levels, spend, first)
@@ -224,7 +224,7 @@ def _forward(
         climbed = climb(problem, how, levels, spend, first)
     last = climbed.last
     found = told[0][1] if told and told[0][0] is last else _uncertified(problem, how, last)
-    found = found._replace(stats=found.stats | _spent(climbed.levels))
+    found = found._replace(stats=found.stats | _spent(climbed.levels), steady=alone)
 
     def orbit() -> Any:
         if not steady or not last.good:
@@ -236,12 +236,8 @@ def _forward(
 
     if not levels:
         return found._replace(steady=orbit())
-    slopes = np.array([[found.feature_derivatives[n][f.name] for n in problem.names] for f in problem.wanted])
-    histories, agree = bounded(problem, climbed), _feature_bounds(problem, how, climbed, slopes)
-    agree = np.maximum(agree, luckless(climbed, histories))
-    between_samples = sampling(t, last.value, last.derivative, problem.wanted, scene.members, problem.values)
-    agree = agree + between_samples
-    starred = tuple(f.name for f, x in zip(problem.wanted, between_samples, strict=True) if np.any(x))
+    histories = bounded(problem, climbed)
+    slopes, agree, starred = _stated(problem, how, climbed, found, histories)
     found = found._replace(sampled=starred)
     if differences != "none" and climbed.beside is not None and scene.traits.history and not scene.traits.stiff:
         with contextlib.suppress(OutOfTime):
@@ -258,6 +254,20 @@ def _forward(
     if turn is not None:
         agree = np.maximum(agree, _off_steady(problem, last, turn))
     return found._replace(steady=turn, certificate=judge(agree, others))
+
+
+def _stated(
+    problem: Problem, how: Plan, climbed: Climb, found: Sensitivity, histories: Sequence[Comparison]
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Derivatives (F, P) of features and their bounds (F, P) from the solves; names of those known from samples alone."""
+    last = climbed.last
+    slopes = np.array([[found.feature_derivatives[n][f.name] for n in problem.names] for f in problem.wanted])
+    agree = np.maximum(_feature_bounds(problem, how, climbed, slopes), luckless(climbed, histories))
+    between = sampling(
+        problem.times, last.value, last.derivative, problem.wanted, problem.scene.members, problem.values
+    )
+    starred = tuple(f.name for f, x in zip(problem.wanted, between, strict=True) if np.any(x))
+    return slopes, agree + between, starred
 
 
 def _of_steady_alone(problem: Problem, turned: Steady) -> Sensitivity:
