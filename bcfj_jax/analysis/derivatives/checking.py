@@ -26,7 +26,7 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
 # Pitches of steady motion over which central differences are taken.
-_PITCHES = 3
+_PITCHES = 2
 # Difference from central differences that is looked into.
 _SEEN = 1e-3
 _TOGETHER = "central differences along one random direction of all parameters"
