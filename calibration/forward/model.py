@@ -23,6 +23,7 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from calibration import attitudes
 from calibration.filters import Filter
 from calibration.forward.coordinates import Coordinate, coordinates_of
 from calibration.forward.losses import loss_of
@@ -171,10 +172,10 @@ class Model(eqx.Module):
         return table, chain
 
     def predictions(self, point: Array) -> Array:
-        """What each channel would have read, (E, C, T), SI."""
+        """What each channel would have read, (E, C, T), SI; of an attitude as ``attitudes.compared``."""
         passed = self.data.passed
 
-        def one(params: dict, own: dict, times: Array) -> Array:
+        def one(params: dict, own: dict, times: Array, values: Array) -> Array:
             shifted = times - own["time_offset"]
             # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
             order = jnp.argsort(shifted)
@@ -185,19 +186,31 @@ class Model(eqx.Module):
             speeds = {
                 c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c
             }
-            read = tuple(dict.fromkeys((*self.channels, *speeds.values())))
+            chained = (*self.channels, *self.scalars)
+            read = tuple(dict.fromkeys((*chained, *speeds.values())))
             seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
             before = jnp.minimum(sampled, 0.0)
-            readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in self.channels]
-            return through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own), passed)[places].T
+            readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in chained]
+            read = through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own, chained), passed)[places].T
+            if not self.scalars:
+                return read
+            known = attitudes.compared(
+                dict(zip(chained, read, strict=True)), dict(zip(self.channels, values, strict=True))
+            )
+            return jnp.stack([known[c] for c in self.channels])
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
-        return jax.vmap(one)(*self.settings(point), self.data.times)
+        return jax.vmap(one)(*self.settings(point), self.data.times, jnp.asarray(self.data.values))
 
-    def _offsets(self, own: dict[str, Array]) -> Array:
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Scalar parts of the attitudes among the channels."""
+        return tuple(attitudes.scalar(parts["q1"]) for parts in attitudes.attitudes(self.channels).values())
+
+    def _offsets(self, own: dict[str, Array], channels: tuple[str, ...]) -> Array:
         """What each channel reads where there is nothing to read, (C,)."""
-        sums = [sum(own[o] for o in offsets_of(c, self.channels) if o in own) for c in self.channels]
+        sums = [sum(own[o] for o in offsets_of(c, channels) if o in own) for c in channels]
         return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])
 
     def features(self, point: Array) -> Array:
