@@ -16,11 +16,11 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.reading import read
+from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
-from calibration.data.readers import read
-from calibration.data.textfile import Stated
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.plausible import effective
 from calibration.impacts.proposal import Sizes, Understood, sizes, understood

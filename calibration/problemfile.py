@@ -40,14 +40,14 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY, Quantity
+from bcfj_jax.data.reading import read
+from bcfj_jax.data.record import Record, split
+from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data.readers import read
-from calibration.data.table import Table, split
-from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
 from calibration.impacts import plausible, sensor, stated, trains
 from calibration.impacts.events import contacts
@@ -352,7 +352,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 
 
 def _doubts(
-    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
+    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Record | None]
 ) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``impacts.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
@@ -408,10 +408,10 @@ def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]
 
 def _records(
     file: _File, path: Path, base: scenefile.SceneFile
-) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Table | None]]:
+) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Record | None]]:
     """Every record (None where an entry gives only features) with the number of its entry and the entry; and its rows."""
     records, broken = [], Faults()
-    rows: list[Table | None] = []
+    rows: list[Record | None] = []
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
@@ -452,7 +452,7 @@ def _records(
     return records, rows
 
 
-def _by_columns(entry: _Experiment, part: Table, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
+def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
     """An entry for one record, with the parameters that columns of its rows give.
 
     The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.

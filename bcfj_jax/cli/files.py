@@ -100,7 +100,7 @@ def init(
             raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
         ready(None)
         from calibration import init as proposal
-        from calibration.data.textfile import Stated
+        from bcfj_jax.data.textfile import Stated
 
         stated = Stated(separator, decimal, encoding, header)
         said = proposal.Said(scene, mass, speed, table, struck_mass, stated)

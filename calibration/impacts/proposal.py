@@ -17,9 +17,9 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.numbers import is_missing, is_number
+from bcfj_jax.data.record import RUN_COLUMNS, Record, split
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
-from calibration.data.numbers import is_missing, is_number
-from calibration.data.table import RUN_COLUMNS, Table, split
 from calibration.impacts.events import Event, contacts, rest
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
@@ -52,7 +52,7 @@ _FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Record:
+class Run:
     """One run: clock (N,) [s] and readings (N,) by unit, SI, signs turned so that contacts push and bodies approach."""
 
     name: str
@@ -111,14 +111,14 @@ class Understood:
     columns: dict[str, str]
     others: list[str]
     runs: tuple[str, int]
-    records: list[Record]
+    records: list[Run]
     rows: dict[str, str] = field(default_factory=dict)
     said: str = ""
     given: tuple[str, str] = ("", "")
     speeds: tuple[float, ...] = ()
 
 
-def understood(table: Table) -> Understood:
+def understood(table: Record) -> Understood:
     """What a table is, by its headers and by what its columns do.
 
     Raises:
@@ -151,7 +151,7 @@ def understood(table: Table) -> Understood:
         if not events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
-        records.append(Record(label, clock, turned, events))
+        records.append(Run(label, clock, turned, events))
     given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]])
     shown = {u: ("-" if signs[u] < 0 else "") + h for u, h in found.items()}
     known = {time, run, given[0], *found.values(), *rows}
@@ -163,7 +163,7 @@ def understood(table: Table) -> Understood:
 
 
 def _read(
-    part: Table, time: str, found: dict[str, str], faults: Faults
+    part: Record, time: str, found: dict[str, str], faults: Faults
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:  # fmt: skip
     """Clock (N,) [s] and readings (N,) by unit of one run; what is wrong with them is put to ``faults``."""
     readings, clock = {}, np.arange(float(part.lines.size))
@@ -176,7 +176,7 @@ def _read(
     return clock, readings
 
 
-def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
+def _speeds(table: Record, parts: list[Record]) -> tuple[tuple[str, str], tuple[float, ...]]:
     """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
@@ -194,7 +194,7 @@ def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[fl
     return ("", ""), ()
 
 
-def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
+def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     """Rows beside the one text that has a clock, where a column of text parts the table into curves."""
     if not time:
         return {}, table
@@ -215,7 +215,7 @@ def _name(header: str) -> str:
     return column(header)[0].lower().strip()
 
 
-def _columns(table: Table) -> dict[str, str]:
+def _columns(table: Record) -> dict[str, str]:
     """Headers by unit: those that state one, then those whose name says what they are.
 
     A column that is one number in each run, such as a drop height, is no reading. Of several accelerations the one that
@@ -243,7 +243,7 @@ def _columns(table: Table) -> dict[str, str]:
     return found
 
 
-def _range(table: Table, header: str) -> float:
+def _range(table: Record, header: str) -> float:
     """Largest less least reading of a column, SI; 0 where it has none."""
     try:
         values = table.numbers(header, _unit(header) or "1", table.name, True)
@@ -252,7 +252,7 @@ def _range(table: Table, header: str) -> float:
     return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
 
 
-def _is_fixed(table: Table, header: str) -> bool:
+def _is_fixed(table: Record, header: str) -> bool:
     """Whether a column is one number in each of several runs; of a table without runs, one that is named as such a number."""
     run = next((h for h in table.header if _name(h) in RUN_COLUMNS), "")
     column_of = dict(zip(table.header, table.columns, strict=True))
@@ -359,7 +359,7 @@ def sizes(found: Understood) -> Sizes:
     )
 
 
-def _mass(records: list[Record], moving: bool) -> float | None:
+def _mass(records: list[Run], moving: bool) -> float | None:
     """Mass by the force: of impulses over changes of speed, or of the acceleration; None where neither is read."""
     if not all("N" in r.readings for r in records):
         return None
@@ -373,7 +373,7 @@ def _mass(records: list[Record], moving: bool) -> float | None:
     return float(f @ a / (a @ a)) if a @ a > 0 else None
 
 
-def _specific(record: Record) -> Record:
+def _specific(record: Run) -> Run:
     """A record of an acceleration as one of a force per mass."""
     if "N" in record.readings or "m/s^2" not in record.readings:
         return record

@@ -10,16 +10,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bcfj_jax import InputError
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.data import clock, numbers
+from bcfj_jax.data.decoding import decoded
+from bcfj_jax.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from calibration.data import numbers
-from calibration.data.decoding import decoded
-from calibration.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
-from calibration.data.table import Table
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
@@ -40,12 +40,19 @@ class Stated:
         decimal: "." or ",".
         encoding: as Python names it, such as "utf-8" or "cp1252".
         header: line of the names, or lines of names in two lines; 0: the file has no names.
+        sensitivity, full_scale: of channels that are voltages, charges or shares of a full scale (``sensitivity``).
     """
 
     separator: str | None = None
     decimal: str | None = None
     encoding: str | None = None
     header: int | list[int] | None = None
+    sensitivity: str | None = None
+    full_scale: str | None = None
+
+    def written(self) -> dict[str, Any]:
+        """What is said of how a text is written."""
+        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale")}
 
     def check(self, where: str) -> None:
         """Refuse values that are none.
@@ -64,7 +71,7 @@ class Stated:
             )
 
 
-def read(path: Path, where: str, stated: Stated) -> Table:
+def read(path: Path, where: str, stated: Stated) -> Record:
     """The table in a text file; rows that do not fit are in its ``faults``.
 
     Raises:
@@ -88,7 +95,7 @@ def read(path: Path, where: str, stated: Stated) -> Table:
 
 def table(
     path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
-) -> Table:  # fmt: skip
+) -> Record:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
     counted = file.counted
     lines = np.array([r.line for r in layout.rows])
@@ -105,10 +112,19 @@ def table(
     if layout.united:
         parts.append(f"units in {_lines(layout.united, counted)}")
     parts.append(f"{lines.size} rows, {counted}s {lines[0]} to {lines[-1]}")
+    if layout.left:
+        parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in layout.names[:12])
     parts.append(f"{len(layout.names)} columns: {clip(named)}{', ...' if len(layout.names) > 12 else ''}")
-    return Table(
-        path, layout.names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
+    names = layout.names
+    timed = any(map(clock.is_time, names)) or any(len(c) and clock.is_of_day(c[0]) for c in columns)
+    if not timed and (even := clock.stated(layout.facts, str(path))):
+        start, step = even
+        names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
+        decimals = (".", *decimals)
+        parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
+    return Record(
+        path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
     )  # fmt: skip
 
 
@@ -173,7 +189,7 @@ def _score(lines: Sequence[str], separator: str, least: int) -> float:
             continue
         cells = _cells(line, separator)
         given = [c for c in cells if not numbers.is_missing(c)]
-        count = sum(map(numbers.is_number, given))
+        count = sum(numbers.is_number(c) or clock.is_of_day(c) for c in given)
         if count >= least:
             shares[len(cells)] = shares.get(len(cells), 0.0) + count / len(given)
     return max(shares.values(), default=0.0)
