@@ -11,7 +11,9 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
                                  those times (after aligning); separator, decimal, encoding and header say how a text
-                                 is written where it is not to be found (``data.textfile``)
+                                 is written where it is not to be found (``data.textfile``); file may be a pattern,
+                                 "run*.csv", each a run; runs_by names the column that numbers runs; sensitivity =
+                                 "10 mV/N" and full_scale = "500 N" say what volts, charges and shares stand for
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
@@ -99,6 +101,9 @@ class _Experiment(tables.Table):
     decimal: str | None = None
     encoding: str | None = None
     header: int | list[int] | None = None
+    sensitivity: str | None = None
+    full_scale: str | None = None
+    runs_by: str | None = None
     bounds: dict[str, list[Any]] = {}
 
     @property
@@ -232,7 +237,19 @@ def _content(path: Path) -> _File:
 def sources(path: Path) -> list[Path]:
     """The data files a calibration file reads, for checksums."""
     file = _content(path)
-    return [path.parent / name for name in dict.fromkeys(e.file for e in file.experiment if e.file)]
+    names = dict.fromkeys(e.file for e in file.experiment if e.file)
+    return [found for name in names for found in _files(path, name, str(path))]
+
+
+def _files(path: Path, name: str, where: str) -> list[Path]:
+    """The file of a name beside a calibration file, or all files of a pattern such as "run*.csv"."""
+    if not any(sign in name for sign in "*?") or (path.parent / name).exists():
+        return [path.parent / name]
+    given_ = Path(name)
+    found = sorted((path.parent / given_.parent).glob(given_.name))
+    if not found:
+        raise InputError(f"{where} file", f"no file is named as {name}", "give a pattern relative to the problem file")
+    return found
 
 
 def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
@@ -425,17 +442,19 @@ def _records(
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
-        stated = Stated(entry.separator, entry.decimal, entry.encoding, entry.header)
-        whole = read(path.parent / entry.file, f"{where} file", entry.table, stated)
+        how = Stated(entry.separator, entry.decimal, entry.encoding, entry.header, entry.sensitivity, entry.full_scale)
+        files = _files(path, entry.file, where)
+        wholes = [read(file_, f"{where} file", entry.table, how) for file_ in files]
+        whole = wholes[0]
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
         recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
-        parts = split(whole, entry.rows, where)
+        parts = [part for one in wholes for part in split(one, entry.rows, where, entry.runs_by)]
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
-        faults, said = Faults(whole.faults), whole.found
+        faults, said = Faults([fault for one in wholes for fault in one.faults]), whole.found
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
             # Results go by name, so that no two records may share one.
