@@ -115,7 +115,7 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    found = _understood(record, said)
+    found = found_in(record, said)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -149,7 +149,7 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     return 0
 
 
-def _understood(record: Path, said: Said) -> Understood:
+def found_in(record: Path, said: Said) -> Understood:
     """What a record is: a file, the one table of several that holds a contact, or all files of a pattern."""
     if re.search("[*?]", record.name):
         paths = sorted(record.parent.glob(record.name))
@@ -293,7 +293,7 @@ def rows_of(text: str | None) -> dict[str, Any]:
 def _asked_runs(found: Understood, said: Said) -> bool:
     """Whether the file must say what numbers its runs, since no name of the column does."""
     return found.runs[0] not in ("", "file") and (
-        said.hints.runs_by is not None or column(found.runs[0])[0].lower() not in RUN_COLUMNS
+        said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
     )
 
 

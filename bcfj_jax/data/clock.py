@@ -117,13 +117,14 @@ def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] 
 
 
 def _number(value: str, unit: str | None, si_unit: str) -> float | None:
+    """A number with its unit, SI; None of what is none."""
     found = _NUMBER.fullmatch(str(value))
-    if not found:
+    if found is None:
         return None
     text = found[1].replace(",", "." if "." not in found[1] else "")
-    unit = (found[2].strip(' "') or unit or "").strip()
+    said: str = (found[2].strip(' "') or unit or "").strip()
     with contextlib.suppress(ValueError, InputError):
-        if si_unit == "Hz" and _SAMPLES_A_SECOND.fullmatch(unit):
-            return float(text) * {"k": 1e3, "m": 1e6}.get(unit[0].lower() if unit[0] in "kM" else "", 1.0)
-        return float(text) * (scale_of(unit, si_unit, "clock") if unit else 1.0)
+        if si_unit == "Hz" and _SAMPLES_A_SECOND.fullmatch(said):
+            return float(text) * {"k": 1e3, "m": 1e6}.get(said[0].lower() if said[0] in "kM" else "", 1.0)
+        return float(text) * (scale_of(said, si_unit, "clock") if said else 1.0)
     return None

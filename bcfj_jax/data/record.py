@@ -22,8 +22,8 @@ from bcfj_jax.io.units import column, scale_of
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = (
     "run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag", "segment", "run no", "run_no",
-    "run number", "trial no", "drop no", "hit no", "impact", "impact no", "stroke", "essai", "prüfung", "probe", "specimen",
-    "wurf", "fall", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
+    "run number", "trial no", "drop no", "hit no", "impact", "impact no", "essai", "prüfung", "probe", "specimen",
+    "wurf", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
 )  # fmt: skip
 # Cells of one fault that a message quotes.
 _QUOTED = 5
@@ -241,7 +241,7 @@ def split(
         InputError: when a filter leaves no row, with the values that are there.
     """
     parts = [("", table)]
-    named = next((h for h in table.header if column(h)[0].lower() in RUN_COLUMNS), "") if runs_by is None else runs_by
+    named = next((h for h in table.header if h.strip().lower() in RUN_COLUMNS), "") if runs_by is None else runs_by
     unasked = {column(named)[0]: None} if named else {}
     wanted = {**unasked, **rows}
     for name, choice in wanted.items():

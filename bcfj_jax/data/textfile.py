@@ -29,6 +29,8 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
+# Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
+_LARGE, _HEAD = 50_000, 4000
 
 
 @dataclass(frozen=True)
@@ -85,12 +87,55 @@ def read(path: Path, where: str, stated: Stated) -> Record:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:], path)
     file = File(str(path), "line")
+    if len(lines) > _LARGE and (record := _large(path, lines, first, separator, stated, file, encoding)):
+        return record
     rows, faults = _rows(lines, first, separator, file)
     layout = found(rows, file, stated.header)
     decimals = decimal_marks(layout, stated, file, commas_part=separator == "comma")
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
     layout = replace(layout, faults=[*faults, *layout.faults])
     return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
+
+
+def _large(
+    path: Path, lines: list[str], first: int, separator: str, stated: Stated, file: File, encoding: str
+) -> Record | None:  # fmt: skip
+    """The table of a text of many lines that are all numbers, by NumPy; None where one is not: cells are then looked at."""
+    try:
+        rows, faults = _rows(lines[:_HEAD], first, separator, file)
+        layout = found(rows, file, stated.header)
+        marks = set(decimal_marks(layout, stated, file, commas_part=separator == "comma"))
+    except InputError:
+        return None
+    if faults or layout.faults or layout.left or len(marks) != 1:
+        return None
+    begin, data = layout.rows[0].line - 1, lines[layout.rows[0].line - 1 :]
+    while data and not data[-1].strip():
+        data.pop()
+    if marks == {","}:
+        if separator == "comma" or any("." in line for line in data):
+            return None
+        data = [line.replace(",", ".") for line in data]
+    try:
+        values = np.loadtxt(
+            data, delimiter=None if separator == "blank" else SEPARATORS[separator], comments=None, ndmin=2
+        )
+    except (ValueError, OverflowError):
+        return None
+    if len(values) != len(data) or values.shape[1] != len(layout.kept) or layout.kept != tuple(range(values.shape[1])):
+        return None
+    mark = "points" if marks == {"."} else "commas"
+    said = table(path, layout, (), file, f"{encoding} text, {_SAID[separator]}, decimal {mark}")
+    size, timed = len(values), len(said.header) > values.shape[1]
+    columns = [*values.T]
+    if timed:
+        start, step = clock.stated(layout.facts, str(path)) or (0.0, 1.0)
+        columns = [start + step * np.arange(size), *columns]
+    shown = said.found.replace(
+        f"{len(layout.rows)} rows, lines {begin + 1} to {layout.rows[-1].line}",
+        f"{size} rows, lines {begin + 1} to {begin + size}",
+    )
+    return replace(said, columns=tuple(columns), lines=np.arange(begin + 1, begin + size + 1), found=shown)
 
 
 def table(
@@ -206,6 +251,8 @@ def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple
         if len(line) > 1_000_000:
             raise InputError(file.at(number), f"{len(line)} characters in one line", "give a file of rows")
         cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
+        if comment and cells[0] == "" and any(cells) and line.lstrip()[0] == "#":
+            cells[0] = "#"  # The name of a column of numbers.
         if any(cells):
             rows.append(Row(number, cells, comment))
     if separator == "blank":

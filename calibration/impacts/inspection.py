@@ -81,7 +81,7 @@ def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, zero: f
 def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list[str]:
     """What a channel's readings (N,), SI, lack, what is ``masked`` of them, and whether they look clipped."""
     notes = []
-    blanks = int(np.isnan(values).sum())
+    blanks = int((np.isnan(values) & ~masked).sum())
     if blanks:
         notes.append(f"{observes}: {blanks} of {values.size} cells hold no number; nothing is interpolated over them")
     if masked.any():

@@ -107,6 +107,8 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
         with faults:
             raw[observes] = _signed(part, header, unit_of(observes), where)
     saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
+    # Infinity, of a sample beyond what an instrument can show, says no more than that.
+    raw = {o: np.where(np.isinf(values), np.nan, values) for o, values in raw.items()}
     wrong = {o: _wrong(o, values, clock) & ~saturated[o] for o, values in raw.items()}
     masked = {o: saturated[o] | wrong[o] for o in raw}
     for o, values in raw.items():

@@ -239,20 +239,29 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
 
 
 def _run_column(table: Record) -> str:
-    """The column that numbers runs: by its name, or since each whole number stands in one block of many rows."""
+    """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
     for h in table.header:
-        if h and _name(h) in RUN_COLUMNS:
+        if h and h.strip().lower() in RUN_COLUMNS:
             return h
+    try:
+        clock = table.numbers(table.clock, "s", table.name, True) if table.clock else np.zeros(0)
+    except InputError:  # Said where the clock is read.
+        clock = np.zeros(0)
+    if clock.size < 2 * _RUN_ROWS:
+        return ""
     for h, cells in zip(table.header, table.columns, strict=True):
-        if not h or column(h)[1] is not None or table.lines.size < 2 * _RUN_ROWS:
+        if not h or column(h)[1] is not None:
             continue
         texts = cells.astype(str)
         changes = np.flatnonzero(texts[1:] != texts[:-1]) + 1
-        if not 2 <= changes.size < _MOST_RUNS or not _is_numeric(cells):
+        if not 1 <= changes.size < _MOST_RUNS or not _is_numeric(cells):
             continue
         numbers = table.numbers(h, "1", table.name, True)[np.r_[0, changes]]
         lengths = np.diff(np.r_[0, changes, texts.size])
-        if (np.diff(numbers) == 1.0).all() and numbers[0] in (0.0, 1.0) and lengths.min() >= _RUN_ROWS:
+        steps = np.diff(clock)
+        # Runs are apart in time, or each has a clock of its own; the samples of a slower channel are not.
+        apart = (steps[changes - 1] < 0) | (steps[changes - 1] > 5.0 * np.median(steps))
+        if apart.all() and (np.diff(numbers) == 1.0).all() and numbers[0] in (0.0, 1.0) and lengths.min() >= _RUN_ROWS:
             return h
     return ""
 
@@ -267,7 +276,8 @@ def _read(
         check_clock(clock, part, time)
     for unit, header in found.items():
         with faults:
-            readings[unit] = part.numbers(header, "N" if unit == "tangential" else unit, part.name, True)
+            values = part.numbers(header, "N" if unit == "tangential" else unit, part.name, True)
+            readings[unit] = np.where(np.isinf(values), np.nan, values)
     return clock, readings
 
 
@@ -314,7 +324,9 @@ def _named(header: str, unit: str) -> bool:
     """Whether a name is one of a reading of a unit: as a whole, or by one of its words of three letters and more."""
     name = _name(header)
     words = {w for w in re.split(r"[\W\d_]+", name) if len(w) > 2}
-    return name in _NAMES[unit] or bool(words & set(_NAMES[unit]) and not words & _NEITHER)
+    # "A" is a channel of an oscilloscope.
+    whole = name in _NAMES[unit] and column(header)[0].strip() != "A"
+    return whole or bool(words & set(_NAMES[unit]) and not words & _NEITHER)
 
 
 def _columns(table: Record, run: str = "") -> dict[str, str]:
@@ -325,7 +337,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     """
     found: dict[str, str] = {}
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
-    numeric = [h for h in numeric if h != run and _name(h) not in RUN_COLUMNS and not _is_fixed(table, h, run)]
+    numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     stated = {h: u for h in numeric if (u := _unit(table, h))}
 
     def later(header: str) -> tuple[bool, float]:

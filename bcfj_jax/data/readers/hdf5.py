@@ -28,10 +28,11 @@ def read(file: str, wanted: str) -> Content:
     content = h5py.File(file, "r")  # Closed with the process: values are read when they are written out.
     tables, matrices = Tables(), Tables()
 
-    def visit(name: str, item: Any) -> None:
+    def visit(name: str, thing: object) -> None:
         # MATLAB keeps the content of cells and objects in groups of these names.
-        if name.startswith("#") or not isinstance(item, h5py.Dataset):
+        if name.startswith("#") or not isinstance(thing, h5py.Dataset):
             return
+        item: Any = thing
         unit = next((item.attrs[k] for k in UNIT_NAMES if k in item.attrs), None)
         if item.dtype.names:
             tables[name] = {field: Column(None, item.size, _part(item, field)) for field in item.dtype.names}
