@@ -24,9 +24,10 @@ from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
+from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Hints, Sizes, Understood, sizes, understood
+from calibration.impacts.proposal import Hints, Run, Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -41,6 +42,8 @@ _DEPTH, _USUAL = 3.2, 0.7
 _ELASTIC = 0.98
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
+# Flights over contacts from which on contacts are apart.
+_APART = 2.0
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -119,6 +122,7 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
+    found = _each(found, said) if kind == "impact" else found
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
@@ -178,6 +182,29 @@ def found_in(record: Path, said: Said) -> Understood:
     return understood(read(record, "record", said.table, said.stated), said.hints)
 
 
+def _each(found: Understood, said: Said) -> Understood:
+    """What was understood with each contact as a record, where several stand far apart and each may have a speed of its own."""
+    s = sizes(found)
+    if said.speed is not None or found.given[0] or not s.flights or min(s.flights) < _APART * s.duration:
+        return found
+    if len(found.records) > 1 and max(len(r.events) for r in found.records) == 1:
+        return found
+    unit = next(u for u in ("N", "m/s^2", "m/s", "m") if u in found.columns)
+    if unit not in ("N", "m/s^2"):
+        return found
+    pieces = []
+    for record in found.records:
+        for k, keep in apart(record.clock, record.events):
+            readings = {u: v[keep] for u, v in record.readings.items()}
+            seen = -readings[unit] if unit == "m/s^2" else readings[unit]
+            if events := contacts("contact.normal", record.clock[keep], seen):
+                pieces.append(Run(f"{record.name} contact {k + 1}", record.clock[keep], readings, events[:1]))
+    left = sum(len(r.events) for r in found.records) - len(pieces)
+    note = f"; {left} contacts below a tenth of the largest peak left out" if left else ""
+    runs = (found.runs[0] or "contact", len(pieces))
+    return replace(found, records=pieces, runs=runs, each=True, said=found.said + note)
+
+
 def _kind(found: Understood) -> str:
     """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces."""
     if "tangential" in found.columns:
@@ -210,7 +237,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
+        _Line(
+            f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
+        ),
         *([f"table = {_quoted(found.table)}"] if found.table else []),
         *(
             f"{key} = {_quoted(v) if isinstance(v, str) else v}"
@@ -219,6 +248,11 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         ),
         f"time = {_quoted(found.time)}",
         *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
+        *(
+            [_Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
+            if found.each
+            else []
+        ),
         *([f"runs_by = {_quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
@@ -292,7 +326,7 @@ def rows_of(text: str | None) -> dict[str, Any]:
 
 def _asked_runs(found: Understood, said: Said) -> bool:
     """Whether the file must say what numbers its runs, since no name of the column does."""
-    return found.runs[0] not in ("", "file") and (
+    return found.runs[0] not in ("", "file", "contact") and (
         said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
     )
 
@@ -307,10 +341,12 @@ def _quoted(text: str) -> str:
 
 
 def _summary(found: Understood, s: Sizes) -> str:
-    many = f"{found.runs[1]} runs, " if found.runs[0] else ""
+    what = "contacts" if found.each else "files" if found.runs[0] == "file" else "runs"
+    many = f"{found.runs[1]} {what}, " if found.runs[0] else ""
+    of = " a run" if what == "runs" and many else " each" if many else ""
     parts = [
         f"{many}a sample every {format_si(s.step, 's', 3)}",
-        f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{' a run' if many else ''}, the first of "
+        f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{of}, the first of "
         f"{format_si(s.duration, 's', 3)} and {s.samples} samples",
     ]
     if np.isfinite(s.peak):

@@ -12,7 +12,8 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
                                  those times (after aligning); separator, decimal, encoding and header say how a text
                                  is written where it is not to be found (``data.textfile``); file may be a pattern,
-                                 "run*.csv", each a run; runs_by names the column that numbers runs; sensitivity =
+                                 "run*.csv", each a run; runs_by names the column that numbers runs; contacts =
+                                 "each" makes every contact of a run a record (``events.apart``); sensitivity =
                                  "10 mV/N" and full_scale = "500 N" say what volts, charges and shares stand for
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
@@ -52,7 +53,7 @@ from bcfj_jax.models import scenes
 from calibration import given
 from calibration.filters import HIGHEST, Filter
 from calibration.impacts import plausible, sensor, stated, trains
-from calibration.impacts.events import contacts
+from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.flights import contradicted
 from calibration.impacts.preparation import Prepared, Recipe, prepare
 from calibration.impacts.sensor import Sensor
@@ -104,6 +105,7 @@ class _Experiment(tables.Table):
     sensitivity: str | None = None
     full_scale: str | None = None
     runs_by: str | None = None
+    contacts: Literal["first", "each"] = "first"
     bounds: dict[str, list[Any]] = {}
 
     @property
@@ -451,6 +453,8 @@ def _records(
         thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
         recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
         parts = [part for one in wholes for part in split(one, entry.rows, where, entry.runs_by)]
+        if entry.contacts == "each":
+            parts = [piece for label, part in parts for piece in _each_contact(label, part, entry, where)]
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
@@ -469,6 +473,18 @@ def _records(
             faults.refuse(whole.name)
     broken.refuse(str(path))
     return records, rows
+
+
+def _each_contact(label: str, part: Record, entry: _Experiment, where: str) -> list[tuple[str, Record]]:
+    """Rows about each contact of a run, cut midway between them; those too small to be fitted beside the largest are left out."""
+    observes = telling(list(entry.observe))[0]
+    header = entry.observe[observes]
+    sign, name = (-1.0 if header.startswith("-") else 1.0), header.removeprefix("-").strip()
+    clock = part.numbers(str(entry.time), "s", f"{where} time", blank=False)
+    values = sign * part.numbers(name, unit_of(observes), f"{where} observe", blank=True)
+    values = np.where(np.isinf(values), np.nan, values)
+    pieces = apart(clock, contacts(observes, clock, values))
+    return [(f"{label} contact {k + 1}" if len(pieces) > 1 else label, part.where(keep)) for k, keep in pieces]
 
 
 def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:

@@ -124,6 +124,7 @@ class Understood:
         said: how the file is written, in words.
         given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
         speeds: of each record [m/s], by that column.
+        each: whether each contact is a record, cut from its run.
     """
 
     path: Path
@@ -137,6 +138,7 @@ class Understood:
     said: str = ""
     given: tuple[str, str] = ("", "")
     speeds: tuple[float, ...] = ()
+    each: bool = False
 
 
 class Hints(NamedTuple):
