@@ -43,9 +43,7 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY, Quantity
-from bcfj_jax.data.reading import read
-from bcfj_jax.data.record import Record, split
-from bcfj_jax.data.textfile import Stated
+from bcfj_jax.data.record import Record
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
@@ -53,8 +51,9 @@ from bcfj_jax.models import scenes
 from calibration import given
 from calibration.filters import HIGHEST, Filter
 from calibration.impacts import plausible, sensor, stated, trains
-from calibration.impacts.events import apart, contacts, telling
+from calibration.impacts.events import contacts
 from calibration.impacts.flights import contradicted
+from calibration.impacts.parting import files_of, runs_of
 from calibration.impacts.preparation import Prepared, Recipe, prepare
 from calibration.impacts.sensor import Sensor
 from calibration.problem import (
@@ -240,18 +239,7 @@ def sources(path: Path) -> list[Path]:
     """The data files a calibration file reads, for checksums."""
     file = _content(path)
     names = dict.fromkeys(e.file for e in file.experiment if e.file)
-    return [found for name in names for found in _files(path, name, str(path))]
-
-
-def _files(path: Path, name: str, where: str) -> list[Path]:
-    """The file of a name beside a calibration file, or all files of a pattern such as "run*.csv"."""
-    if not any(sign in name for sign in "*?") or (path.parent / name).exists():
-        return [path.parent / name]
-    given_ = Path(name)
-    found = sorted((path.parent / given_.parent).glob(given_.name))
-    if not found:
-        raise InputError(f"{where} file", f"no file is named as {name}", "give a pattern relative to the problem file")
-    return found
+    return [found for name in names for found in files_of(path, name, str(path))]
 
 
 def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
@@ -444,17 +432,12 @@ def _records(
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
-        how = Stated(entry.separator, entry.decimal, entry.encoding, entry.header, entry.sensitivity, entry.full_scale)
-        files = _files(path, entry.file, where)
-        wholes = [read(file_, f"{where} file", entry.table, how) for file_ in files]
+        wholes, parts = runs_of(path, entry, where)
         whole = wholes[0]
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
         recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
-        parts = [part for one in wholes for part in split(one, entry.rows, where, entry.runs_by)]
-        if entry.contacts == "each":
-            parts = [piece for label, part in parts for piece in _each_contact(label, part, entry, where)]
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
@@ -473,18 +456,6 @@ def _records(
             faults.refuse(whole.name)
     broken.refuse(str(path))
     return records, rows
-
-
-def _each_contact(label: str, part: Record, entry: _Experiment, where: str) -> list[tuple[str, Record]]:
-    """Rows about each contact of a run, cut midway between them; those too small to be fitted beside the largest are left out."""
-    observes = telling(list(entry.observe))[0]
-    header = entry.observe[observes]
-    sign, name = (-1.0 if header.startswith("-") else 1.0), header.removeprefix("-").strip()
-    clock = part.numbers(str(entry.time), "s", f"{where} time", blank=False)
-    values = sign * part.numbers(name, unit_of(observes), f"{where} observe", blank=True)
-    values = np.where(np.isinf(values), np.nan, values)
-    pieces = apart(clock, contacts(observes, clock, values))
-    return [(f"{label} contact {k + 1}" if len(pieces) > 1 else label, part.where(keep)) for k, keep in pieces]
 
 
 def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:

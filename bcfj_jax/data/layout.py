@@ -107,13 +107,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         )
     top = {r.line for r in (*names, *units)}
     facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
-    below = data[0] if names and not _is_data(data[0].cells, numeric) else None
-    if below and len(data) > 1 and (more := preamble.increments(names[-1].cells, below.cells)):
-        facts, data = facts + more, data[1:]
-        texts = [c if isinstance(c, str) and not is_number(c) else "" for c in below.cells[:wide]]
-        said = {name for name, _ in more}
-        cells = ["" if c in said else c for c in names[-1].cells[:wide]]
-        names, units = [names[-1]._replace(cells=cells)], [below._replace(cells=texts)]
+    names, units, data, more = _incremented(names, units, data, numeric, wide)
+    facts += more
     titles = _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
@@ -137,6 +132,20 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         facts=facts,
         left=left,
     )
+
+
+def _incremented(
+    names: list[Row], units: list[Row], data: list[Row], numeric: list[int], wide: int
+) -> tuple[list[Row], list[Row], list[Row], preamble.Facts]:
+    """Names, units and data where the row below the names holds a start and a step (Rigol), and these; else as they are."""
+    below = data[0] if names and not _is_data(data[0].cells, numeric) else None
+    more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []
+    if below is None or not more:
+        return names, units, data, []
+    said = {name for name, _ in more}
+    cells = ["" if c in said else c for c in names[-1].cells[:wide]]
+    texts = [c if isinstance(c, str) and not is_number(c) else "" for c in below.cells[:wide]]
+    return [names[-1]._replace(cells=cells)], [below._replace(cells=texts)], data[1:], more
 
 
 def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:

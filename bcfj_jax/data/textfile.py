@@ -87,7 +87,7 @@ def read(path: Path, where: str, stated: Stated) -> Record:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:], path)
     file = File(str(path), "line")
-    if len(lines) > _LARGE and (record := _large(path, lines, first, separator, stated, file, encoding)):
+    if len(lines) > _LARGE and (record := _large(path, lines, (first, separator), stated, encoding)):
         return record
     rows, faults = _rows(lines, first, separator, file)
     layout = found(rows, file, stated.header)
@@ -98,9 +98,10 @@ def read(path: Path, where: str, stated: Stated) -> Record:
 
 
 def _large(
-    path: Path, lines: list[str], first: int, separator: str, stated: Stated, file: File, encoding: str
+    path: Path, lines: list[str], how: tuple[int, str], stated: Stated, encoding: str
 ) -> Record | None:  # fmt: skip
     """The table of a text of many lines that are all numbers, by NumPy; None where one is not: cells are then looked at."""
+    (first, separator), file = how, File(str(path), "line")
     try:
         rows, faults = _rows(lines[:_HEAD], first, separator, file)
         layout = found(rows, file, stated.header)
