@@ -7,7 +7,7 @@ Two things go to the standard output: a line of JSON, {"tables": [[path of the t
 of the table TABLE ("*" for every table, "" for the only one), each as an .npy. A column is a vector of numbers or texts, or one
 of either; no object leaves. READER is the file of a module of ``readers``.
 
-Exit codes: 0 done, 3 the file is refused: the last line on the standard error is JSON, [the reason, the remedy or null].
+Exit codes: 0 done, 3 the file is refused: a line on the standard error is JSON, [the reason, the remedy or null].
 """
 
 from __future__ import annotations

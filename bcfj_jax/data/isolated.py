@@ -89,8 +89,10 @@ def _read(path: Path, wanted: str, changed: int, size: int, reader: ModuleType) 
     except subprocess.TimeoutExpired:
         raise _damaged(reader, f"it took longer than {_WAIT * seconds + _WAIT} s") from None
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    if done.returncode == child.REFUSED and said:
-        how, remedy = json.loads(said[-1])
+    # A library may go on to print as its process ends.
+    refused = [line for line in said if line.startswith('["') and line.endswith("]")]
+    if done.returncode == child.REFUSED and refused:
+        how, remedy = json.loads(refused[-1])
         if "MemoryError" in how:
             raise _oversize(reader)
         raise _Unreadable(clip(how), remedy or "write the file again, or give it the extension of its kind")
