@@ -229,6 +229,14 @@ class Record:
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
 
 
+def run_column(table: Record) -> str:
+    """The first column named as in ``RUN_COLUMNS`` that does not number the rows themselves; "" where there is none."""
+    for header, cells in zip(table.header, table.columns, strict=True):
+        if header.strip().lower() in RUN_COLUMNS and (cells.size < 2 or len(set(cells.tolist())) < cells.size):
+            return header
+    return ""
+
+
 def split(
     table: Record, rows: Mapping[str, object], where: str, runs_by: str | None = None
 ) -> list[tuple[str, Record]]:
@@ -241,7 +249,7 @@ def split(
         InputError: when a filter leaves no row, with the values that are there.
     """
     parts = [("", table)]
-    named = next((h for h in table.header if h.strip().lower() in RUN_COLUMNS), "") if runs_by is None else runs_by
+    named = run_column(table) if runs_by is None else runs_by
     unasked = {column(named)[0]: None} if named else {}
     wanted = {**unasked, **rows}
     for name, choice in wanted.items():

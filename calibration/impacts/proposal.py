@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.data.record import RUN_COLUMNS, Record, split
+from bcfj_jax.data.record import RUN_COLUMNS, Record, run_column, split
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
 from calibration.impacts.events import Event, contacts, rest
@@ -242,9 +242,8 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
 
 def _run_column(table: Record) -> str:
     """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
-    for h in table.header:
-        if h and h.strip().lower() in RUN_COLUMNS:
-            return h
+    if named := run_column(table):
+        return named
     try:
         clock = table.numbers(table.clock, "s", table.name, True) if table.clock else np.zeros(0)
     except InputError:  # Said where the clock is read.
