@@ -84,6 +84,11 @@ def test_a_tolerance_is_a_share_or_a_value():
     assert stated("0.55 kg +- 2 %") == (0.55, pytest.approx(0.011))
     assert stated("550 g ± 5 g") == (pytest.approx(0.55), pytest.approx(0.005))
     assert stated("0.55 kg") == (0.55, None)
+    # A certificate's uncertainty with its coverage factor, as a limit of 95 %.
+    for text in ("0.55 kg +- 2 %, k = 2", "0.55 kg +- 2 % (k=2)"):
+        assert stated(text) == (0.55, pytest.approx(0.011 * QUANTILE / 2.0))
+    with pytest.raises(InputError, match="tolerance"):
+        stated("0.55 kg +- 2 %, k = 0")
     with pytest.raises(InputError, match="mass: a tolerance of '-2 %'"):
         stated("0.55 kg +- -2 %")
     with pytest.raises(InputError, match="mass"):
