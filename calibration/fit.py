@@ -333,7 +333,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
         return _refused(found, text, unstated_filter.NONE)
     if reference and reference.ci95:
-        reference = replace(reference, ci95=open_.ends(-1, reference.ci95))
+        reference = replace(reference, ci95=open_.ends(-1, reference.ci95), interval_kind=unstated_filter.KIND)
     return replace(found, parameters=parameters, reference=reference)
 
 

@@ -207,7 +207,7 @@ def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
     best, over = oracle(found, worlds, runs), []
     for k, (axis, (name, p)) in enumerate(zip(found.optimum.model.coordinates, found.parameters.items(), strict=True)):
         noise = p.intervals.get("noise")
-        for kind, ends in zip(KINDS, (noise, p.ci95), strict=True):
+        for kind, ends in zip(KINDS[:2], (noise, p.ci95), strict=True):
             if ends is not None:
                 held[kind][0] += 1
                 held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
