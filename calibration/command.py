@@ -25,7 +25,7 @@ from bcfj_jax.io.units import format_si
 from calibration.diagnostics.answers import Answer
 from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
 from calibration.impacts.preparation import Prepared
-from calibration.problem import Problem
+from calibration.problem import NUISANCES, Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
@@ -316,9 +316,10 @@ def _uncertainty_rows(result: Fit) -> list[list[str]]:
 
 
 def _in_order(names: Iterable[str]) -> list[str]:
-    """Losses, then exponents, then others, and last a stiffness, which follows from force and exponent."""
+    """Losses, then exponents, then others, a stiffness, which follows from force and exponent, and last the sensor's numbers."""
     kinds = ("restitution", "damping", "loss", "exponent")
     place = {n: next((k for k, kind in enumerate(kinds) if kind in n), 4 + ("stiffness" in n)) for n in names}
+    place |= {n: 6 for n in place if n.partition("[")[0] in NUISANCES}
     return sorted(place, key=lambda n: place[n])
 
 

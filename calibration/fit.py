@@ -261,12 +261,12 @@ def _quoted(at: Optimum, name: str, p: Parameter, by: Quoted) -> Parameter:
         return p
     axis, z = at.model.coordinates[at.labels.index(name)], np.log(p.value) if p.value > 0.0 else 0.0
     kept = p.headline == unstated_filter.KIND or (p.headline == "noise" and p.interval_kind != "covariance")
-    limits = (axis.lower, axis.upper)
-    ends = quote.ends_about(
-        float(z) if axis.log else p.value, by.reach(name), axis.log, p.ci95 if kept else None, limits
+    about = (float(z) if axis.log else p.value, by.reach(name), axis.log)
+    own, ends = (
+        quote.ends_about(*about, given, (axis.lower, axis.upper)) for given in (None, p.ci95 if kept else None)
     )
-    headline = p.headline if kept else quote.KIND
-    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, quote.KIND: ends})
+    headline = quote.KIND if ends == own else p.headline
+    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, quote.KIND: own})
 
 
 def _force_quoted(at: Optimum, force: Reference, by: Quoted) -> Reference:
