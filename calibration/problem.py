@@ -15,11 +15,11 @@ from bcfj_jax.analysis.derivatives.names import event, feature, feature_unit, in
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.quantities import Quantity, check_order, real, scalar
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.channels import ATTITUDE, quantity_of, unit_of
 from bcfj_jax.mechanism.channels import channel as reading
-from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel, of_numbers
 from bcfj_jax.mechanism.observed import observing
-from calibration import given
+from calibration import attitudes, given
 from calibration.filters import Filter
 from calibration.solver_budget import budget
 
@@ -78,6 +78,11 @@ def units_of(observed: Iterable[str]) -> dict[str, list[str]]:
     return found
 
 
+def error_unit(observes: str) -> str:
+    """SI unit of a channel's errors: its reading's; of an attitude's rad (``attitudes``)."""
+    return "rad" if quantity_of(observes)[0] == ATTITUDE else unit_of(observes)
+
+
 def offsets_of(observes: str, among: Iterable[str]) -> tuple[str, ...]:
     """Names of the offsets that act on a channel: its unit's, and force_offset where all channels share one unit."""
     own = OFFSETS.get(unit_of(observes), "")
@@ -86,8 +91,10 @@ def offsets_of(observes: str, among: Iterable[str]) -> tuple[str, ...]:
 
 
 def size(observes: str, values: np.ndarray) -> float:
-    """What a share of a channel is a share of: its largest reading; of a position, whose zero is anywhere, its range."""
+    """What a share of a channel is a share of: its largest reading; of a place its range; 1 of an attitude."""
     what = observes.partition(" in ")[0].split(".")[1:2]
+    if what == [ATTITUDE]:
+        return 1.0
     seen = values[np.isfinite(values)]
     if not seen.size:
         return 0.0
@@ -134,7 +141,7 @@ class Channel:
         remedy = 'name a reading of the scene, such as "contact.normal"'
         where = f"channel {given.text('channel', self.observes, remedy)}"
         changed: dict[str, Any] = {"values": given.readings(where, self.values)}
-        parts = (("sigma", unit_of(self.observes)), ("relative", "1"), ("correlation", "s"), ("jitter", "s"))
+        parts = (("sigma", error_unit(self.observes)), ("relative", "1"), ("correlation", "s"), ("jitter", "s"))
         for name, unit in parts:
             value = getattr(self, name)
             if value is not None or name in ("relative", "jitter"):
@@ -307,6 +314,7 @@ class Problem:
         parts = {"experiments": Experiment, "free": Free}
         listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
         scene = of_numbers(self.scene)
+        listed["experiments"] = tuple(map(_turned, listed["experiments"]))
         # <contact>.clearance and clearance_<contact> are one parameter.
         listed["free"] = tuple(replace(f, name=scene.canonical(f.name)) for f in listed["free"])
         names = [seen.feature for e in listed["experiments"] for seen in e.features]
@@ -473,6 +481,18 @@ class Problem:
             raise InputError(where, found, f"{'write' if own else 'give it in'} {beside}")
 
 
+def _turned(experiment: Experiment) -> Experiment:
+    """The experiment with the channels of its attitudes that are kept (``attitudes.reduced``)."""
+    channels = {c.observes: c.values for c in experiment.channels}
+    names = attitudes.attitudes(channels)
+    if not names:
+        return experiment
+    kept = attitudes.reduced(experiment.times, channels, experiment.source or experiment.name)
+    dropped = {name for parts in names.values() for name in parts.values()} - kept.keys()
+    rest = (replace(c, values=kept.get(c.observes, c.values)) for c in experiment.channels if c.observes not in dropped)
+    return replace(experiment, channels=tuple(rest))
+
+
 def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
     where = experiment.source or experiment.name
     late = np.flatnonzero(np.diff(experiment.times) <= 0)
@@ -494,7 +514,7 @@ def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
 
 def _check_noise(channel: Channel, where: str) -> None:
     """Every sample must have a noise above 0, known or to be found."""
-    unit = unit_of(channel.observes)
+    unit = error_unit(channel.observes)
     if channel.sigma is None and (channel.relative or channel.jitter):
         raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
     if channel.correlation is not None and not 0.0 <= channel.correlation < np.inf:

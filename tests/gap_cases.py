@@ -17,6 +17,7 @@ from bcfj_jax.core.vectors import array
 R, C = 8e-3, 4e-5  # a ball and a clearance [m]
 BALL = {"clearance": 13e-6, "ball_radius": R, "pitch_radius": 0.0355, "offset": 4.5e-3}
 GOTHIC = {**BALL, "contact_angle": np.radians(40.0), "conformity": 0.52}
+BOX = {"half_length": 0.05, "half_width": 0.03, "half_height": 0.02}
 BLOCK = {"clearance": 1e-3, "half_length": 0.05, "half_width": 0.025}
 
 
@@ -63,6 +64,8 @@ CASES = {
     "slope": Case(
         "sphere_on_plane", {"axis": (0.6, 0.0, 0.8), "clearance": True}, {"radius": R, "clearance": C}, ZERO, R
     ),
+    "box": Case("box_on_plane", {}, BOX, (0.1, 0.2, 0.04), 1e-2),
+    "box-above": Case("box_on_plane", {"axis": "-y", "clearance": True}, {**BOX, "clearance": C}, ZERO, 1e-2),
     "spheres": Case("sphere_on_sphere", {}, {"radius_a": 0.02, "radius_b": R}, (0.01, 0.02, -0.02), 1e-3),
     "socket": Case("sphere_in_socket", {}, {"clearance": C, "radius": 0.04}, ZERO, C),
     "socket-of-b": Case("sphere_in_socket", {"axis_of": "b"}, {"clearance": C, "radius": 0.04}, ZERO, C),

@@ -17,6 +17,7 @@ JOINTS = ("slide", "hinge", "planar", "bearing", "particle", "spherical", "free"
 GAPS: dict[str, Any] = {
     "sphere_on_plane": gaps.SphereOnPlane((0.6, 0.0, 0.8)),
     "point_on_plane": gaps.PointOnPlane("-y", clearance=True),
+    "box_on_plane": gaps.BoxOnPlane("-y", clearance=True),
     "sphere_on_sphere": gaps.SphereOnSphere(),
     "sphere_in_socket": gaps.SphereInSocket(),
     "pin_in_bearing": gaps.PinInBearing(),
@@ -26,7 +27,8 @@ GAPS: dict[str, Any] = {
     "two_sided_stop": gaps.TwoSidedStop("x"),
 }
 _SIZES = {
-    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "clearance": 0.01,
+    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "half_height": 0.025,
+    "clearance": 0.01,
 }  # fmt: skip
 SHARED = {
     "stiffness": 1e4, "exponent": 1.5, "damping": 0.3, "restitution": 0.7, "dashpot": 5.0, "smoothing": 1e-3,
@@ -106,6 +108,9 @@ def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) 
         return reach * way / np.linalg.norm(way)
     if gap in ("pin_in_bearing", "pin_with_ends"):
         return np.array([*(play * way[:2] / np.linalg.norm(way[:2])), p[2]])
+    if gap == "box_on_plane":
+        reach = np.abs(turned[1]) @ [_SIZES[f"half_{k}"] for k in ("length", "width", "height")]
+        return np.array([p[0], play - reach, p[2]])
     if gap == "slider_in_guide":
         corners = turned @ np.array([[-0.03, 0.03], [0.02, 0.02], [0.0, 0.0]])
         return np.array([p[0], 0.02 + play - corners[1].max(), p[2]])
@@ -118,7 +123,7 @@ def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Gen
     round_ = [b.name for b in bodies if b.joint == "sphere"]
     names = [GROUND, *(b.name for b in bodies if b.name not in round_)]
     # A sphere's marker is its centre; what has directions is on the other body.
-    others = [*names[1:], *(round_ if gap not in ("pin_with_ends", "slider_in_guide") else [])]
+    others = [*names[1:], *(round_ if gap not in ("pin_with_ends", "slider_in_guide", "box_on_plane") else [])]
     if not others:
         return None
     second = str(rng.choice(others))

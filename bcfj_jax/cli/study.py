@@ -44,7 +44,9 @@ def study_run(
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    return _told(command.run(study, out, (workers, scheduler), dry_run, say, False))
+    if dry_run:
+        return _told((command.dry(study, out, (workers, scheduler)), command.DONE))
+    return _told(command.run(study, out, (workers, scheduler), say, typer.echo))
 
 
 @_of_study("resume", example=f"{_RUN}\nbcfj study resume clearance --out study")
@@ -55,7 +57,7 @@ def study_resume(
     ready(code, study)
     from bcfj_jax.analysis.studies import command
 
-    return _told(command.run(study, out, (workers, scheduler), False, say, True))
+    return _told(command.run(study, out, (workers, scheduler), say, typer.echo, True))
 
 
 @_of_study("status", example=f"{_RUN}\nbcfj study status clearance --out study")

@@ -101,6 +101,7 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("radius_b", "m", "radius of the second body's sphere"),
         _positive("half_length", "m", "half of the length of the block along its guide, or of the pin"),
         _positive("half_width", "m", "half of the width of the block across its guide"),
+        _positive("half_height", "m", "half of the height of the box, along its z axis"),
         # bodies, motion, loads
         _positive("mass", "kg", "mass of the moving body (effective mass m1 m2/(m1 + m2) of two)"),
         _positive("struck_mass", "kg", "mass of a free body that is struck"),

@@ -5,7 +5,8 @@
     <contact>.side                               on which side a contact that pushes both ways pushes: 1, -1, or 0
     <contact>.force.x | y | z                    whole force on the second body, world axes [N]
     <body>.place | velocity | acceleration.x|y|z of the centre of mass, world axes [m, m/s, m/s^2]
-    <body>.spin | spin_rate.x|y|z                [rad/s, rad/s^2]
+    <body>.spin | spin_rate.x|y|z                [rad/s, rad/s^2], world axes
+    <body>.attitude.q0|q1|q2|q3                  the body's axes in the world, a unit quaternion, scalar first and not negative
     <body>.angle                                 [rad], of a body with one axis
     <body>.torque | drive                        what its drive exerts [N m or N]
     <body>.position | velocity | speed | x | ... coordinates of its joint and their rates, as in a body's start
@@ -34,6 +35,7 @@ _OWN = {"normal": 0, "axial": 1, "tangential": 2}
 _SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s", "side": "1"}
 _VECTORS = {"place": "m", "velocity": "m/s", "acceleration": "m/s^2", "spin": "rad/s", "spin_rate": "rad/s^2"}
 _DRIVEN = {"torque": "N m", "drive": "N"}
+ATTITUDE = "attitude"
 # The names that a body's start has.
 _JOINT = {key: unit_of_start(key) for key in (*RATES, *RATES.values(), *SPINS, *QUATERNION)}
 
@@ -64,7 +66,8 @@ class Channel(NamedTuple):
 
 
 _PATTERN = re.compile(
-    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_DRIVEN, *_JOINT])}|(?:force|{'|'.join(_VECTORS)})\.[xyz])(?: in \w+)?"
+    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_DRIVEN, *_JOINT])}|(?:force|{'|'.join(_VECTORS)})\.[xyz]|{ATTITUDE}\.q[0-3])"
+    r"(?: in \w+)?"
 )
 
 
@@ -81,7 +84,7 @@ def unit_of(name: str) -> str:
 def quantity_of(name: str) -> tuple[str, str]:
     """What an axis calls a reading, and its SI unit, by its name: ("spin rate", "rad/s^2")."""
     what = name.partition(" in ")[0].split(".")[1] if "." in name else ""
-    unit = {**_SCALARS, **_VECTORS, **_DRIVEN, **_JOINT}.get(what)
+    unit = {**_SCALARS, **_VECTORS, **_DRIVEN, **_JOINT, ATTITUDE: "1"}.get(what)
     return (what.replace("_", " "), unit) if unit else ("force", "N")
 
 
@@ -111,7 +114,8 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     if part in contacts:
         known = [*_OWN, *_SCALARS, *(f"force.{k}" for k in "xyz")]
     elif part in bodies:
-        known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *_DRIVEN, *_JOINT]
+        turned = [f"{ATTITUDE}.{q}" for q in QUATERNION]
+        known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *turned, *_DRIVEN, *_JOINT]
     else:
         known = [*(n for c, k in contacts.items() for n in (c, *(f"{c}_{i + 1}" for i in range(k)))), *bodies]
         raise InputError(where, f"no contact '{part}' and no body of that name", nearest(part, known))
@@ -150,6 +154,8 @@ def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, Bod
     motion = bodies[c.part]
     if c.what in _DRIVEN:
         return _there(c, motion.drive)
+    if c.what == ATTITUDE:
+        return quaternion(_relative(c, _axes(c.part, motion), bodies))[..., QUATERNION.index(c.axis)]
     if c.axis:
         return _component(c, getattr(motion, c.what), bodies)
     if motion.joint and c.what in _JOINT and c.what not in motion.joint:
@@ -161,6 +167,41 @@ def _there(c: Channel, value: Any) -> Array:
     if value is None:
         raise InputError("reading", f"'{c.part}' has no {c.what}", "read another quantity of it, or another part")
     return value
+
+
+def _axes(name: str, motion: BodyMotion) -> Array:
+    if motion.axes is None and motion.spin is not None:
+        raise InputError(f"reading of '{name}'", "its rotation is not computed", "give it joint = 'free'")
+    return jnp.eye(3) if motion.axes is None else motion.axes
+
+
+def _relative(c: Channel, axes: Array, bodies: Mapping[str, BodyMotion]) -> Array:
+    return jnp.swapaxes(_axes(c.frame, bodies[c.frame]), -1, -2) @ axes if c.frame else axes
+
+
+def quaternion(axes: Array) -> Array:
+    """Unit quaternion (..., 4), scalar first and not negative, of axes (..., 3, 3) as columns.
+
+    From the largest of its four components (Shepperd, J. Guidance and Control 1, 1978), so that none is a difference of
+    equal numbers.
+    """
+    a = axes
+    x, y, z = a[..., 0, 0], a[..., 1, 1], a[..., 2, 2]
+    one = jnp.ones_like(x)
+    wx, wy, wz = (a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
+    xy, yz, zx = (a[..., i, j] + a[..., j, i] for i, j in ((1, 0), (2, 1), (0, 2)))
+    # Four times q_i q_j, row by row.
+    rows = (
+        (one + x + y + z, wx, wy, wz),
+        (wx, one + x - y - z, xy, zx),
+        (wy, xy, one - x + y - z, yz),
+        (wz, zx, yz, one - x - y + z),
+    )
+    table = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+    best = jnp.argmax(jnp.diagonal(table, axis1=-2, axis2=-1), -1)
+    row = jnp.take_along_axis(table, best[..., None, None], -2)[..., 0, :]
+    q = row / jnp.linalg.norm(row, axis=-1, keepdims=True)
+    return jnp.where(q[..., :1] < 0.0, -q, q)
 
 
 def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Array:

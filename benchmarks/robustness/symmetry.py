@@ -34,8 +34,8 @@ from benchmarks.common import save
 
 LIMIT = 1e-9
 SIZES = {
-    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.004, "half_width": 0.003, "clearance": 0.01,
-    "ball_radius": 0.008, "pitch_radius": 0.0355, "offset": 0.0045, "contact_angle": 0.7, "conformity": 0.53,
+    "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.004, "half_width": 0.003, "half_height": 0.002,
+    "clearance": 0.01, "ball_radius": 0.008, "pitch_radius": 0.0355, "offset": 0.0045, "contact_angle": 0.7, "conformity": 0.53,
     "cam_radius": 0.03, "throw": 0.005,
 }  # fmt: skip
 SHARED = {
@@ -73,7 +73,10 @@ GAPS: dict[str, AbstractGap] = {
     "ball_in_groove": gaps.BallInGroove(),
     "ball_in_round_groove": gaps.BallInGroove(side="inner", section="circular"),
     "from_depth": gaps.from_depth(cam, ("cam_radius", "throw")),
+    "box_on_plane": gaps.BoxOnPlane("-y", clearance=True),
 }
+# Where each member is in the mirror: corners at the back are at the front.
+FACING = {"slider_in_guide": [1, 0, 3, 2], "box_on_plane": [4, 5, 6, 7, 0, 1, 2, 3]}
 PLANAR = ("point_on_plane", "sphere_on_sphere", "pin_in_bearing", "pin_in_slot", "slider_in_guide", "from_depth")
 
 
@@ -240,6 +243,9 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
         return np.array([*(play * around - SIZES["half_length"] * turned[:2, 2]), p[2]])
     if name == "from_depth":
         return np.array([*((SIZES["cam_radius"] - depth) * around + [0.0, SIZES["throw"]]), p[2]])
+    if name == "box_on_plane":
+        reach = np.abs(turned[1]) @ [SIZES[f"half_{k}"] for k in ("length", "width", "height")]
+        return np.array([p[0], play - reach, p[2]])
     if name == "slider_in_guide":
         # So small a block that it meets one wall, however it is turned.
         long, wide = SIZES["half_length"], SIZES["half_width"]
@@ -369,10 +375,10 @@ def drawn(
 
 
 def order(names: Sequence[str]) -> np.ndarray:
-    """Where each member is in the image: of a guide, the corners at the back are at the front."""
+    """Where each member is in the image."""
     found: list[int] = []
     for name in names:
-        members = [1, 0, 3, 2] if name == "slider_in_guide" else range(GAPS[name].members or 1)
+        members = FACING.get(name, range(GAPS[name].members or 1))
         found += [len(found) + k for k in members]
     return np.array(found)
 

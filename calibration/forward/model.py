@@ -23,6 +23,7 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from calibration import attitudes
 from calibration.filters import Filter
 from calibration.forward.coordinates import Coordinate, coordinates_of
 from calibration.forward.losses import loss_of
@@ -158,23 +159,33 @@ class Model(eqx.Module):
         return lower, upper - lower
 
     def settings(self, point: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Scene parameters and nuisances (E,) by name at a point."""
+        """Scene parameters and nuisances (E,) by name at a point (P,), or at one for each experiment (E, P)."""
         xp, count = _numpy(point, self.log_depth, self.bounds), self.data.times.shape[0]
         table, chain = (
             {name: xp.broadcast_to(v, (count,)) for name, v in known.items()}
             for known in (self.data.fixed, self.data.chain)
         )
-        for axis, value in zip(self.coordinates, self.values(point), strict=True):
+        for axis, value in zip(self.coordinates, xp.moveaxis(self.values(point), -1, 0), strict=True):
             target = chain if axis.name in NUISANCES else table
             own = axis.experiment is None or np.arange(count) == axis.experiment
             target[axis.name] = xp.where(own, value, target[axis.name])
         return table, chain
 
+    @property
+    def own(self) -> np.ndarray | None:
+        """Coordinates (E, L) that each experiment depends on, -1 for none; None where all depend on all."""
+        owners = [axis.experiment for axis in self.coordinates]
+        if all(k is None for k in owners):
+            return None
+        each = [[k for k, of in enumerate(owners) if of in (None, i)] for i in range(self.data.times.shape[0])]
+        most = max(map(len, each))
+        return np.array([one + [-1] * (most - len(one)) for one in each])
+
     def predictions(self, point: Array) -> Array:
-        """What each channel would have read, (E, C, T), SI."""
+        """What each channel would have read, (E, C, T), SI; of an attitude as ``attitudes.compared``."""
         passed = self.data.passed
 
-        def one(params: dict, own: dict, times: Array) -> Array:
+        def one(params: dict, own: dict, times: Array, values: Array) -> Array:
             shifted = times - own["time_offset"]
             # Samples may stand in any order; of those that read the initial state, a batch is done at its first step.
             order = jnp.argsort(shifted)
@@ -185,19 +196,31 @@ class Model(eqx.Module):
             speeds = {
                 c: c.replace(".place.", ".velocity.") for c in self.channels if ".place." in c and " in " not in c
             }
-            read = tuple(dict.fromkeys((*self.channels, *speeds.values())))
+            chained = (*self.channels, *self.scalars)
+            read = tuple(dict.fromkeys((*chained, *speeds.values())))
             seen = reading_history(self.scene, params, sampled, read, accuracy=self.how)
             before = jnp.minimum(sampled, 0.0)
-            readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in self.channels]
-            return through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own), passed)[places].T
+            readings = [seen[c] + (seen[speeds[c]][0] * before if c in speeds else 0.0) for c in chained]
+            read = through(own, sampled, jnp.stack(readings, axis=1), self._offsets(own, chained), passed)[places].T
+            if not self.scalars:
+                return read
+            known = attitudes.compared(
+                dict(zip(chained, read, strict=True)), dict(zip(self.channels, values, strict=True))
+            )
+            return jnp.stack([known[c] for c in self.channels])
 
         if not self.channels:
             return jnp.zeros(self.data.values.shape)
-        return jax.vmap(one)(*self.settings(point), self.data.times)
+        return jax.vmap(one)(*self.settings(point), self.data.times, jnp.asarray(self.data.values))
 
-    def _offsets(self, own: dict[str, Array]) -> Array:
+    @property
+    def scalars(self) -> tuple[str, ...]:
+        """Scalar parts of the attitudes among the channels."""
+        return tuple(attitudes.scalar(parts["q1"]) for parts in attitudes.attitudes(self.channels).values())
+
+    def _offsets(self, own: dict[str, Array], channels: tuple[str, ...]) -> Array:
         """What each channel reads where there is nothing to read, (C,)."""
-        sums = [sum(own[o] for o in offsets_of(c, self.channels) if o in own) for c in self.channels]
+        sums = [sum(own[o] for o in offsets_of(c, channels) if o in own) for c in channels]
         return jnp.stack([jnp.asarray(x, dtype=float) for x in sums])
 
     def features(self, point: Array) -> Array:
@@ -302,14 +325,26 @@ def whole(frame: Model, numbers: tuple[Any, ...]) -> Model:
 def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Array) -> Evaluated:
     """The first ``count`` points, one after the other; zeros for the others."""
     model = whole(frame, numbers)
+    own = model.own
+
+    def along(u: Array) -> tuple[Array, tuple[Array, Array]]:
+        """Jacobian (N, P), and what stands beside it: an experiment has tangents by its own coordinates alone."""
+        # Not by ``jax.linearize``, which wants a tangent for every point and not all directions at once.
+        if own is None:
+            return jax.jacfwd(both, has_aux=True)(u)
+        columns = jnp.asarray((own[:, :, None] == np.arange(u.size)).astype(float))
+        slopes, beside = jax.jacfwd(lambda by: both(u + jnp.einsum("l,elp->ep", by, columns)), has_aux=True)(
+            jnp.zeros(own.shape[1])
+        )
+        rows = [np.repeat(np.arange(len(own)), x.size // len(own)) for x in (model.data.values, model.data.features)]
+        return jnp.einsum("nl,nlp->np", slopes, columns[np.concatenate(rows)]), beside
 
     def both(u: Array) -> tuple[Array, tuple[Array, Array]]:
         residuals, read = model.compared(u)
         return residuals, (residuals, read)
 
     def one(k: Array, found: Evaluated) -> Evaluated:
-        # Not by ``jax.linearize``, which wants a tangent for every point and not all directions at once.
-        jacobian, (residuals, read) = jax.jacfwd(both, has_aux=True)(points[k])
+        jacobian, (residuals, read) = along(points[k])
         return Evaluated(*(a.at[k].set(b) for a, b in zip(found, (residuals, jacobian, read), strict=True)))
 
     data = model.data

@@ -20,8 +20,7 @@ from bcfj_jax import InputError
 from bcfj_jax.analysis.derivatives.names import feature_unit, kind_unit, nearest_kind
 from bcfj_jax.core.errors import clip
 from bcfj_jax.io.units import quantity
-from bcfj_jax.mechanism.channels import unit_of
-from calibration.problem import Observation, size
+from calibration.problem import Observation, error_unit, size
 
 _OF = re.compile(r"(.*?)\s*of\s+(?:the\s+)?(reading|clock|steps)")
 _RIGHT = 'give "2 %", "0.1 kN", "0.1 kN + 2 % of reading", "2 N + 3 us of clock", "2 N + 5 N of steps" or "estimate"'
@@ -62,11 +61,11 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
         elif of and of[2] == "clock":
             jitters.append(quantity(of[1], "s", where))
         elif of:
-            sigmas.append(quantity(of[1], unit_of(observes), where) / math.sqrt(12.0))
+            sigmas.append(quantity(of[1], error_unit(observes), where) / math.sqrt(12.0))
         elif isinstance(text, str) and text.endswith("%"):
             sigmas.append(quantity(text, "1", where) * largest)
         else:
-            sigmas.append(quantity(text, unit_of(observes), where))
+            sigmas.append(quantity(text, error_unit(observes), where))
     least, said = min(sigmas + shares + jitters), f"noise = {clip(stated)}"
     if not (least > 0 and math.isfinite(sum(sigmas + shares + jitters))):
         raise InputError(where, f"{said} gives a deviation of {least:g}", _RIGHT)

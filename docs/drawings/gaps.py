@@ -1,4 +1,4 @@
-"""The ten gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
+"""The eleven gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
 
 from __future__ import annotations
 
@@ -60,6 +60,27 @@ def sphere_on_plane() -> None:
     arrow(axis, (2.3, -1.0), (2.3, -2.05), NORMAL, "n", (2.6, -1.7))
     _names(axis, (0.0, -1.65), (-1.75, 1.75))
     save(figure, "gap_sphere_on_plane")
+
+
+def box_on_plane() -> None:
+    """A tilted box above a plane, one corner in it."""
+    figure, axis = _frame()
+    _ground(axis, -2.2, -0.8)
+    turn, half, middle = np.radians(24.0), np.array([1.25, 0.75]), np.array([0.6, 0.3])
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    corners = [middle + axes @ (half * s) for s in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    axis.add_patch(Polygon(corners, fc=SECOND, ec=INK, lw=1.2, alpha=0.9))
+    _marker(axis, middle, B, "b", middle + [0.3, 0.05])
+    _marker(axis, (-1.9, -0.8), A, "a", (-2.25, -1.15))
+    arrow(axis, (-1.9, -0.8), middle, INK, "p", (-1.1, -0.05), lw=1.2)
+    arrow(axis, (-1.9, -0.8), (-1.9, 0.7), A, "e", (-2.2, 0.7))
+    low = corners[0]
+    arrow(axis, middle, low, B, "c", (0.15, -0.35), lw=1.2)
+    arrow(axis, low, low + [0.0, -0.9], NORMAL, "n", low + [0.3, -0.75])
+    arrow(axis, middle, middle + axes @ [1.25, 0.0], B, "A", middle + [1.0, 0.75], lw=1.2)
+    arrow(axis, middle, middle + axes @ [0.0, 0.75], B, "B, C", middle + [-0.75, 0.65], lw=1.2)
+    _names(axis, (1.7, -1.5), (2.0, 1.75))
+    save(figure, "gap_box_on_plane")
 
 
 def sphere_on_sphere() -> None:
@@ -232,9 +253,9 @@ def ball_between_planes() -> None:
 
 
 def draw() -> None:
-    """All ten."""
+    """All eleven."""
     for one in (
-        point_on_plane, sphere_on_plane, sphere_on_sphere, sphere_in_socket, pin_in_bearing, pin_in_slot,
+        point_on_plane, sphere_on_plane, box_on_plane, sphere_on_sphere, sphere_in_socket, pin_in_bearing, pin_in_slot,
         slider_in_guide, two_sided_stop, ball_in_groove, ball_between_planes,
     ):  # fmt: skip
         one()

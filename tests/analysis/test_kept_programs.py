@@ -28,7 +28,7 @@ print(json.dumps([found, programs.traced, programs.fetched, seen["cache_misses"]
 RUN = """
 from pathlib import Path
 from bcfj_jax.analysis.studies import command
-found = command.run(sys.argv[1], Path(sys.argv[2]), (None, None), False, lambda text: None)[1]
+found = command.run(sys.argv[1], Path(sys.argv[2]), (None, None), lambda text: None, print)[1]
 """
 DESIGN = """
 import numpy as np

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import bcfj_jax as bj
 import calibration
 from bcfj_jax.analysis.designs import api
+from bcfj_jax.analysis.studies import api as studies_api
 from bcfj_jax.analysis.tradeoff import study
 from bcfj_jax.analysis.tradeoff.measures import MAIN
 from bcfj_jax.analysis.tradeoff.settings import settings
@@ -120,3 +121,41 @@ def test_a_fit_shows_its_values_before_they_are_tested(tmp_path, monkeypatch):
     in_order(done.stdout, "best fit, not tested yet", "verdict: ", "results and pictures")
     assert json.loads((tmp_path / "out" / "fit.json").read_text())["stage"] == "complete"
     assert not (tmp_path / "out" / "interrupted.json").exists()
+
+
+STUDY = """scene = "impact"
+[design]
+kind = "grid"
+[vary.stiffness]
+lower = 1e9
+upper = 1e10
+steps = 8
+[results]
+features = ["contact.peak"]
+derivatives = ["exponent"]
+"""
+
+
+def test_a_study_shows_its_first_block_first(tmp_path, monkeypatch):
+    file, out = tmp_path / "study.toml", tmp_path / "out"
+    file.write_text(STUDY)
+    monkeypatch.setattr(studies_api, "default_workers", lambda: 1)
+    cut(monkeypatch, studies_api, "finish")
+    done = bcfj("study", "run", file, "--out", out)
+    assert done.exit_code == 5 and "Over 4 of 8 points, 0 of them failed; not complete yet." in done.stdout
+    assert "d(contact.peak)/d(exponent)" in done.stdout
+    assert json.loads((out / "study.json").read_text())["status"] == "unfinished"
+    monkeypatch.undo()
+    done = bcfj("study", "resume", file, "--out", out)
+    assert done.exit_code == 0 and "not complete yet" not in done.stdout
+    assert json.loads((out / "study.json").read_text())["status"] == "finished"
+
+
+def test_what_a_study_tells_is_what_it_will_hold(tmp_path):
+    file, told = tmp_path / "study.toml", []
+    file.write_text(STUDY)
+    found = bj.study(file, tmp_path / "out", workers=1, tell=told.append)
+    assert [one.state["finished"] for one in told] == [4] and told[0].state["left"] == 4
+    for name in found.table.column_names:
+        at = told[0].column("point")
+        assert list(found.column(name)[at]) == list(told[0].column(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -205,6 +206,9 @@ def test_point_of_contact(key):
         # As far inside of either sphere.
         reach = [np.linalg.norm(place + lever - centre, axis=-1) for centre in (start, place)]
         assert np.allclose([s["radius_a"] - reach[0], s["radius_b"] - reach[1]], 0.5 * depth, rtol=0, atol=1e-15)
+    elif case.name == "box_on_plane":
+        corners = lever @ other / [s["half_length"], s["half_width"], s["half_height"]]
+        assert np.allclose(corners, [list(itertools.product((-1, 1), repeat=3))], atol=1e-15)
     elif case.name == "slider_in_guide":
         corners = lever @ other
         size = [s["half_length"], s["half_width"], 0.0]
@@ -239,7 +243,7 @@ def test_frame_indifference(key):
 def test_axial_directions():
     wanted = {"point": (0, 0), "stop": (0, 2), "sphere": (0, 0), "slope": (0, 0), "spheres": (0, 2), "socket": (0, 2)}
     wanted |= {"socket-of-b": (1, 2), "bearing": (0, 2), "ends": (0, 2), "slot": (0, 0), "slot-y": (0, 1)}
-    wanted |= {"slider": (0, 0), "stops": (0, 2)}
+    wanted |= {"box": (0, 0), "box-above": (0, 2), "slider": (0, 0), "stops": (0, 2)}
     for key, (body, axis) in wanted.items():
         axes, start, other, place = placed(CASES[key], 6)
         got = array(CASES[key].gap.axial(frame(start, axes), frame(place, other), numbers(CASES[key].sizes)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import Gravity
 from bcfj_jax.mechanism.mechanism import Mechanism
 from benchmarks.robustness.symmetry import (
+    FACING,
     GAPS,
     LIMIT,
     MIRROR,
@@ -71,7 +73,7 @@ def state(scene, way=""):
             if way == "exchanged":
                 bristle = -bristle
             if way == "mirrored":
-                where = [1, 0, 3, 2] if "half_width" in c.gap.needs else range(members)
+                where = next((FACING[n] for n in FACING if isinstance(c.gap, gaps.GAPS[n])), range(members))
                 bristle = M[:, None] * bristle[:, where]
             for name in c.memory:
                 if name.startswith("bristle"):
@@ -176,6 +178,9 @@ def touches(name, p, a, b):
     if name in ("pin_in_slot", "two_sided_stop", "ball_between_planes"):
         n = np.sign(local[0]) * a[:, 0]
         return [(n, {"pin_in_slot": s["radius"], "ball_between_planes": s["ball_radius"]}.get(name, 0.0) * n)]
+    if name == "box_on_plane":
+        size = [s["half_length"], s["half_width"], s["half_height"]]
+        return [(a[:, 1], b @ (np.array(k) * size)) for k in itertools.product((-1, 1), repeat=3)]
     if name == "slider_in_guide":
         corners = [
             b @ [i * s["half_length"], j * s["half_width"], 0.0] for i, j in ((-1, 1), (1, 1), (-1, -1), (1, -1))

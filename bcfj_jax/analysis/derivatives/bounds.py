@@ -117,8 +117,9 @@ def first_plan(scene: AbstractModel, how: Plan, error: float) -> Plan:
 
 
 def climb(
-    problem: Problem, how: Plan, levels: int, spend: Budget, first: Callable[[Level], None] = lambda level: None
-) -> Climb:
+    problem: Problem, how: Plan, levels: int, spend: Budget, first: Callable[[Level], None] = lambda level: None,
+    before: Callable[[], None] = lambda: None,
+) -> Climb:  # fmt: skip
     """Solve R, C and T, and go on until the averages of R are within ``target``, or nothing helps.
 
     Args:
@@ -127,6 +128,7 @@ def climb(
         levels: most tightenings; 0 for R alone.
         spend: time for what is tighter than the first two.
         first: receives the first solve as soon as it has ended, beside the second.
+        before: what is done before the first solve, while the second, which is longer, is under way.
     """
     scene, stiff = problem.scene, problem.scene.traits.stiff
     how = first_plan(scene, how, problem.error) if levels else how
@@ -137,6 +139,7 @@ def climb(
         return problem.solve(Plan(at, how.max_steps, how.tangents))
 
     def told(tolerance: float) -> Level:
+        before()
         found = solve(tolerance)
         first(found)
         return found

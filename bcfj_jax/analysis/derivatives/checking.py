@@ -26,7 +26,7 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
 
 # Pitches of steady motion over which central differences are taken.
-_PITCHES = 4
+_PITCHES = 2
 # Difference from central differences that is looked into.
 _SEEN = 1e-3
 _TOGETHER = "central differences along one random direction of all parameters"
@@ -151,7 +151,7 @@ def _shortened(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     if not scene.recurs(problem.params):
         return times, times
     end = scene.settled_from(problem.params) + _PITCHES * scene.period(problem.params)[1]
-    end = problem.fold.end if problem.fold else end
+    end = min(end, problem.fold.end) if problem.fold else end
     count = int(np.searchsorted(times, end, side="right"))
     if not 2 <= count < len(times):
         return times, times

@@ -191,8 +191,42 @@ def sensitivity(
     return _forward(problem, how, levels if certify else 0, differences, Budget(budget), steady, tell or _nobody)
 
 
-def _nobody(found: Sensitivity) -> None:
+def _nobody(found: Any) -> None:
     """Whom nobody tells of what there is so far."""
+
+
+class _First:
+    """What is told before anything is bounded: derivatives of steady motion, then those of the run's first solve.
+
+    Attributes:
+        turned: steady motion at the looser tolerance, and what gives the whole; None where no short run shows it.
+        solved: the run's first solve, as it was told.
+    """
+
+    def __init__(self, how: Plan, late: tuple[np.ndarray, float] | None, tell: Callable[[Sensitivity], None]):
+        self.how, self.late, self.tell = how, late, tell
+        self.turned: tuple[Steady, Callable[[], Steady]] | None = None
+        self.solved: tuple[Level, Sensitivity] | None = None
+
+    @property
+    def steady(self) -> Steady | None:
+        return self.turned[0] if self.turned and not self.turned[0].reason else None
+
+    def of_steady(self, problem: Problem) -> None:
+        self.turned = first_of_steady(problem, *self.late) if self.late else None
+        if self.steady:
+            self.tell(_of_steady_alone(problem, self.steady))
+
+    def of_run(self, problem: Problem, level: Level) -> None:
+        if level.good:
+            self.solved = level, _uncertified(problem, self.how, level)._replace(steady=self.steady)
+            self.tell(self.solved[1])
+
+    def of(self, problem: Problem, last: Level) -> Sensitivity:
+        """What there is of a solve, computed once."""
+        known = self.solved is not None and self.solved[0] is last
+        found = self.solved[1] if self.solved and known else _uncertified(problem, self.how, last)
+        return found._replace(steady=self.steady)
 
 
 def _forward(
@@ -205,32 +239,26 @@ def _forward(
         short = settled(scene, problem.params, t, problem.names, how)
     # A short run stands for the whole.
     problem = problem._replace(fold=short[0]) if short else problem
-    told: list[tuple[Level, Sensitivity]] = []
-    # Steady motion has a first answer before the run's derivatives are solved.
-    turned = first_of_steady(problem, *short[1:]) if steady and levels and short else None
-    alone = turned[0] if turned and not turned[0].reason else None
-    if alone:
-        tell(_of_steady_alone(problem, alone))
-
-    def first(level: Level) -> None:
-        if level.good and levels:
-            told[:] = [(level, _uncertified(problem, how, level)._replace(steady=alone))]
-            tell(told[0][1])
-
-    climbed = climb(problem, how, levels, spend, first)
+    first = _First(how, short[1:] if short else None, tell)
+    if steady and levels and short:
+        # Compiled before the second solve begins beside it.
+        prepared(scene, problem.params, problem.names, problem.max_steps)
+        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem), partial(first.of_steady, problem))
+    else:
+        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem) if levels else _nobody)
     if problem.fold and np.any(climbed.uneven(len(problem.names)) > _UNEVEN * target(problem.error)):
         # Derivatives forget their start later than the motion does.
         problem = problem._replace(fold=None)
-        climbed = climb(problem, how, levels, spend, first)
+        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem) if levels else _nobody)
     last = climbed.last
-    found = told[0][1] if told and told[0][0] is last else _uncertified(problem, how, last)
-    found = found._replace(stats=found.stats | _spent(climbed.levels), steady=alone)
+    found = first.of(problem, last)
+    found = found._replace(stats=found.stats | _spent(climbed.levels))
 
-    def orbit() -> Any:
+    def orbit() -> Steady | None:
         if not steady or not last.good:
             return None
-        if turned:
-            return turned[1]()
+        if first.turned:
+            return first.turned[1]()
         late = short[1:] if short else (last.value.state[-1] * np.asarray(last.scale), float(t[-1]))
         return steady_of(problem, *late)
 

@@ -78,6 +78,7 @@ def study(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] = lambda done, all: None,
+    tell: Callable[[Result], None] | None = None,
 ) -> Result:
     """Run a study, or what is missing of it.
 
@@ -88,6 +89,7 @@ def study(
             an accelerator.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
         progress: receives the numbers of finished and of all blocks.
+        tell: receives what there is of the study after its first block, and whenever twice as many are finished.
 
     Raises:
         InputError: for bad input, and a folder that holds another study.
@@ -102,8 +104,29 @@ def study(
     found = specification.from_table(what) if isinstance(what, Mapping) else specification.load(Path(what))
     store = prepare(found, Path(out))
     with heeded():
-        compute(store, workers, scheduler, progress)
+        compute(store, workers, scheduler, growing(store, progress, tell) if tell else progress)
     return finish(store)
+
+
+def growing(
+    store: Store, progress: Callable[[int, int], None], tell: Callable[[Result], None]
+) -> Callable[[int, int], None]:
+    """As ``progress``; whenever twice as many blocks are finished as before, ``tell`` receives what there is.
+
+    Nothing is told before the first block of this run, nor of the whole, which ``finish`` gives.
+    """
+    told: list[int] = []
+
+    def on(done: int, total: int) -> None:
+        progress(done, total)
+        if not told:
+            # What an earlier run left.
+            told.append(done)
+        elif max(2 * told[-1], 1) <= done < total:
+            told.append(done)
+            tell(so_far(store))
+
+    return on
 
 
 def needed(histories: bool, scheduler: bool = False) -> None:
@@ -179,6 +202,11 @@ def finish(store: Store) -> Result:
         write_parquet(store.folder / RESULTS, table)
         outputs.write_json(store.folder / STATE, found)
     return Result(store.folder, table, found, store.study)
+
+
+def so_far(store: Store) -> Result:
+    """What there is of a study, of which a block is finished at least."""
+    return Result(store.folder, merge(store), state(store), store.study)
 
 
 def state(store: Store) -> dict[str, Any]:

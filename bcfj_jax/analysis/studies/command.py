@@ -8,12 +8,12 @@ from pathlib import Path
 
 from bcfj_jax.analysis.studies import api, local, specification
 from bcfj_jax.analysis.studies.finished import Finished, read
-from bcfj_jax.analysis.studies.pages import write
+from bcfj_jax.analysis.studies.pages import ranges, write
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io import changes, report, tables
+from bcfj_jax.io import changes, outputs, report, tables
 from bcfj_jax.io.changes import Change
 from bcfj_jax.io.page import counted
 from bcfj_jax.io.stop import heeded
@@ -52,24 +52,37 @@ def _begun(what: str, out: Path | None, missing: tuple[str, str] | None) -> tupl
 
 
 def run(
-    what: str, out: Path | None, team: tuple[int | None, str | None], dry: bool, say: Callable[[str], None],
-    resuming: bool = False,
+    what: str, out: Path | None, team: tuple[int | None, str | None], say: Callable[[str], None],
+    show: Callable[[str], None], resuming: bool = False,
 ) -> tuple[str, int]:  # fmt: skip
-    """Run a study, or go on with it, by ``team``: workers and scheduler, as ``api.study``; in words, and the exit code."""
+    """Run a study, or go on with it; in words, and the exit code.
+
+    Args:
+        what: a study file, or a built-in study's name.
+        out: its folder, None for one made up.
+        team: workers and scheduler, as ``api.study``.
+        say: receives the progress; show: ranges of what there is after the first block.
+        resuming: whether it must have been begun.
+    """
     missing = ("there is no study to resume", "say run, or name its folder") if resuming else None
     study, folder, stem = _begun(what, out, missing)
     workers, scheduler = team
-    # A dry run refuses what the run would refuse.
-    api.needed(study.histories, scheduler is not None)
-    if dry:
-        return api.estimate(study, workers), DONE
     store = api.prepare(study, folder)
     blocks, size = store.blocks, store.blocks.size
     say(f"{counted(study.count, 'point')} in {counted(len(blocks), 'block')} of {size}, in {folder}")
+    first: list[str] = []
+
+    def so_far(found: api.Result) -> None:
+        outputs.write_json(folder / api.STATE, found.state)
+        if not first:
+            first.append(_so_far(found))
+            show(first[0])
+
     with heeded():
         try:
             with stage("computing points", study.count) as done:
-                api.compute(store, workers, scheduler, lambda n, _: done(min(n * size, study.count)))
+                progress = api.growing(store, lambda n, _: done(min(n * size, study.count)), so_far)
+                api.compute(store, workers, scheduler, progress)
             result = api.finish(store)
             with local.written():
                 text = write(result, stem)
@@ -80,13 +93,30 @@ def run(
     return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
 
 
+def dry(what: str, out: Path | None, team: tuple[int | None, str | None]) -> str:
+    """How many points, and about how long and how large; refused is what ``run`` would refuse."""
+    study, _, _ = _begun(what, out, None)
+    workers, scheduler = team
+    api.needed(study.histories, scheduler is not None)
+    return api.estimate(study, workers)
+
+
+def _so_far(found: api.Result) -> str:
+    """Ranges of what is finished of a study."""
+    done = found.state["finished"]
+    head = f"Over {done} of {found.state['points']} points, {found.failed} of them failed; not complete yet."
+    return f"{head}\n{report.text([['', 'least', 'median', 'largest'], *ranges(found, found.study.columns)])}\n"
+
+
 def status(what: str, out: Path | None) -> tuple[str, int]:
     """What is finished and what is left; the exit code is 5 while something is."""
     store = existing(what, out)
     found = api.state(store)
     rows = [[key.replace("_", " "), str(found[key])] for key in ("status", "points", "finished", "left", "failed")]
     rows += [[f"  {text}", str(count)] for text, count in sorted(found["reasons"].items(), key=lambda item: -item[1])]
-    return report.text(rows), DONE if found["status"] == "finished" else INTERRUPTED
+    whole = found["status"] == "finished"
+    ranged = f"\n\n{_so_far(api.so_far(store))}" if found["finished"] and not whole else ""
+    return report.text(rows) + ranged, DONE if whole else INTERRUPTED
 
 
 def merge(what: str, out: Path | None, others: list[Path]) -> tuple[str, int]:

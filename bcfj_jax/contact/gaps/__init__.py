@@ -22,6 +22,7 @@ from bcfj_jax.contact.gaps.guides import PinInBearing as PinInBearing
 from bcfj_jax.contact.gaps.guides import PinInSlot as PinInSlot
 from bcfj_jax.contact.gaps.guides import SliderInGuide as SliderInGuide
 from bcfj_jax.contact.gaps.guides import TwoSidedStop as TwoSidedStop
+from bcfj_jax.contact.gaps.spheres import BoxOnPlane as BoxOnPlane
 from bcfj_jax.contact.gaps.spheres import PointOnPlane as PointOnPlane
 from bcfj_jax.contact.gaps.spheres import SphereInSocket as SphereInSocket
 from bcfj_jax.contact.gaps.spheres import SphereOnPlane as SphereOnPlane
@@ -32,6 +33,7 @@ from bcfj_jax.core.errors import InputError, nearest
 GAPS: dict[str, type[AbstractGap] | AbstractGap] = {
     "point_on_plane": PointOnPlane,
     "sphere_on_plane": SphereOnPlane,
+    "box_on_plane": BoxOnPlane,
     "sphere_on_sphere": SphereOnSphere,
     "sphere_in_socket": SphereInSocket,
     "pin_in_bearing": PinInBearing,
