@@ -19,7 +19,7 @@ from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, signatures
+from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
 from calibration.diagnostics.optimum import Optimum, start_rows
@@ -29,7 +29,7 @@ from calibration.diagnostics.scales import untold
 from calibration.diagnostics.solver_error import corrected
 from calibration.forward import integration
 from calibration.forward.coordinates import Coordinate
-from calibration.forward.model import Model, build, evaluation, predictions
+from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
@@ -46,7 +46,6 @@ from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import BOUND, Evidence, check_kind, half, headlined, revised
 from calibration.uncertainty.law_miss import clustered, discrepancy, in_blocks
 from calibration.uncertainty.quote import Quoted
-from calibration.uncertainty.sets import Error
 
 log = logging.getLogger("calibration")
 
@@ -234,7 +233,7 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
     found = _with_filters(problem, found)
     at = found.optimum
     with stage("errors that residuals do not show"):
-        errors = _errors(problem, at)
+        errors = systematic.every(problem, at)
         allowed = quote.quoted(at, errors, bound=bound)
         conditional, known = found.conditional, allowed
         if conditional:
@@ -563,37 +562,6 @@ def _misses(at: Optimum, best: End, spread: fit_tests.Spread) -> dict[str, fit_t
         found["robust"] = within
     process = discrepancy(series, best.residuals, best.jacobian, spread)
     return found | ({"discrepancy": process.spread} if process else {})
-
-
-def _errors(problem: Problem, at: Optimum) -> list[Error]:
-    """Every error that may act."""
-    model, best = at.model, at.end
-    seen = contacts(model, best.point)
-    deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
-    longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
-    law = law_errors.signatures(model, best.point, deepest, peak, longest)
-    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
-    readings = predictions(model, best.point)
-    found = [
-        *systematic.of_sensor(model, readings, at.series, stated),
-        *systematic.of_law(law),
-        *systematic.of_fixed(model, best, _tolerances(problem), stated, at.series),
-        *systematic.of_weight(model, best, at.series),
-    ]
-    # A rough cost has no linear answer that many waves would leave standing, and a motion costs seconds.
-    if budget(model.scene).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
-        return found
-    scene = signatures.scene_of(model, at.series, readings, best.point)
-    return [*found, *systematic.of_shape(model, scene, stated), *systematic.generic(scene)]
-
-
-def _tolerances(problem: Problem) -> dict[str, np.ndarray]:
-    """What is said of fixed values by name and record (E,), SI; 0 where a record has its own value without a tolerance."""
-    fitted, common = _fitted(problem), problem.tolerances
-    names = dict.fromkeys((*common, *(name for e in fitted for name in e.tolerances)))
-    return {
-        n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
-    }
 
 
 def _turns(seen: _Seen) -> bool:

@@ -17,11 +17,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from bcfj_jax.core.quantities import GRAVITY
-from calibration.diagnostics import signatures
+from calibration.diagnostics import law_errors, signatures
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import weight
-from calibration.forward.model import Model, evaluation
-from calibration.problem import OFFSETS
+from calibration.forward.model import Model, evaluation, predictions
+from calibration.forward.runs import contacts
+from calibration.problem import OFFSETS, Problem
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty.sets import QUANTILE, Error
@@ -65,6 +67,37 @@ _LOSSES = (0.25, 0.5, 2.0)
 # Generic groups: share of the peak, of a contact's duration, and of the force, with 95 %; what share of that always acts.
 _WAVES, _BENT, _LAW_WAVES, _ALWAYS = 0.01, 0.01, 0.02, 0.1
 _GENERIC = ("a smooth disturbance in time", "a clock that bends", "a smooth factor of the force by its size")
+
+
+def every(problem: Problem, at: Optimum) -> list[Error]:
+    """Every error that may act."""
+    model, best = at.model, at.end
+    seen = contacts(model, best.point)
+    deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
+    longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
+    law = law_errors.signatures(model, best.point, deepest, peak, longest)
+    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
+    readings = predictions(model, best.point)
+    found = [
+        *of_sensor(model, readings, at.series, stated),
+        *of_law(law),
+        *of_fixed(model, best, _tolerances(problem, at), stated, at.series),
+        *of_weight(model, best, at.series),
+    ]
+    # A rough cost has no linear answer that many waves would leave standing, and a motion costs seconds.
+    if budget(model.scene).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
+        return found
+    scene = signatures.scene_of(model, at.series, readings, best.point)
+    return [*found, *of_shape(model, scene, stated), *generic(scene)]
+
+
+def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
+    """What is said of fixed values by name and record (E,), SI; 0 where a record has its own value without a tolerance."""
+    fitted, common = at.experiments, problem.tolerances
+    names = dict.fromkeys((*common, *(name for e in fitted for name in e.tolerances)))
+    return {
+        n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
+    }
 
 
 def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str]) -> list[Error]:
