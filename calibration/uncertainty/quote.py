@@ -150,7 +150,8 @@ def _linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.n
         float(np.max(halves[moved] / alone[moved])) / QUANTILE / np.sqrt(share) if moved.any() and free.all() else 1.0
     )
     series = [s.rows for s in at.series] if loss == "linear" else []
-    lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, student)
+    ceiling = np.inf if loss == "linear" else 1.0
+    lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, student, ceiling)
     return lin, [e._replace(columns=root[:, None] * e.columns) for e in errors]
 
 

@@ -55,7 +55,8 @@ class Linear(NamedTuple):
     Attributes:
         data: (N,) readings less predictions, in deviations.
         jacobian: (N, P) of the predictions; rows: (Q, P) how what is quoted moves with the coordinates.
-        floor: least variance of the noise: 1 where its deviation is stated.
+        floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss, whose
+            outliers say nothing of it.
         freedom: readings less coordinates.
         series: rows in order of time, which may share more than the noise.
         student: quantile of an interval of the noise alone, over the normal one.
@@ -68,6 +69,7 @@ class Linear(NamedTuple):
     freedom: int
     series: Sequence[np.ndarray] = ()
     student: float = 1.0
+    ceiling: float = np.inf
 
 
 class Mixture(NamedTuple):
@@ -156,7 +158,7 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
     count = int(places[-1]) if errors else 0
     noise = at.student * np.linalg.norm(inverse, axis=1)
     every = _sets(errors, places, most)
-    variance = max(at.floor, float(rest @ rest) / max(at.freedom, 1))
+    variance = min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
     for _ in range(_ROUNDS):
         own, always = _split(sums, count, variance)
         found = [_weighed(own, batch, variance) for batch in every]
@@ -168,7 +170,7 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
         left = rest - beside @ np.r_[full, always.amplitude - always.inner @ (always.cross @ full) / variance]
         used = found[k].used[i] + len(always.inner) - np.trace(always.inner)
         seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
-        before, variance = variance, max(at.floor, seen)
+        before, variance = variance, min(max(at.floor, seen), at.ceiling)
         if abs(variance - before) < 1e-3 * before:
             break
     top = max(float(f.log.max()) for f in found)
