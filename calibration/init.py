@@ -7,23 +7,27 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.reading import read, tables
+from bcfj_jax.data.record import RUN_COLUMNS
+from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import column, format_si, quantity
 from calibration import problemfile
-from calibration.data.readers import read
-from calibration.data.textfile import Stated
+from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Sizes, Understood, sizes, understood
+from calibration.impacts.proposal import Hints, Run, Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -38,6 +42,8 @@ _DEPTH, _USUAL = 3.2, 0.7
 _ELASTIC = 0.98
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
+# Flights over contacts from which on contacts are apart.
+_APART = 2.0
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -84,6 +90,7 @@ class Said(NamedTuple):
         table: which table inside the file.
         struck: mass of the body that is struck, with a unit, or "fixed".
         stated: how the record is written, where it is not to be found; the problem file then says so, too.
+        hints: which columns are what.
     """
 
     scene: str = ""
@@ -92,6 +99,7 @@ class Said(NamedTuple):
     table: str | None = None
     struck: str | None = None
     stated: Stated = Stated()
+    hints: Hints = Hints()
 
     def number(self, key: str, unit: str) -> float | None:
         """A mass or a speed, SI."""
@@ -110,17 +118,18 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    found = understood(read(record, "record", said.table, said.stated))
+    found = found_in(record, said)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
+    found = _each(found, said) if kind == "impact" else found
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    folder, name = out or Path("."), f"{record.stem}.toml"
-    relative = Path(os.path.relpath(record, folder)).as_posix()
+    name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
+    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
+    relative = Path(os.path.relpath(record, path.parent)).as_posix()
     text, missing = _text(found, kind, said, relative)
-    path = folder / name
     create(path, text)
     if missing:
         say(f"{record}: {'; '.join(filter(None, (found.said, clock_note(found.records[0].clock))))}")
@@ -142,6 +151,58 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
         say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
+
+
+def found_in(record: Path, said: Said) -> Understood:
+    """What a record is: a file, the one table of several that holds a contact, or all files of a pattern."""
+    if re.search("[*?]", record.name):
+        paths = sorted(record.parent.glob(record.name))
+        if not paths:
+            raise InputError("record", f"no file is named as {record}", "put the pattern in quotes: 'run*.csv'")
+        each = [understood(read(p, "record", said.table, said.stated), said.hints) for p in paths]
+        if any(e.columns != each[0].columns or e.time != each[0].time for e in each):
+            other = next(e for e in each if e.columns != each[0].columns or e.time != each[0].time)
+            found = f"{other.path} has other columns than {paths[0]}: {', '.join(other.columns.values())}"
+            raise InputError("record", found, "propose a file for each kind")
+        records = [r for e in each for r in e.records]
+        speeds = tuple(v for e in each for v in e.speeds)
+        return replace(each[0], records=records, speeds=speeds, runs=("file", len(records)))
+    if said.table is None and len(names := tables(record, "record", said.stated)) > 1:
+        found, refused = [], []
+        for name in names:
+            try:
+                found.append(understood(read(record, "record", name, said.stated), said.hints))
+            except InputError as error:
+                refused.append(f"'{name}': {error.found}")
+        if len(found) == 1:
+            return found[0]
+        which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
+        many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
+        raise InputError(str(record), f"holds {len(names)} tables, and {many}", f"give {which}" if found else which)
+    return understood(read(record, "record", said.table, said.stated), said.hints)
+
+
+def _each(found: Understood, said: Said) -> Understood:
+    """What was understood with each contact as a record, where several stand far apart and each may have a speed of its own."""
+    s = sizes(found)
+    if said.speed is not None or found.given[0] or not s.flights or min(s.flights) < _APART * s.duration:
+        return found
+    if len(found.records) > 1 and max(len(r.events) for r in found.records) == 1:
+        return found
+    unit = next(u for u in ("N", "m/s^2", "m/s", "m") if u in found.columns)
+    if unit not in ("N", "m/s^2"):
+        return found
+    pieces = []
+    for record in found.records:
+        for k, keep in apart(record.clock, record.events):
+            readings = {u: v[keep] for u, v in record.readings.items()}
+            seen = -readings[unit] if unit == "m/s^2" else readings[unit]
+            if events := contacts("contact.normal", record.clock[keep], seen):
+                pieces.append(Run(f"{record.name} contact {k + 1}", record.clock[keep], readings, events[:1]))
+    left = sum(len(r.events) for r in found.records) - len(pieces)
+    note = f"; {left} contacts below a tenth of the largest peak left out" if left else ""
+    runs = (found.runs[0] or "contact", len(pieces))
+    return replace(found, records=pieces, runs=runs, each=True, said=found.said + note)
 
 
 def _kind(found: Understood) -> str:
@@ -176,7 +237,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        _Line(f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] else ""),
+        _Line(
+            f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
+        ),
         *([f"table = {_quoted(found.table)}"] if found.table else []),
         *(
             f"{key} = {_quoted(v) if isinstance(v, str) else v}"
@@ -184,7 +247,13 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
             if v is not None
         ),
         f"time = {_quoted(found.time)}",
-        *(f"rows = {{ {_quoted(header)} = {_quoted(value)} }}" for header, value in found.rows.items()),
+        *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
+        *(
+            [_Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
+            if found.each
+            else []
+        ),
+        *([f"runs_by = {_quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
         _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
@@ -241,16 +310,43 @@ def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
     return [_Line(f"columns = {{ {key} = {_quoted(header)} }}", note)]
 
 
+def rows_of(text: str | None) -> dict[str, Any]:
+    """What --rows says: a column and a value.
+
+    Raises:
+        InputError: for a text without "=".
+    """
+    if text is None:
+        return {}
+    name, mark, value = (part.strip() for part in text.partition("="))
+    if not (name and mark and value):
+        raise InputError("--rows", f"'{text}'", 'give a column and a value: "Sensor = A"')
+    return {name: value}
+
+
+def _asked_runs(found: Understood, said: Said) -> bool:
+    """Whether the file must say what numbers its runs, since no name of the column does."""
+    return found.runs[0] not in ("", "file", "contact") and (
+        said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
+    )
+
+
+def _toml(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
 def _quoted(text: str) -> str:
     """A text of TOML: headers of measured files may hold quotes and backslashes."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def _summary(found: Understood, s: Sizes) -> str:
-    many = f"{found.runs[1]} runs, " if found.runs[0] else ""
+    what = "contacts" if found.each else "files" if found.runs[0] == "file" else "runs"
+    many = f"{found.runs[1]} {what}, " if found.runs[0] else ""
+    of = " a run" if what == "runs" and many else " each" if many else ""
     parts = [
         f"{many}a sample every {format_si(s.step, 's', 3)}",
-        f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{' a run' if many else ''}, the first of "
+        f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{of}, the first of "
         f"{format_si(s.duration, 's', 3)} and {s.samples} samples",
     ]
     if np.isfinite(s.peak):

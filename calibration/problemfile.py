@@ -11,7 +11,10 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
                                  resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
                                  where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
                                  those times (after aligning); separator, decimal, encoding and header say how a text
-                                 is written where it is not to be found (``data.textfile``)
+                                 is written where it is not to be found (``data.textfile``); file may be a pattern,
+                                 "run*.csv", each a run; runs_by names the column that numbers runs; contacts =
+                                 "each" makes every contact of a run a record (``events.apart``); sensitivity =
+                                 "10 mV/N" and full_scale = "500 N" say what volts, charges and shares stand for
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
@@ -40,18 +43,17 @@ import pydantic
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY, Quantity
+from bcfj_jax.data.record import Record
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
 from calibration import given
-from calibration.data.readers import read
-from calibration.data.table import Table, split
-from calibration.data.textfile import Stated
 from calibration.filters import HIGHEST, Filter
 from calibration.impacts import plausible, sensor, stated, trains
 from calibration.impacts.events import contacts
 from calibration.impacts.flights import contradicted
+from calibration.impacts.parting import files_of, runs_of
 from calibration.impacts.preparation import Prepared, Recipe, prepare
 from calibration.impacts.sensor import Sensor
 from calibration.problem import (
@@ -99,6 +101,10 @@ class _Experiment(tables.Table):
     decimal: str | None = None
     encoding: str | None = None
     header: int | list[int] | None = None
+    sensitivity: str | None = None
+    full_scale: str | None = None
+    runs_by: str | None = None
+    contacts: Literal["first", "each"] = "first"
     bounds: dict[str, list[Any]] = {}
 
     @property
@@ -232,7 +238,8 @@ def _content(path: Path) -> _File:
 def sources(path: Path) -> list[Path]:
     """The data files a calibration file reads, for checksums."""
     file = _content(path)
-    return [path.parent / name for name in dict.fromkeys(e.file for e in file.experiment if e.file)]
+    names = dict.fromkeys(e.file for e in file.experiment if e.file)
+    return [found for name in names for found in files_of(path, name, str(path))]
 
 
 def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity]) -> Free:
@@ -352,7 +359,7 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
 
 
 def _doubts(
-    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Table | None]
+    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Record | None]
 ) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``impacts.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
@@ -408,10 +415,10 @@ def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]
 
 def _records(
     file: _File, path: Path, base: scenefile.SceneFile
-) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Table | None]]:
+) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Record | None]]:
     """Every record (None where an entry gives only features) with the number of its entry and the entry; and its rows."""
     records, broken = [], Faults()
-    rows: list[Table | None] = []
+    rows: list[Record | None] = []
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
@@ -425,17 +432,16 @@ def _records(
         if entry.file is None or entry.time is None:
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
-        stated = Stated(entry.separator, entry.decimal, entry.encoding, entry.header)
-        whole = read(path.parent / entry.file, f"{where} file", entry.table, stated)
+        wholes, parts = runs_of(path, entry, where)
+        whole = wholes[0]
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
         recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
         thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
         recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
-        parts = split(whole, entry.rows, where)
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
-        faults, said = Faults(whole.faults), whole.found
+        faults, said = Faults([fault for one in wholes for fault in one.faults]), whole.found
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
             # Results go by name, so that no two records may share one.
@@ -452,7 +458,7 @@ def _records(
     return records, rows
 
 
-def _by_columns(entry: _Experiment, part: Table, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
+def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
     """An entry for one record, with the parameters that columns of its rows give.
 
     The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.

@@ -14,12 +14,12 @@ ROOT = Path(__file__).resolve().parent.parent
 # name everything.
 LAYERS = {
     "bcfj_jax": (
-        "_version", "core", "contact", "mechanism", "models", "solve", "io", "analysis", "verification", "reproduction",
+        "_version", "core", "contact", "mechanism", "models", "solve", "io", "data", "analysis", "verification", "reproduction",
         "cli", "__main__",
     ),
     "calibration": (
         "solver_budget", "given", "filters", "attitudes", "problem", "forward", "search", "noise", "diagnostics", "uncertainty",
-        "fit", "verification", "data", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
+        "fit", "verification", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.
@@ -76,6 +76,15 @@ def test_imports_point_down(path):
         # ``from bcfj_jax import simulate`` names a public function of the front door, which is in no layer.
         if first == package and second in order:
             assert order.index(second) <= order.index(here), f"{here} may not import {name}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "bcfj_jax" / "data").rglob("*.py")), ids=named)
+def test_measured_data_know_nothing_of_contact(path):
+    ours = {name for name in imports(path) if name.startswith(("bcfj_jax", "calibration"))}
+    allowed = ("bcfj_jax.core.", "bcfj_jax.data", "bcfj_jax.io.units.", "bcfj_jax.io.opening")
+    assert all(name.startswith(allowed) for name in ours), ours
+    if path.parent.name == "readers":
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 100
 
 
 def test_no_files_import_each_other():

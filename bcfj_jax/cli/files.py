@@ -83,7 +83,10 @@ def init(
         str, typer.Argument(metavar="SCENE|calibration", help="A built-in scene's name, mechanism, or calibration.")
     ],
     record: Annotated[Path | None, typer.Argument(help="The measured file, for calibration.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the file; by default this one.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for the file, or the file itself: name.toml."),
+    ] = None,
     scene: Annotated[str, typer.Option(help="Of a calibration: impact, bounce or oblique_impact.")] = "",
     mass: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.55 kg".')] = None,
     speed: Annotated[str | None, typer.Option(help='Of a calibration, if it is known: "0.86 m/s".')] = None,
@@ -93,17 +96,33 @@ def init(
     decimal: Annotated[str | None, typer.Option(help='Of a text: "." or ",".')] = None,
     encoding: Annotated[str | None, typer.Option(help='Of a text: "utf-8", "cp1252", "utf-16".')] = None,
     header: Annotated[int | None, typer.Option(help="Line of the columns' names; 0: there are none.")] = None,
+    sensitivity: Annotated[
+        str | None, typer.Option(help='Of a sensor in volts or charge: "2.3 mV/N", "CH1 = 4 pC/N".')
+    ] = None,
+    full_scale: Annotated[
+        str | None, typer.Option(help='Of a WAV file: what its full scale stands for, "500 N".')
+    ] = None,
+    time: Annotated[
+        str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 [us]".')
+    ] = None,
+    observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 [N]".')] = None,
+    runs_by: Annotated[str | None, typer.Option(help="Column that numbers runs.")] = None,
+    rows: Annotated[str | None, typer.Option(help='Rows to take: "Sensor = A".')] = None,
+    code: Code = None,
 ) -> int:
     """Write a commented scene file to start from; or, from a measured RECORD, a calibration file."""
     if what == "calibration":
         if record is None:
             raise InputError("init calibration", "no record", "give a measured file: bcfj init calibration drop.csv")
-        ready(None)
+        ready(code)
+        from bcfj_jax.data.textfile import Stated
         from calibration import init as proposal
-        from calibration.data.textfile import Stated
 
-        stated = Stated(separator, decimal, encoding, header)
-        said = proposal.Said(scene, mass, speed, table, struck_mass, stated)
+        stated = Stated(separator, decimal, encoding, header, sensitivity, full_scale)
+        wanted = proposal.rows_of(rows)
+        said = proposal.Said(
+            scene, mass, speed, table, struck_mass, stated, proposal.Hints(time, observe, runs_by, wanted)
+        )
         return proposal.run(record, out, said, typer.echo)
     if record is not None:
         found = f"{record} after the scene '{what}'"

@@ -9,7 +9,7 @@ from bcfj_jax.core.errors import InputError
 
 # What each extra is for, for users; the libraries stand in pyproject.toml.
 EXTRAS = {
-    "io": "measured data in Excel, Parquet, HDF5, MAT 7.3 and TDMS files",
+    "io": "measured data in Excel, Parquet, HDF5, MAT 7.3, TDMS, UFF, C3D and MDF files",
     "uq": "posteriors by NUTS (bcfj calibrate --intervals posterior)",
     "study": "studies (bcfj study): tables on disk, sampling, global sensitivity",
     "cluster": "studies by a Dask cluster (bcfj study run --scheduler)",

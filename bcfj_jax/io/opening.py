@@ -8,9 +8,12 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 from bcfj_jax.core.errors import InputError, clip
 
+# Readers of measured files of the user's own, by name (``usercode``): objects with ``sniff(path, head)`` and ``read(path)``.
+READERS: dict[str, Any] = {}
 MEGABYTE = 1 << 20
 # Tables of text are held as Python texts, some twenty times their size: at most 1.5 GB.
 LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 64 * MEGABYTE, 2 * MEGABYTE, 16384 * MEGABYTE
@@ -23,6 +26,15 @@ def check(path: Path, largest: int, where: str, missing: str, remedy: str) -> No
         InputError: where there is no such file, it is a folder, pipe or device, cannot be read, or is too large.
     """
     os.close(_opened(path, largest, where, missing, remedy))
+
+
+def head(path: Path, where: str, missing: str, size: int = 4096) -> bytes:
+    """The first bytes of a regular file.
+
+    Args, Raises: as ``check``.
+    """
+    with os.fdopen(_opened(path, LARGEST_BINARY, where, missing, "give a smaller file"), "rb") as file:
+        return file.read(size)
 
 
 def content(path: Path, largest: int, where: str, missing: str, remedy: str) -> bytes:

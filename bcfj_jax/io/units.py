@@ -30,6 +30,7 @@ _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 _PLAIN = (
     "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
 )  # fmt: skip
+_IN = re.compile(r"(?:(.*?\S)\s+)?in\s+(\S+)")
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
 # Units that are often written in the wrong case.
@@ -316,6 +317,8 @@ def column(header: str) -> tuple[str, str | None]:
         return match[1], match[2]
     if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
         return match[1], match[2]
+    if (match := _IN.fullmatch(plain)) and known(match[2]):
+        return match[1] or plain, match[2]
     if (match := _IN_GRAVITIES.fullmatch(plain)) and accelerates(match[1]):
         return match[1], match[2]
     for pattern in (_ROUND, _BEHIND_SLASH):

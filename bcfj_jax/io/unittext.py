@@ -33,6 +33,8 @@ _TORQUE = re.compile(r"([pnuµmkMGT]?N)(mm|cm|m|s)")
 # What rigs and their software write, and Pint does not know or reads as something else.
 _ALIASES = {
     "Sek": "s", "sek": "s", "Sekunden": "s", "seconds": "s", "mSek": "ms", "msek": "ms", "Std": "h", "kp": "kgf",
+    "Newton": "N", "Newtons": "N", "newtons": "N", "Volt": "V", "Volts": "V", "volts": "V", "Sec": "s", "Secs": "s", "msec": "ms",
+    "Seconds": "s", "Second": "s", "Sekunde": "s", "Meter": "m", "usec": "us",
     "Ohm": "ohm", "Grad": "deg", "U": "revolution", "Umdr": "revolution", "r": "revolution", "rev": "revolution",
 }  # fmt: skip
 
@@ -73,6 +75,7 @@ def symbols(text: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
+    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])", "*", text)  # N.m
     return re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text).translate(_SIGNS)
 
 

@@ -7,6 +7,7 @@ stands beside the built-in names:
 
     a subclass of AbstractLaw, AbstractElastic, AbstractFriction or AbstractGap, or an object of one      law, elastic, ...
     a function that can be called without positional arguments, and returns a model         [scene] kind, with its options
+    a class with sniff(path, head) and read(path), which returns columns by header                    a reader of measured files
     any other function                                           [[load]] kind: (t, bodies, p); drive kind: (t, p)
 
 Names that begin with "_", and names that are imported, stay with the file. ``sys.path`` is not changed, so the file cannot
@@ -236,6 +237,8 @@ def _part(module: ModuleType, name: str, value: Any, shown: str) -> tuple[Mutabl
     """The registry of a law, an elastic part, a friction law or a gap, and what goes there; None of anything else."""
     own = isinstance(value, type) and value.__module__ == module.__name__
     where = f"{shown} {name}"
+    if own and callable(getattr(value, "sniff", None)) and callable(getattr(value, "read", None)):
+        return opening.READERS, value()
     for kind, called, registry in _KINDS:
         if isinstance(value, kind):
             _check(value, called, where)

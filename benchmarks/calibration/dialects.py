@@ -233,7 +233,7 @@ def main(chosen: list[str]) -> int:
                 f"{name:42s} {fit.verdict:12s} {values[0]:.6e} {values[1]:.6f} {values[2]:.6f} {worst:.1e}", flush=True
             )
     if not chosen:
-        common.save("dialects", {"rows": rows})
+        common.save("dialects", {**common.load("dialects"), "rows": rows})
     if not rows:
         raise SystemExit(f"no dialect {', '.join(chosen)}; known are: {', '.join(files(record()))}")
     return 0 if all(row["verdict"] == "identified" and row["deviation"] < 1e-6 for row in rows) else 1

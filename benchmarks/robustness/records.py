@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.calibration import instruments
+
 TIME = np.linspace(0.0, 1.2, 61)
 FORCE = 100.0 * np.clip(np.sin(np.pi * TIME), 0.0, None)
 # Names of its columns in the calibration file of ``problem``.
@@ -16,9 +18,13 @@ TIME_COLUMN, FORCE_COLUMN = "time [ms]", "force [N]"
 
 def problem(file: str) -> str:
     """A calibration file of the record."""
+    time, force = (
+        ("time", OWN[file[file.rfind(".") :]]) if file[file.rfind(".") :] in OWN else (TIME_COLUMN, FORCE_COLUMN)
+    )
+    scale = 'full_scale = "500 N"\n' if file.endswith(".wav") else ""
     return (
-        f'scene = "impact"\n[[experiment]]\nfile = "{file}"\ntime = "{TIME_COLUMN}"\n'
-        f'observe = {{ "contact.normal" = "{FORCE_COLUMN}" }}\nnoise = "1 N"\n[free.stiffness]\nlower = 1e6\nupper = 1e10\n'
+        f'scene = "impact"\n[[experiment]]\nfile = "{file}"\ntime = "{time}"\n{scale}'
+        f'observe = {{ "contact.normal" = "{force}" }}\nnoise = "1 N"\n[free.stiffness]\nlower = 1e6\nupper = 1e10\n'
     )
 
 
@@ -82,6 +88,14 @@ def _xlsx() -> bytes:
     return buffer.getvalue()
 
 
+# Columns of force of files that instruments write, whose clock is "time".
+OWN = {".lvm": "Force 1", ".uff": "force", ".wav": "channel", ".mf4": "Force", ".c3d": "Fz"}
+
+
+def _own(name: str) -> Callable[[], bytes]:
+    return lambda: instruments.files()[name]().content
+
+
 FORMATS: dict[str, Callable[[], bytes]] = {
     ".csv": lambda: _text(","),
     ".tsv": lambda: _text("\t"),
@@ -91,4 +105,9 @@ FORMATS: dict[str, Callable[[], bytes]] = {
     ".mat": _mat,
     ".tdms": _tdms,
     ".xlsx": _xlsx,
+    ".lvm": _own("lvm_two.lvm"),
+    ".uff": _own("force58.uff"),
+    ".wav": _own("int16.wav"),
+    ".mf4": _own("drop.mf4"),
+    ".c3d": _own("plate.c3d"),
 }

@@ -6,6 +6,7 @@ line. Nothing is assumed of the sampling: times are the record's own.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ _SIGMAS, _SHARE = 6.0, 0.05
 _LOUD, _ALONE = 0.04, 0.3
 # Samples above half of the peak of a contact that no single sample can be.
 _RESOLVED = 4
+# Of several contacts the least peak that is fitted, over the largest.
+_FAINT = 0.1
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
 
@@ -131,6 +134,17 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         found.append(event._replace(loose=(width - 1) * step))
         k = last + 1
     return found
+
+
+def apart(clock: np.ndarray, events: list[Event]) -> list[tuple[int, np.ndarray]]:
+    """Which rows (N,) are about each contact, with its number from 0: as far as midway to its neighbours.
+
+    Those whose peak is below _FAINT of the largest are left out: they hold too little to be fitted beside it.
+    """
+    largest = max((e.peak for e in events), default=0.0)
+    cuts = [-np.inf, *(0.5 * (a.end + b.begin) for a, b in pairwise(events)), np.inf]
+    rows = [(clock > cuts[k]) & (clock <= cuts[k + 1]) for k in range(len(events))]
+    return [(k, rows[k]) for k, e in enumerate(events) if e.peak >= _FAINT * largest]
 
 
 def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.data.layout import others
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.layout import others
-from calibration.data.table import Table
 from calibration.forward.runs import stretches
 
 # A step of the clock that much above all but the longest tenth of the steps is a gap.
@@ -22,7 +22,7 @@ TOUCHING, _FEW_IN_CONTACT = 0.1, 3
 _PLATEAU = 4
 
 
-def check_clock(clock: np.ndarray, part: Table, time: str) -> None:
+def check_clock(clock: np.ndarray, part: Record, time: str) -> None:
     """Refuse times (N,) that do not increase, with the row of the table; ``time`` is their column's header."""
     late = np.flatnonzero(np.diff(clock) <= 0)
     if not late.size:
@@ -81,7 +81,7 @@ def check_channel(observes: str, values: np.ndarray, masked: np.ndarray, zero: f
 def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list[str]:
     """What a channel's readings (N,), SI, lack, what is ``masked`` of them, and whether they look clipped."""
     notes = []
-    blanks = int(np.isnan(values).sum())
+    blanks = int((np.isnan(values) & ~masked).sum())
     if blanks:
         notes.append(f"{observes}: {blanks} of {values.size} cells hold no number; nothing is interpolated over them")
     if masked.any():

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, format_si, scale_of
-from calibration.data.table import Table
 from calibration.impacts.events import contacts
 from calibration.impacts.preparation import Prepared
 from calibration.noise.scatter import scatter
@@ -100,7 +100,7 @@ def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:
     return text, float(max(least, _FAINT * most)), float(most)
 
 
-def other_body(record: Prepared, part: Table, observe: Mapping[str, str], mass: float) -> str:
+def other_body(record: Prepared, part: Record, observe: Mapping[str, str], mass: float) -> str:
     """Why a mass [kg] may be of the wrong body, where force alone is read and the speed is not known; "" where nothing says so.
 
     A column of accelerations that is not fitted and goes with the force is of one body. That this mass is the effective one

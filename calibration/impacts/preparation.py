@@ -13,9 +13,9 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.data.table import Table
 from calibration.impacts.events import alone, contacts, quantity, rest, rise, steady, telling, turning
 from calibration.impacts.inspection import (
     TOUCHING,
@@ -88,7 +88,7 @@ class Prepared:
     averaged: int = 1
 
 
-def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:
+def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:
     """One record out of its table.
 
     Args:
@@ -107,6 +107,8 @@ def prepare(name: str, part: Table, time: str, observe: dict[str, str], recipe: 
         with faults:
             raw[observes] = _signed(part, header, unit_of(observes), where)
     saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
+    # Infinity, of a sample beyond what an instrument can show, says no more than that.
+    raw = {o: np.where(np.isinf(values), np.nan, values) for o, values in raw.items()}
     wrong = {o: _wrong(o, values, clock) & ~saturated[o] for o, values in raw.items()}
     masked = {o: saturated[o] | wrong[o] for o in raw}
     for o, values in raw.items():
@@ -147,11 +149,11 @@ def _gap_notes(clock: np.ndarray, breaks: np.ndarray) -> list[str]:
     return [f"{gaps} {longest}; nothing is interpolated over {'them' if breaks.size > 1 else 'it'}"]
 
 
-def _place(part: Table, header: str) -> str:
+def _place(part: Record, header: str) -> str:
     return f"{part.span}, column '{header.removeprefix('-').strip()}'"
 
 
-def _signed(part: Table, header: str, unit: str, where: str) -> np.ndarray:
+def _signed(part: Record, header: str, unit: str, where: str) -> np.ndarray:
     sign = -1.0 if header.startswith("-") else 1.0
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 

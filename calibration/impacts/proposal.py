@@ -10,16 +10,18 @@ import re
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.clock import TIMES
+from bcfj_jax.data.numbers import is_missing, is_number
+from bcfj_jax.data.record import RUN_COLUMNS, Record, run_column, split
+from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
 from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
-from calibration.data.numbers import is_missing, is_number
-from calibration.data.table import RUN_COLUMNS, Table, split
 from calibration.impacts.events import Event, contacts, rest
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
@@ -27,9 +29,27 @@ from calibration.impacts.inspection import check_clock
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 _KINDS = ("s", "N", "m/s^2", "m/s", "m")
 _NAMES = {
-    "s": ("time", "t", "zeit", "clock", "seconds", "temps", "tiempo", "messzeit"),
-    "N": ("force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza"),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung"),
+    "s": TIMES,
+    "N": (
+        "force",
+        "load",
+        "f",
+        "fn",
+        "fz",
+        "fx",
+        "fy",
+        "kraft",
+        "normal",
+        "normalkraft",
+        "fuerza",
+        "standardkraft",
+        "prüfkraft",
+        "effort",
+        "forza",
+        "loadcell",
+        "last",
+    ),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
 }
@@ -44,15 +64,16 @@ _GIVEN = {
 _TANGENTIAL = {
     "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
 }  # fmt: skip
+_NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
-_MOST_RUNS = 50
+_MOST_RUNS, _RUN_ROWS = 50, 20
 # Readings that are a channel.
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Record:
+class Run:
     """One run: clock (N,) [s] and readings (N,) by unit, SI, signs turned so that contacts push and bodies approach."""
 
     name: str
@@ -97,12 +118,13 @@ class Understood:
 
     Attributes:
         columns: header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
-        runs: the column that numbers runs, and how many.
+        runs: the column that numbers runs, and how many; "file" where each file is one.
         records: every run, at most 50.
         rows: which value of a column of text its readings stand beside.
         said: how the file is written, in words.
         given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
         speeds: of each record [m/s], by that column.
+        each: whether each contact is a record, cut from its run.
     """
 
     path: Path
@@ -111,30 +133,48 @@ class Understood:
     columns: dict[str, str]
     others: list[str]
     runs: tuple[str, int]
-    records: list[Record]
+    records: list[Run]
     rows: dict[str, str] = field(default_factory=dict)
     said: str = ""
     given: tuple[str, str] = ("", "")
     speeds: tuple[float, ...] = ()
+    each: bool = False
 
 
-def understood(table: Table) -> Understood:
+class Hints(NamedTuple):
+    """What a user says of the columns: that of the clock, the reading, what numbers runs, each by its header."""
+
+    time: str | None = None
+    observe: str | None = None
+    runs_by: str | None = None
+    rows: dict[str, Any] = {}
+
+
+def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B008
     """What a table is, by its headers and by what its columns do.
 
     Raises:
         InputError: where there is no clock, no reading or no contact in it.
     """
-    found, where, faults = _columns(table), table.name, Faults(table.faults)
-    run = next((h for h in table.header if column(h)[0].lower() in RUN_COLUMNS), "")
+    where, faults = table.name, Faults(table.faults)
+    run = _run_column(table) if hints.runs_by is None else hints.runs_by
+    if run:
+        run = table.header[table.index(run, "--runs-by")]
+    found = _columns(table, run)
+    _hinted(table, hints, found)
+    if "s" not in found and table.clock:
+        found["s"] = table.clock
     rows, table = _filtered(table, found.get("s", ""))
-    parts = split(table, {}, where)
+    if hints.rows:
+        table = split(table, hints.rows, where, "")[0][1]
+    parts = split(table, {}, where, run)
     headers = ", ".join(h for h in table.header if h)
     if "s" not in found:
-        faults.found.append(InputError(where, f"no column is a time: {headers}", 'head one as "time [s]"'))
+        remedy = f'head one as "time [s]", or say which it is: --time "{_bare(table, 0)} [us]" of init calibration'
+        faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
-        remedy = 'head one with its unit, as in "force [N]"'
-        faults.found.append(InputError(where, f"{kinds}: {headers}", remedy))
+        faults.found.append(InputError(where, f"{kinds}: {headers}", _reading_remedy(table, found)))
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts[:_MOST_RUNS]]
@@ -151,19 +191,84 @@ def understood(table: Table) -> Understood:
         if not events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
-        records.append(Record(label, clock, turned, events))
-    given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]])
+        records.append(Run(label, clock, turned, events))
+    given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]], run)
     shown = {u: ("-" if signs[u] < 0 else "") + h for u, h in found.items()}
-    known = {time, run, given[0], *found.values(), *rows}
-    others = [h for h in table.header if h and h not in known]
+    rows = {**rows, **hints.rows}
+    known = {column(time)[0], time, run, given[0], *found.values(), *map(_bared, found.values()), *rows}
+    others = [h for h in table.header if h and h not in known and column(h)[0] not in known]
     many = (run, len(parts) if run else 1)
     return Understood(
         table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds
     )  # fmt: skip
 
 
+def _bared(header: str) -> str:
+    return column(header)[0]
+
+
+def _bare(table: Record, k: int) -> str:
+    return column(table.header[min(k, len(table.header) - 1)])[0]
+
+
+def _reading_remedy(table: Record, found: dict[str, str]) -> str:
+    """How to say which column is a reading: by its sensor's sensitivity, or by its header."""
+    for h in table.header:
+        if (unit := column(h)[1]) in ELECTRICAL:
+            return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
+    other = next((h for h in table.header if h and column(h)[1] is None and h != found.get("s")), "")
+    k = table.header.index(other) if other else -1
+    k = 1 if other and k == 0 and "s" not in found and len(table.header) > 1 else k
+    said = f', or say which it is: --observe "{_bare(table, k)} [N]" of init calibration' if other else ""
+    return f'head one with its unit, as in "force [N]"{said}'
+
+
+def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
+    """Put the columns that a user names to those that were found."""
+    if hints.time is not None:
+        table.index(hints.time, "--time")
+        found["s"] = hints.time
+    if hints.observe is not None:
+        header = table.header[table.index(hints.observe, "--observe")]
+        said = header if column(header)[1] is not None else hints.observe
+        unit = _unit(table, said) or next((u for u in _READ if _named(said, u)), None)
+        if unit not in _READ:
+            remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
+            raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
+        for u in _READ:
+            found.pop(u, None)
+        found[unit] = said
+
+
+def _run_column(table: Record) -> str:
+    """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
+    if named := run_column(table):
+        return named
+    try:
+        clock = table.numbers(table.clock, "s", table.name, True) if table.clock else np.zeros(0)
+    except InputError:  # Said where the clock is read.
+        clock = np.zeros(0)
+    if clock.size < 2 * _RUN_ROWS:
+        return ""
+    for h, cells in zip(table.header, table.columns, strict=True):
+        if not h or column(h)[1] is not None:
+            continue
+        texts = cells.astype(str)
+        changes = np.flatnonzero(texts[1:] != texts[:-1]) + 1
+        if not 1 <= changes.size < _MOST_RUNS or not _is_numeric(cells):
+            continue
+        numbers = table.numbers(h, "1", table.name, True)[np.r_[0, changes]]
+        lengths = np.diff(np.r_[0, changes, texts.size])
+        steps = np.diff(clock)
+        # Runs are apart in time, or each has a clock of its own; the samples of a slower channel are not.
+        apart = (steps[changes - 1] < 0) | (steps[changes - 1] > 5.0 * np.median(steps))
+        if apart.all() and (np.diff(numbers) == 1.0).all() and numbers[0] in (0.0, 1.0) and lengths.min() >= _RUN_ROWS:
+            return h
+    return ""
+
+
 def _read(
-    part: Table, time: str, found: dict[str, str], faults: Faults
+    part: Record, time: str, found: dict[str, str], faults: Faults
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:  # fmt: skip
     """Clock (N,) [s] and readings (N,) by unit of one run; what is wrong with them is put to ``faults``."""
     readings, clock = {}, np.arange(float(part.lines.size))
@@ -172,17 +277,18 @@ def _read(
         check_clock(clock, part, time)
     for unit, header in found.items():
         with faults:
-            readings[unit] = part.numbers(header, "N" if unit == "tangential" else unit, part.name, True)
+            values = part.numbers(header, "N" if unit == "tangential" else unit, part.name, True)
+            readings[unit] = np.where(np.isinf(values), np.nan, values)
     return clock, readings
 
 
-def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[float, ...]]:
+def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[str, str], tuple[float, ...]]:
     """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
-            if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header):
+            if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
                 continue
-            if column(header)[1] is not None and _unit(header) != unit:
+            if column(header)[1] is not None and _unit(table, header) != unit:
                 continue
             try:
                 values = np.array([part.numbers(header, unit, table.name, False)[0] for part in parts])
@@ -194,7 +300,7 @@ def _speeds(table: Table, parts: list[Table]) -> tuple[tuple[str, str], tuple[fl
     return ("", ""), ()
 
 
-def _filtered(table: Table, time: str) -> tuple[dict[str, str], Table]:
+def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     """Rows beside the one text that has a clock, where a column of text parts the table into curves."""
     if not time:
         return {}, table
@@ -215,7 +321,16 @@ def _name(header: str) -> str:
     return column(header)[0].lower().strip()
 
 
-def _columns(table: Table) -> dict[str, str]:
+def _named(header: str, unit: str) -> bool:
+    """Whether a name is one of a reading of a unit: as a whole, or by one of its words of three letters and more."""
+    name = _name(header)
+    words = {w for w in re.split(r"[\W\d_]+", name) if len(w) > 2}
+    # "A" is a channel of an oscilloscope.
+    whole = name in _NAMES[unit] and column(header)[0].strip() != "A"
+    return whole or bool(words & set(_NAMES[unit]) and not words & _NEITHER)
+
+
+def _columns(table: Record, run: str = "") -> dict[str, str]:
     """Headers by unit: those that state one, then those whose name says what they are.
 
     A column that is one number in each run, such as a drop height, is no reading. Of several accelerations the one that
@@ -223,38 +338,36 @@ def _columns(table: Table) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
-    numeric = [h for h in numeric if _name(h) not in RUN_COLUMNS and not _is_fixed(table, h)]
-    stated = {h: u for h in numeric if (u := _unit(h))}
+    numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
+    stated = {h: u for h in numeric if (u := _unit(table, h))}
 
     def later(header: str) -> tuple[bool, float]:
         unit = stated[header]
-        return _name(header) not in _NAMES[unit], -_range(table, header) if unit == "m/s^2" else 0.0
+        return not _named(header, unit), -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
 
     # A column named as what it is goes before another of its unit; a second force is a tangential one only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
         unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", _name(h))) else unit
         found.setdefault(unit, h)
-    for h in numeric:
-        if h not in stated and column(h)[1] is None:
-            unit = next((u for u in _KINDS if _name(h) in _NAMES[u]), None)
-            if unit:
-                found.setdefault(unit, h)
+    bare = [h for h in numeric if h not in stated and column(h)[1] is None]
+    kinds = {h: u for h in bare if (u := next((u for u in _KINDS if _named(h, u)), None))}
+    for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
+        found.setdefault(kinds[h], h)
     return found
 
 
-def _range(table: Table, header: str) -> float:
+def _range(table: Record, header: str, unit: str) -> float:
     """Largest less least reading of a column, SI; 0 where it has none."""
     try:
-        values = table.numbers(header, _unit(header) or "1", table.name, True)
+        values = table.numbers(header, unit, table.name, True)
     except InputError:
         return 0.0
     return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
 
 
-def _is_fixed(table: Table, header: str) -> bool:
+def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     """Whether a column is one number in each of several runs; of a table without runs, one that is named as such a number."""
-    run = next((h for h in table.header if _name(h) in RUN_COLUMNS), "")
     column_of = dict(zip(table.header, table.columns, strict=True))
     labels = column_of[run].tolist() if run else [""] * table.lines.size
     seen: dict[str, set[str]] = {}
@@ -264,9 +377,11 @@ def _is_fixed(table: Table, header: str) -> bool:
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
-def _unit(header: str) -> str | None:
-    """The SI unit of ``_KINDS`` that a header's unit converts to."""
-    name, text = column(header)
+def _unit(table: Record, header: str) -> str | None:
+    """The SI unit of ``_KINDS`` that a header's unit converts to, or that of its sensor's sensitivity."""
+    name, text = column(header)[0], table.unit(header)
+    if text in _KINDS:
+        return text
     for unit in _KINDS if text else ():
         if text in GRAVITIES and not (unit == "m/s^2" and accelerates(name)):
             continue
@@ -359,7 +474,7 @@ def sizes(found: Understood) -> Sizes:
     )
 
 
-def _mass(records: list[Record], moving: bool) -> float | None:
+def _mass(records: list[Run], moving: bool) -> float | None:
     """Mass by the force: of impulses over changes of speed, or of the acceleration; None where neither is read."""
     if not all("N" in r.readings for r in records):
         return None
@@ -373,7 +488,7 @@ def _mass(records: list[Record], moving: bool) -> float | None:
     return float(f @ a / (a @ a)) if a @ a > 0 else None
 
 
-def _specific(record: Record) -> Record:
+def _specific(record: Run) -> Run:
     """A record of an acceleration as one of a force per mass."""
     if "N" in record.readings or "m/s^2" not in record.readings:
         return record

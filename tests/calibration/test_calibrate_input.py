@@ -62,8 +62,8 @@ BAD = {
         ["d.csv: line 5, column 'force [N]'", "'1,5'", "decimals with a point"],
     ),
     "kind of file": (
-        lambda: (Path("d.csv").rename("d.foo"), swap('"d.csv"', '"d.foo"')()),
-        ["[[experiment]] 1 file", "d.foo is of no kind known here", ".csv, .dat, .h5, .hdf5, .mat"],
+        lambda: (Path("d.foo").write_bytes(b"\0\1\2" * 50), swap('"d.csv"', '"d.foo"')()),
+        ["[[experiment]] 1 file", "d.foo is of no kind known here", ".csv, .dat, .dat4, .h5", "--code FILE"],
     ),
     "table in a CSV": (swap("time =", 'table = "a"\ntime ='), ["[[experiment]] 1 file table", "d.csv holds no tables"]),
     "two of a name": (

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bcfj_jax import InputError
+from bcfj_jax.data import child
+from bcfj_jax.data.reading import read
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.plots import COLOURS
-from calibration.data import child
-from calibration.data.readers import read
-from calibration.data.table import Table
 from calibration.impacts.plot import data
 from calibration.impacts.preparation import Recipe, prepare
 
@@ -172,7 +172,7 @@ def test_a_file_of_several_tables_asks_which(tmp_path):
 def test_a_file_without_columns_says_how_to_store_them(tmp_path):
     from scipy.io import savemat
 
-    savemat(tmp_path / "m.mat", {"matrix": np.zeros((4, 4))})
+    savemat(tmp_path / "m.mat", {"matrix": np.zeros((4, 4, 4))})
     with pytest.raises(InputError, match=r"holds no columns.*table2struct"):
         read(tmp_path / "m.mat", "here")
 
@@ -238,7 +238,7 @@ def test_dates_are_no_times(tmp_path):
 
 
 def test_a_unit_may_be_given_where_the_file_has_none():
-    table = Table(Path("m.mat"), ("t", "F [N]"), (TIME, FORCE), np.arange(1, 6), "row")
+    table = Record(Path("m.mat"), ("t", "F [N]"), (TIME, FORCE), np.arange(1, 6), "row")
     np.testing.assert_allclose(table.numbers("t [ms]", "s", "here", False), 1e-3 * TIME, rtol=1e-15)
     with pytest.raises(InputError, match=r"no column 'F \[kN\]'"):
         table.numbers("F [kN]", "N", "here", True)
@@ -246,7 +246,7 @@ def test_a_unit_may_be_given_where_the_file_has_none():
 
 def record(clock: np.ndarray, force: np.ndarray, **recipe) -> tuple:
     """Times and values that preparation keeps, and all that it says."""
-    table = Table(Path("d.csv"), ("t [s]", "F [N]"), (clock, force), np.arange(2, clock.size + 2))
+    table = Record(Path("d.csv"), ("t [s]", "F [N]"), (clock, force), np.arange(2, clock.size + 2))
     done = prepare("d", table, "t", {"contact.normal": "F"}, Recipe(**recipe), "p.toml: [[experiment]] 1")
     return done.times, done.readings["contact.normal"].values, "; ".join(done.notes), done
 

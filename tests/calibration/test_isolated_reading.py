@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from bcfj_jax import InputError
+from bcfj_jax.data import child, isolated
+from bcfj_jax.data.readers import hdf5, mat
+from bcfj_jax.data.reading import read
 from benchmarks.robustness import records
-from calibration.data import child, isolated
-from calibration.data.readers import read
 
 h5py = pytest.importorskip("h5py", reason="the extra io is not installed")
 SOURCE = Path(child.__file__).read_text(encoding="utf-8")
@@ -56,7 +57,8 @@ def test_a_file_that_asks_for_all_the_memory_is_refused(whole):
 def test_a_file_that_is_read_without_end_is_refused(whole, monkeypatch):
     endless = whole.parent / "endless.py"
     source = SOURCE.partition("if __name__")[0]
-    endless.write_text(f"{source}\ndef mat(file):\n    while True:\n        pass\n\n\nsys.exit(main())\n")
+    loop = "def write(content, wanted):\n    while True:\n        pass\n"
+    endless.write_text(f"{source}\n{loop}\n\nsys.exit(main())\n")
     monkeypatch.setattr(child, "__file__", str(endless))
     monkeypatch.setattr(isolated, "_SECONDS", 1)
     with pytest.raises(InputError, match=r"here: .*record\.mat .*longer than 1 s.*; save it again"):
@@ -93,7 +95,7 @@ def test_what_is_in_a_file_arrives_bit_for_bit(tmp_path):
         {"x": {"y": {**numbers, **left_out, **texts}, "who": "ö"}, "alone": 3.0},
         do_compression=True,
     )
-    found = isolated.read(tmp_path / "a.mat", "here", None).tables
+    found = isolated.read(tmp_path / "a.mat", "here", None, mat).tables
     assert {name: set(columns) for name, columns in found.items()} == {
         "": {"alone"}, "x": {"who"}, "x/y": {*numbers, *texts},
     }  # fmt: skip
@@ -111,14 +113,20 @@ def test_of_a_large_file_only_the_table_that_is_meant_has_values(tmp_path, monke
     np.testing.assert_array_equal(
         read(tmp_path / "a.h5", "here", "/b").numbers("force", "N", "here", False), 2.0 * FORCE
     )
-    assert isolated.read(tmp_path / "a.h5", "here", "b").tables["a"]["force [N]"].values().size == 0
+    assert isolated.read(tmp_path / "a.h5", "here", "b", hdf5).tables["a"]["force [N]"].values().size == 0
     with pytest.raises(InputError, match=r"holds 2 tables; choose with table = .*'a', 'b'"):
         read(tmp_path / "a.h5", "here")
 
 
 def test_the_child_knows_nothing_of_ours():
     # Its start is most of what a file costs; the front door of the package imports JAX.
-    assert "bcfj_jax" not in SOURCE and "calibration" not in SOURCE
+    code = (
+        f"import runpy, sys\nrunpy.run_path({child.__file__!r})['stand_in']({mat.__file__!r})\n"
+        "from bcfj_jax.data.readers import named\nassert named('mat').KINDS\n"
+        "print([m for m in sys.modules if m.partition('.')[0] in ('jax', 'jaxlib', 'scipy', 'pint', 'calibration')])"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
 
 
 def _spreadsheet(path):
@@ -154,7 +162,7 @@ def test_a_small_file_that_holds_more_than_memory_is_refused(make, tmp_path):
     # In a process whose only child is the one that reads.
     code = (
         "import resource, sys; from pathlib import Path; from bcfj_jax import InputError\n"
-        "from calibration.data.readers import read\n"
+        "from bcfj_jax.data.reading import read\n"
         "try: read(Path(sys.argv[1]), 'here')\n"
         "except InputError as error: print(error)\n"
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024**2)"
@@ -168,7 +176,7 @@ def test_a_small_file_that_holds_more_than_memory_is_refused(make, tmp_path):
 def test_every_kind_of_binary_file_is_read_by_the_other_process():
     # In this one no library of theirs is imported.
     code = (
-        "import sys; from pathlib import Path; import calibration; from calibration.data.readers import read\n"
+        "import sys; from pathlib import Path; import calibration; from bcfj_jax.data.reading import read\n"
         "for name in sys.argv[1:]: assert read(Path(name), 'here').columns\n"
         "print(sorted({'python_calamine', 'pyarrow', 'h5py', 'nptdms', 'scipy.io'} & set(sys.modules)))"
     )

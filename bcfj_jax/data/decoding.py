@@ -6,8 +6,7 @@ import codecs
 import re
 from pathlib import Path
 
-from bcfj_jax import InputError
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig", "UTF-8"),

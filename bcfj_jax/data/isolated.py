@@ -16,43 +16,28 @@ import subprocess
 import sys
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from types import ModuleType
 
 import numpy as np
 
-from bcfj_jax import InputError
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip
 from bcfj_jax.core.extras import library
+from bcfj_jax.data import child
+from bcfj_jax.data.columns import Column, Content, Tables
+from bcfj_jax.data.readers import sheets
 from bcfj_jax.io.opening import MEGABYTE
-from calibration.data import child
 
 # What a child may have: of memory, room for its libraries and for values that were packed thirtyfold; of a core, seconds.
 _BYTES, _BYTES_A_BYTE = 1024 * MEGABYTE, 32
 _SECONDS, _SECONDS_A_MEGABYTE = 4, 2.0
 # On a machine that is busy, or where the system knows no such limits, the clock on the wall decides.
 _WAIT = 15
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_MAX_THREADS")
 # Of a smaller file every table is read, for the next entry of a calibration often names another of its tables.
 _SMALL = 32 * MEGABYTE
 
 
-# Which library reads a kind of file that comes with the extra ``io``.
-_LIBRARIES = {
-    **dict.fromkeys(child.SHEETS, "python_calamine"), **dict.fromkeys((".parquet", ".pq"), "pyarrow.parquet"),
-    **dict.fromkeys((".h5", ".hdf5", ".mat"), "h5py"), ".tdms": "nptdms",
-}  # fmt: skip
-# Numbered rows of cells by the name of their sheet.
-Sheets = dict[str, list[tuple[int, list]]]
-
-
-class Found(NamedTuple):
-    """What a file holds: its tables, or its sheets; and what it lacks, "" for nothing."""
-
-    tables: child.Tables
-    note: str = ""
-    sheets: Sheets = {}
-
-
-def read(path: Path, where: str, inside: str | None) -> Found:
+def read(path: Path, where: str, inside: str | None, reader: ModuleType) -> Content:
     """The columns of a file by table; of a large file only the table that is meant has values.
 
     Args:
@@ -61,15 +46,16 @@ def read(path: Path, where: str, inside: str | None) -> Found:
     Raises:
         InputError: where the file cannot be read, or crashes or exceeds the process that reads it.
     """
-    found, kind = path.stat(), path.suffix.lower()
-    small = found.st_size < _SMALL or (inside is None and kind in child.SHEETS)
+    found = path.stat()
+    small = found.st_size < _SMALL or (inside is None and reader is sheets)
     wanted = "*" if small else (inside or "").strip("/")
     try:
-        return _read(path.absolute(), wanted, found.st_mtime_ns, found.st_size)
+        return _read(path.absolute(), wanted, found.st_mtime_ns, found.st_size, reader)
     except _Unreadable as error:
         how, remedy = error.args
         if how.startswith("ModuleNotFoundError"):
-            library(_LIBRARIES[kind], where, "io")
+            library(reader.LIBRARY, where, "io")
+        kind = path.suffix.lower() if path.suffix.lower() in reader.KINDS else reader.KINDS[0]
         raise InputError(where, f"{clip(str(path))} cannot be read as {kind} ({how})", remedy) from None
 
 
@@ -78,15 +64,20 @@ class _Unreadable(Exception):
 
 
 @lru_cache(maxsize=1)
-def _read(path: Path, wanted: str, changed: int, size: int) -> Found:
+def _read(path: Path, wanted: str, changed: int, size: int, reader: ModuleType) -> Content:
     del changed
-    kind = path.suffix.lower()
     seconds = int(_SECONDS + _SECONDS_A_MEGABYTE * size / MEGABYTE)
     # ``-P``: a module beside the data, or beside the child, must not stand in for a library's.
     command = [sys.executable, "-P", "-W", "ignore", child.__file__, str(path), wanted]
-    limits = [str(_BYTES + _BYTES_A_BYTE * size), str(seconds)]
+    limits = [str(_BYTES + _BYTES_A_BYTE * size), str(seconds), str(reader.__file__)]
     # Threads of linear algebra would only reserve memory.
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    environment = {
+        **os.environ,
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "NUMEXPR_MAX_THREADS": "1",
+    }
     try:
         done = subprocess.run(
             [*command, *limits],
@@ -96,36 +87,38 @@ def _read(path: Path, wanted: str, changed: int, size: int) -> Found:
             timeout=_WAIT * seconds + _WAIT,
         )
     except subprocess.TimeoutExpired:
-        raise _damaged(kind, f"it took longer than {_WAIT * seconds + _WAIT} s") from None
+        raise _damaged(reader, f"it took longer than {_WAIT * seconds + _WAIT} s") from None
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    if done.returncode == child.REFUSED and said:
-        how, remedy = json.loads(said[-1])
+    # A library may go on to print as its process ends.
+    refused = [line for line in said if line.startswith('["') and line.endswith("]")]
+    if done.returncode == child.REFUSED and refused:
+        how, remedy = json.loads(refused[-1])
         if "MemoryError" in how:
-            raise _oversize(kind)
+            raise _oversize(reader)
         raise _Unreadable(clip(how), remedy or "write the file again, or give it the extension of its kind")
     if any("memory allocation of" in line for line in said):
-        raise _oversize(kind)
+        raise _oversize(reader)
     if done.returncode:
-        raise _damaged(kind, _ended(done.returncode, seconds))
-    content, tables = io.BytesIO(done.stdout), {}
+        raise _damaged(reader, _ended(done.returncode, seconds))
+    content, tables = io.BytesIO(done.stdout), Tables()
     head = json.loads(content.readline())
     for table, name, unit, length, follows in head.get("tables", ()):
         values = np.lib.format.read_array(content, allow_pickle=False) if follows else np.zeros(0)
         values.flags.writeable = False
-        tables.setdefault(table, {})[name] = child.Column(unit, length, lambda values=values: values)
-    return Found(tables, head.get("note", ""), head.get("sheets", {}))
+        tables.setdefault(table, {})[name] = Column(unit, length, lambda values=values: values)
+    return Content(tables, head.get("note", ""), head.get("sheets", {}))
 
 
-def _oversize(kind: str) -> _Unreadable:
+def _oversize(reader: ModuleType) -> _Unreadable:
     """More is to be kept of a file than its child may have."""
-    if kind in child.SHEETS:
+    if reader is sheets:
         how = "between its first and its last cell there are too many cells to be kept"
         return _Unreadable(how, "delete the cells that stand far from the table, or write it as CSV")
-    return _damaged(kind, "it states sizes that its length cannot hold")
+    return _damaged(reader, "it states sizes that its length cannot hold")
 
 
-def _damaged(kind: str, how: str) -> _Unreadable:
-    version = ", with -v7.3" if kind == ".mat" else ""
+def _damaged(reader: ModuleType, how: str) -> _Unreadable:
+    version = ", with -v7.3" if ".mat" in reader.KINDS else ""
     return _Unreadable(f"{how}: it is damaged", f"save it again{version}, or write it as CSV")
 
 

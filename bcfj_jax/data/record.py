@@ -1,30 +1,57 @@
-"""A measured table: named columns of one length, each row with its place in the file, and numbers in SI.
+"""A measured record: channels with their units on one clock, each row with its place in the file, and numbers in SI.
 
-What the columns mean is stated by the problem file.
+What the channels mean is stated by the problem file. A file that holds several clocks holds as many records.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax import InputError, nearest
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.data.clock import is_time, of_day
+from bcfj_jax.data.numbers import parsed
+from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import column, scale_of
-from calibration.data.numbers import parsed
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
-RUN_COLUMNS = ("run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag")
+RUN_COLUMNS = (
+    "run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag", "segment", "run no", "run_no",
+    "run number", "trial no", "drop no", "hit no", "impact", "impact no", "essai", "prüfung", "probe", "specimen",
+    "wurf", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
+)  # fmt: skip
 # Cells of one fault that a message quotes.
 _QUOTED = 5
+# How oscilloscopes write a sample beyond what they can show.
+CLIPPED = ("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity")
+
+
+class Channel(NamedTuple):
+    """A column: its name, its unit as the file states it (None: none), and its cells (N,) as they stand."""
+
+    name: str
+    unit: str | None
+    values: np.ndarray
+
+
+class Provenance(NamedTuple):
+    """Where a record is from: file, reader, group or sheet, SHA-256 of the file, and what was converted, in words."""
+
+    file: Path
+    reader: str
+    inside: str
+    sha256: str
+    converted: str
 
 
 @dataclass(frozen=True)
-class Table:
-    """The rows of a file.
+class Record:
+    """The rows of a file, or of a table in it.
 
     Attributes:
         header: names of the columns, each with its unit in brackets where it has one.
@@ -35,6 +62,8 @@ class Table:
         decimals: of each column the decimal mark of numbers that are texts; empty: points.
         faults: of rows that do not fit, to be said together with those of the columns.
         found: how the file is written, in words.
+        reader: what read it.
+        sensitivities: of channels that are voltages, charges or shares of a full scale.
     """
 
     path: Path
@@ -46,6 +75,26 @@ class Table:
     decimals: tuple[str, ...] = ()
     faults: tuple[InputError, ...] = ()
     found: str = ""
+    reader: str = "text"
+    sensitivities: Sensitivities = NONE
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The columns with their names and units."""
+        return tuple(Channel(*column(h), c) for h, c in zip(self.header, self.columns, strict=True))
+
+    @property
+    def clock(self) -> str:
+        """Header of the column of times; "" where there is none."""
+        of_days = (h for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
+        return next((h for h in self.header if h and is_time(h)), next(of_days, ""))
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where the record is from; the file is read again for its checksum."""
+        with open(self.path, "rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+        return Provenance(self.path, self.reader, self.inside, digest, self.found)
 
     @property
     def name(self) -> str:
@@ -93,12 +142,43 @@ class Table:
         position = self.index(name, where)
         header = self.header[position]
         unit = column(header)[1] or column(name)[1]
-        scale = 1.0 if unit is None else scale_of(unit, si_unit, f"{self.name}: column '{header}'")
-        values, bad = self._parsed(position)
-        wrong = np.flatnonzero(bad | np.isinf(values) | (np.isnan(values) if not blank else False))
+        place = f"{self.name}: column '{header}'"
+        values, bad = self._parsed(position, si_unit == "s")
+        if (
+            blank
+        ):  # A sample beyond what an instrument can read stands as infinity: where it was is known, what it was is not.
+            clipped = np.array(
+                [str(c).strip() in CLIPPED for c in self.columns[position][np.isinf(values)].tolist()], dtype=bool
+            )
+            bad[np.flatnonzero(np.isinf(values))[~clipped]] = True
+        wrong = np.flatnonzero(
+            bad | (np.isinf(values) if not blank else False) | (np.isnan(values) if not blank else False)
+        )
         if wrong.size:
             self._refuse(position, wrong, blank)
-        return values * scale
+        return values * self.scale(unit, si_unit, column(header)[0], place)
+
+    def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
+        """The factor of a column of a unit to SI, by the sensitivity of its sensor where that is electrical.
+
+        Raises:
+            InputError: for a unit that does not convert, with what to give where it is electrical.
+        """
+        if unit is None or (unit not in ELECTRICAL and self.sensitivities.of(name, unit) is None):
+            return 1.0 if unit is None else scale_of(unit, si_unit, place)
+        factor = self.sensitivities.of(name, unit)
+        if factor is None:
+            raise InputError(place, f"is in {unit}, and {si_unit} is wanted", NEEDED.get(unit, NEEDED[""]))
+        if factor.si_unit != si_unit:
+            found = f"its sensitivity '{factor.text}' leads to {factor.si_unit}, and {si_unit} is wanted"
+            raise InputError(place, found, f"give one such as {ELECTRICAL.get(unit, 'mV')}/N for each column by name")
+        return factor.factor
+
+    def unit(self, header: str) -> str | None:
+        """The unit of a column, that behind its sensor where a sensitivity is given."""
+        name, text = column(header)
+        found = self.sensitivities.of(name, text)
+        return found.si_unit if found else text
 
     def holds(self, name: str, value: object, where: str) -> np.ndarray:
         """Which rows, (N,) of truth values, hold a value in a column: a text, or a number however it is written."""
@@ -109,9 +189,11 @@ class Table:
     def _decimal(self, position: int) -> str:
         return self.decimals[position] if self.decimals else "."
 
-    def _parsed(self, position: int) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (N,) of a column as they are written, and which of its cells (N,) are none."""
+    def _parsed(self, position: int, times: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (N,) of a column as they are written, and which of its cells (N,) are none; ``times`` may be of a day."""
         cells = self.columns[position]
+        if times and cells.dtype.kind in "OUS" and (seconds := of_day(cells.tolist())) is not None:
+            return seconds, np.zeros(cells.size, dtype=bool)
         if cells.dtype.kind in "iufb":
             return cells.astype(float), np.zeros(cells.size, dtype=bool)
         if cells.dtype.kind in "OUS":
@@ -142,22 +224,33 @@ class Table:
             remedy += f", or leave {'them' if several else 'it'} blank if nothing was measured" if blank else ""
         raise InputError(self.place(int(wrong[0]), header), found, remedy)
 
-    def where(self, keep: np.ndarray) -> Table:
+    def where(self, keep: np.ndarray) -> Record:
         """The rows to keep, (N,) of truth values."""
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
 
 
-def split(table: Table, rows: Mapping[str, object], where: str) -> list[tuple[str, Table]]:
+def run_column(table: Record) -> str:
+    """The first column named as in ``RUN_COLUMNS`` that does not number the rows themselves; "" where there is none."""
+    for header, cells in zip(table.header, table.columns, strict=True):
+        if header.strip().lower() in RUN_COLUMNS and (cells.size < 2 or len(set(cells.tolist())) < cells.size):
+            return header
+    return ""
+
+
+def split(
+    table: Record, rows: Mapping[str, object], where: str, runs_by: str | None = None
+) -> list[tuple[str, Record]]:
     """The experiments in a table, each with its name.
 
     ``rows`` keeps the rows whose column equals a value; a list of values makes one experiment of each, and so
-    does, unasked, a column named as in ``RUN_COLUMNS``.
+    does ``runs_by``, or unasked the first column named as in ``RUN_COLUMNS``; "" asks for none.
 
     Raises:
         InputError: when a filter leaves no row, with the values that are there.
     """
     parts = [("", table)]
-    unasked = {column(h)[0]: None for h in table.header if column(h)[0].lower() in RUN_COLUMNS}
+    named = run_column(table) if runs_by is None else runs_by
+    unasked = {column(named)[0]: None} if named else {}
     wanted = {**unasked, **rows}
     for name, choice in wanted.items():
         found = table.texts(name, f"{where}: rows")

@@ -119,8 +119,8 @@ def _value(cell: object, decimal: str, grouped: bool) -> float | None:
     if not isinstance(cell, str) or len(cell) > 64:
         return None
     text = cell.replace("\u2212", "-")
-    if text.lstrip("+-").lower() in ("inf", "infinity"):
-        return float(text)
+    if text.lstrip("+-").lower() in ("inf", "infinity", "∞"):
+        return float(text.replace("∞", "inf"))
     match = _NUMBER.fullmatch(text)
     if match is None:
         return None

@@ -10,16 +10,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bcfj_jax import InputError
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.data import clock, numbers
+from bcfj_jax.data.decoding import decoded
+from bcfj_jax.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from calibration.data import numbers
-from calibration.data.decoding import decoded
-from calibration.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
-from calibration.data.table import Table
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
@@ -29,6 +29,8 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
+# Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
+_LARGE, _HEAD = 50_000, 4000
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,19 @@ class Stated:
         decimal: "." or ",".
         encoding: as Python names it, such as "utf-8" or "cp1252".
         header: line of the names, or lines of names in two lines; 0: the file has no names.
+        sensitivity, full_scale: of channels that are voltages, charges or shares of a full scale (``sensitivity``).
     """
 
     separator: str | None = None
     decimal: str | None = None
     encoding: str | None = None
     header: int | list[int] | None = None
+    sensitivity: str | None = None
+    full_scale: str | None = None
+
+    def written(self) -> dict[str, Any]:
+        """What is said of how a text is written."""
+        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale")}
 
     def check(self, where: str) -> None:
         """Refuse values that are none.
@@ -64,7 +73,7 @@ class Stated:
             )
 
 
-def read(path: Path, where: str, stated: Stated) -> Table:
+def read(path: Path, where: str, stated: Stated) -> Record:
     """The table in a text file; rows that do not fit are in its ``faults``.
 
     Raises:
@@ -78,6 +87,8 @@ def read(path: Path, where: str, stated: Stated) -> Table:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:], path)
     file = File(str(path), "line")
+    if len(lines) > _LARGE and (record := _large(path, lines, (first, separator), stated, encoding)):
+        return record
     rows, faults = _rows(lines, first, separator, file)
     layout = found(rows, file, stated.header)
     decimals = decimal_marks(layout, stated, file, commas_part=separator == "comma")
@@ -86,9 +97,51 @@ def read(path: Path, where: str, stated: Stated) -> Table:
     return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
 
 
+def _large(
+    path: Path, lines: list[str], how: tuple[int, str], stated: Stated, encoding: str
+) -> Record | None:  # fmt: skip
+    """The table of a text of many lines that are all numbers, by NumPy; None where one is not: cells are then looked at."""
+    (first, separator), file = how, File(str(path), "line")
+    try:
+        rows, faults = _rows(lines[:_HEAD], first, separator, file)
+        layout = found(rows, file, stated.header)
+        marks = set(decimal_marks(layout, stated, file, commas_part=separator == "comma"))
+    except InputError:
+        return None
+    if faults or layout.faults or layout.left or len(marks) != 1:
+        return None
+    begin, data = layout.rows[0].line - 1, lines[layout.rows[0].line - 1 :]
+    while data and not data[-1].strip():
+        data.pop()
+    if marks == {","}:
+        if separator == "comma" or any("." in line for line in data):
+            return None
+        data = [line.replace(",", ".") for line in data]
+    try:
+        values = np.loadtxt(
+            data, delimiter=None if separator == "blank" else SEPARATORS[separator], comments=None, ndmin=2
+        )
+    except (ValueError, OverflowError):
+        return None
+    if len(values) != len(data) or values.shape[1] != len(layout.kept) or layout.kept != tuple(range(values.shape[1])):
+        return None
+    mark = "points" if marks == {"."} else "commas"
+    said = table(path, layout, (), file, f"{encoding} text, {_SAID[separator]}, decimal {mark}")
+    size, timed = len(values), len(said.header) > values.shape[1]
+    columns = [*values.T]
+    if timed:
+        start, step = clock.stated(layout.facts, str(path)) or (0.0, 1.0)
+        columns = [start + step * np.arange(size), *columns]
+    shown = said.found.replace(
+        f"{len(layout.rows)} rows, lines {begin + 1} to {layout.rows[-1].line}",
+        f"{size} rows, lines {begin + 1} to {begin + size}",
+    )
+    return replace(said, columns=tuple(columns), lines=np.arange(begin + 1, begin + size + 1), found=shown)
+
+
 def table(
     path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
-) -> Table:  # fmt: skip
+) -> Record:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
     counted = file.counted
     lines = np.array([r.line for r in layout.rows])
@@ -105,10 +158,19 @@ def table(
     if layout.united:
         parts.append(f"units in {_lines(layout.united, counted)}")
     parts.append(f"{lines.size} rows, {counted}s {lines[0]} to {lines[-1]}")
+    if layout.left:
+        parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in layout.names[:12])
     parts.append(f"{len(layout.names)} columns: {clip(named)}{', ...' if len(layout.names) > 12 else ''}")
-    return Table(
-        path, layout.names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
+    names = layout.names
+    timed = any(map(clock.is_time, names)) or any(len(c) and clock.is_of_day(c[0]) for c in columns)
+    if not timed and (even := clock.stated(layout.facts, str(path))):
+        start, step = even
+        names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
+        decimals = (".", *decimals)
+        parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
+    return Record(
+        path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
     )  # fmt: skip
 
 
@@ -173,7 +235,7 @@ def _score(lines: Sequence[str], separator: str, least: int) -> float:
             continue
         cells = _cells(line, separator)
         given = [c for c in cells if not numbers.is_missing(c)]
-        count = sum(map(numbers.is_number, given))
+        count = sum(numbers.is_number(c) or clock.is_of_day(c) for c in given)
         if count >= least:
             shares[len(cells)] = shares.get(len(cells), 0.0) + count / len(given)
     return max(shares.values(), default=0.0)
@@ -190,6 +252,8 @@ def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple
         if len(line) > 1_000_000:
             raise InputError(file.at(number), f"{len(line)} characters in one line", "give a file of rows")
         cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
+        if comment and cells[0] == "" and any(cells) and line.lstrip()[0] == "#":
+            cells[0] = "#"  # The name of a column of numbers.
         if any(cells):
             rows.append(Row(number, cells, comment))
     if separator == "blank":

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
-from bcfj_jax import InputError
-from bcfj_jax.core.errors import clip
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.data import preamble
+from bcfj_jax.data.clock import is_of_day
+from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.io.units import column, known
-from calibration.data.numbers import is_missing, is_number
 
 # Rows that are looked at to find the columns of numbers.
 _SAMPLE = 600
@@ -54,6 +56,8 @@ class Layout:
         kept: positions in the file of the columns that are kept, from 0.
         named, united: lines of the names and of the units; empty where the file has none.
         above, comments: how many rows stand above the names, and how many are comments.
+        facts: names and values beside the table.
+        left: first and last line of what follows the table, another one, which is left out.
     """
 
     names: tuple[str, ...]
@@ -64,6 +68,8 @@ class Layout:
     above: int = 0
     comments: int = 0
     faults: list[InputError] = field(default_factory=list)
+    facts: preamble.Facts = field(default_factory=list)
+    left: tuple[int, int] | None = None
 
 
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
@@ -76,12 +82,15 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     Raises:
         InputError: where no rows hold numbers, or the names that are stated are not there.
     """
-    plain = [r for r in rows if not r.comment]
+    plain, facts = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
     begin = next((k for k, r in enumerate(plain) if wide and _is_data(r.cells, numeric)), None)
     if begin is None:
         raise _nothing(plain, file)
+    begin, end = _largest(plain, begin, numeric) if stated is None else (begin, len(plain))
+    left = (plain[end].line, plain[-1].line) if end < len(plain) else None
+    plain = plain[:end]
     if stated is not None:
         names, units = stated
         last = max((r.line for r in (*names, *units)), default=0)
@@ -96,6 +105,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         raise InputError(
             file.name, f"has no rows below {file.counted} {plain[-1].line}", "give a file with names and data"
         )
+    top = {r.line for r in (*names, *units)}
+    facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
+    names, units, data, more = _incremented(names, units, data, numeric, wide)
+    facts += more
     titles = _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
@@ -105,8 +118,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     last = kept[-1] + 1 if kept else 0
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
     fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
+    columns = [[r.cells[0] for r in fitted]] if kept else []
+    named = preamble.titled([titles[j] for j in kept], facts, columns, bool(names))
     return Layout(
-        names=tuple(titles[j] for j in kept),
+        names=tuple(named),
         rows=fitted,
         kept=tuple(kept),
         named=tuple(r.line for r in names),
@@ -114,13 +129,57 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         above=above,
         comments=sum(r.comment and r not in names for r in rows),
         faults=faults,
+        facts=facts,
+        left=left,
     )
+
+
+def _incremented(
+    names: list[Row], units: list[Row], data: list[Row], numeric: list[int], wide: int
+) -> tuple[list[Row], list[Row], list[Row], preamble.Facts]:
+    """Names, units and data where the row below the names holds a start and a step (Rigol), and these; else as they are."""
+    below = data[0] if names and not _is_data(data[0].cells, numeric) else None
+    more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []
+    if below is None or not more:
+        return names, units, data, []
+    said = {name for name, _ in more}
+    cells = ["" if c in said else c for c in names[-1].cells[:wide]]
+    texts = [c if isinstance(c, str) and not is_number(c) else "" for c in below.cells[:wide]]
+    return [names[-1]._replace(cells=cells)], [below._replace(cells=texts)], data[1:], more
+
+
+def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:
+    """First row of data of the largest table, and the row that ends it: a row of texts alone begins another.
+
+    Where none holds most of the rows it is all of them: what does not fit is then said.
+    """
+    heads = [k for k in range(begin + 1, len(rows)) if _begins(rows[k].cells)]
+    if not heads:
+        return begin, len(rows)
+    ends = [begin, *heads, len(rows)]
+    parts = [(sum(_is_data(r.cells, numeric) for r in rows[a:b]), a, b) for a, b in pairwise(ends)]
+    count, first, last = max(parts)
+    if count < 0.8 * sum(n for n, *_ in parts) or count < 3:
+        return begin, len(rows)
+    first = next(k for k in range(first, last) if _is_data(rows[k].cells, numeric))
+    return first, last
+
+
+def _begins(cells: Sequence[Any]) -> bool:
+    """Whether a row within data is the head of another table: two texts or more, all of them, and not words for no number."""
+    given = [c for c in cells if not is_missing(c)]
+    return len(given) > 1 and not any(_holds(c) for c in given)
+
+
+def _holds(cell: Any) -> bool:
+    """Whether a cell is a number, or a time of day, as a clock's are."""
+    return is_number(cell) or is_of_day(cell)
 
 
 def _shape(rows: Sequence[Row]) -> tuple[int, list[int]]:
     """How many cells a row of data has, and which columns hold numbers."""
     some = rows if len(rows) <= _SAMPLE else [*rows[: _SAMPLE // 2], *rows[:: len(rows) // (_SAMPLE // 2)]]
-    numbered = [(r.cells, [is_number(c) for c in r.cells]) for r in some]
+    numbered = [(r.cells, [_holds(c) for c in r.cells]) for r in some]
     least = 2 if any(sum(flags) >= 2 for _, flags in numbered) else 1
     counts = Counter(len(cells) for cells, flags in numbered if sum(flags) >= least)
     if not counts:
@@ -137,14 +196,14 @@ def _shape(rows: Sequence[Row]) -> tuple[int, list[int]]:
 
 def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
     inside = [cells[j] for j in numeric if j < len(cells)]
-    numbers = sum(is_number(c) for c in inside)
-    return numbers >= min(2, len(numeric)) and all(is_number(c) or is_missing(c) for c in inside)
+    numbers = sum(_holds(c) for c in inside)
+    return numbers >= min(2, len(numeric)) and all(_holds(c) or is_missing(c) for c in inside)
 
 
 def _is_text(cells: Sequence[Any]) -> bool:
     """Whether a row can hold names or units: two texts at least, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
-    return bool(given) and len(given) >= min(2, len(cells)) and not any(is_number(c) for c in given)
+    return bool(given) and len(given) >= min(2, len(cells)) and not any(_holds(c) for c in given)
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -157,8 +216,10 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         return [], [], begin, begin
     first, united = k + 1, []
     over = rows[k - 1] if k and _is_text(rows[k - 1].cells) else None
+    if over is None and k and _is_units(rows[k].cells) and _names_numbers(rows[k - 1].cells, rows[k].cells):
+        over = rows[k - 1]
     if over and len(over.cells) >= len(numeric):
-        if _is_units(rows[k].cells):
+        if _is_units(rows[k].cells, most=not _is_units(over.cells)):
             united, k = [rows[k]], k - 1
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
             return [rows[k]], [over], first, k - 1
@@ -180,14 +241,21 @@ def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], l
     return fitting[-1:], []
 
 
-def _is_units(cells: Sequence[Any]) -> bool:
-    """Whether all texts of a row are units."""
+def _names_numbers(cells: Sequence[Any], units: Sequence[Any]) -> bool:
+    """Whether a row above one of units names columns, some of them by a number, as oscilloscopes name channels."""
+    given = [c for c in cells if not is_missing(c)]
+    return len(given) == sum(not is_missing(c) for c in units) and not is_number(given[0])
+
+
+def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
+    """Whether all texts of a row are units, or ``most`` of them."""
     texts = [_bare(c) for c in cells if isinstance(c, str) and c.strip()]
     if not texts:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    return (bracketed or not letters) and all(known(t) for t in texts)
+    count = sum(known(t) for t in texts)
+    return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 
 def _bare(cell: str) -> str:
@@ -221,7 +289,8 @@ def _with_unit(title: str, mark: str) -> str:
 
 def _kept(titles: list[str], data: Sequence[Row], wide: int) -> list[int]:
     """Columns but those without a name and without a cell, which separators at the ends of lines make."""
-    nameless = [j for j in range(max(wide, len(titles))) if j >= len(titles) or not titles[j]]
+    made = titles == [f"column {j + 1}" for j in range(wide)]
+    nameless = [j for j in range(max(wide, len(titles))) if made or j >= len(titles) or not titles[j]]
     filled = {j for j in nameless if any(j < len(r.cells) and not is_missing(r.cells[j]) for r in data)}
     return [j for j in range(wide) if j not in nameless or j in filled]
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bcfj_jax import InputError, nearest
-from calibration.data import child, isolated, numbers, textfile
-from calibration.data.layout import File, Row, found
-from calibration.data.table import Table
+from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.data import isolated, numbers, textfile
+from bcfj_jax.data.layout import File, Row, found
+from bcfj_jax.data.readers import sheets as reader
+from bcfj_jax.data.record import Record
 
-KINDS = child.SHEETS
 
-
-def read(path: Path, where: str, inside: str | None, stated: textfile.Stated) -> Table:
+def read(path: Path, where: str, inside: str | None, stated: textfile.Stated) -> Record:
     """The table on a sheet: the only one that holds numbers, or the one named ``inside``.
 
     Raises:
         InputError: where no sheet holds rows of numbers, several do, or the one that is named is not there.
     """
-    read = isolated.read(path, where, inside).sheets
+    read = isolated.read(path, where, inside, reader).sheets
     if inside is not None and inside not in read:
         raise InputError(f"{where} table", f"no sheet '{inside}' in {path}", nearest(inside, read))
     sheets = {name: _rows(read[name]) for name in ([inside] if inside else read)}

@@ -1,0 +1,130 @@
+"""The clock of a record: a column of times, or the step or rate that a file states beside its channels.
+
+What instruments call these is in ``STEPS``, ``RATES`` and ``STARTS``: names without blanks, signs and units, in lower case.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+
+import numpy as np
+
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.io.units import column, scale_of
+
+TIMES = (
+    "time", "t", "zeit", "clock", "seconds", "second", "temps", "tiempo", "messzeit", "prüfzeit", "testzeit", "versuchszeit",
+    "elapsed time", "abs time", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
+)  # fmt: skip
+STEPS = {
+    "dt", "deltat", "deltax", "xinc", "xincr", "xincrement", "xdelta", "xstep", "increment", "sampleinterval", "samplinginterval",
+    "sampleperiod", "samplingperiod", "horizontalinterval", "horizinterval", "timeinterval", "timestep", "timeincrement",
+    "tinterval", "interval", "scaninterval", "abtastintervall", "abtastzeit", "abtastperiode", "schrittweite", "messintervall",
+    "intervalledechantillonnage", "horizontalresolution", "samplinginc",
+}  # fmt: skip
+RATES = {
+    "fs", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq", "scanrate",
+    "frequency", "acquisitionrate", "datarate", "framerate", "capturerate", "abtastrate", "abtastfrequenz", "messrate",
+    "samplespersecond", "analograte", "analogrecordingrate", "frequencedechantillonnage", "loggingrate",
+}  # fmt: skip
+STARTS = {"x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst"}
+_NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
+_OF_DAY = re.compile(
+    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d)?[ T]?\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
+    r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?"
+)
+_SAMPLES_A_SECOND = re.compile(r"(?i)(?:k|m)?(?:sa?|samples|sps|scans)(?:/s|/sec|/second)?|samples per second")
+
+
+def plain(key: str) -> str:
+    """A name without its unit, blanks and signs, in lower case."""
+    return re.sub(r"[\W_]+", "", column(key)[0].lower())
+
+
+def is_time(header: str) -> bool:
+    """Whether a column is one of times, by its unit or else its name."""
+    name, unit = column(header)
+    if unit is None:
+        return name.strip().lower() in TIMES
+    with contextlib.suppress(InputError):
+        return bool(scale_of(unit, "s", header))
+    return False
+
+
+def is_of_day(cell: object) -> bool:
+    """Whether a cell is a time of day, or a date and a time."""
+    return isinstance(cell, str) and ":" in cell and _OF_DAY.fullmatch(cell.strip()) is not None
+
+
+def of_day(cells: Sequence[object]) -> np.ndarray | None:
+    """Seconds (N,) since the first of cells that are times of day, over midnight too; None where one is none."""
+    if not cells or not all(map(is_of_day, cells)):
+        return None
+    days, seconds = np.zeros(len(cells)), np.zeros(len(cells))
+    for k, cell in enumerate(cells):
+        date, hours = re.fullmatch(r"(.*?)[ T]?(\d\d?:\d\d:\d\d.*)", str(cell).strip()).groups()  # pyright: ignore
+        whole, fraction = re.fullmatch(r"(\d\d?:\d\d:\d\d)(?:[.,:](\d+))?.*", hours).groups()  # pyright: ignore
+        h, m, s = map(int, whole.split(":"))
+        if hours[-1:] in "mM":
+            h = h % 12 + (12 if hours[-2] in "pP" else 0)
+        seconds[k] = 3600.0 * h + 60.0 * m + s + (float(f"0.{fraction}") if fraction else 0.0)
+        days[k] = _day(date)
+    if (days > 0).all():
+        return 86400.0 * (days - days[0]) + seconds - seconds[0]
+    # Without dates a day begins where the clock falls by more than half of one.
+    return seconds - seconds[0] + 86400.0 * np.cumsum(np.r_[0.0, np.diff(seconds) < -43200.0])
+
+
+def _day(text: str) -> float:
+    """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
+    for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"):
+        with contextlib.suppress(ValueError):
+            return float(datetime.strptime(text, form).toordinal())
+    return 0.0
+
+
+def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] | None:
+    """Start and step [s] that a file states; None where it states no step.
+
+    Args:
+        facts: names and values as they stand.
+
+    Raises:
+        InputError: where it states two steps that differ.
+    """
+    steps: dict[str, float] = {}
+    start = 0.0
+    for key, value in facts:
+        name, unit = plain(key), column(key)[1]
+        if name in STEPS and (step := _number(value, unit, "s")):
+            steps[key] = step
+        elif name in RATES and (rate := _number(value, unit, "Hz")):
+            steps[key] = 1.0 / rate
+        elif name in STARTS:
+            start = _number(value, unit, "s") or start
+    right = {key: step for key, step in steps.items() if step > 0.0}
+    if not right:
+        return None
+    if max(right.values()) > 1.001 * min(right.values()):
+        shown = " and ".join(f"'{clip(key, 40)}' a step of {step:g} s" for key, step in list(right.items())[:2])
+        raise InputError(
+            where, f"it states two clocks: {shown}", "take out the one that is wrong, or add a column of times"
+        )
+    return start, next(iter(right.values()))
+
+
+def _number(value: str, unit: str | None, si_unit: str) -> float | None:
+    """A number with its unit, SI; None of what is none."""
+    found = _NUMBER.fullmatch(str(value))
+    if found is None:
+        return None
+    text = found[1].replace(",", "." if "." not in found[1] else "")
+    said: str = (found[2].strip(' "') or unit or "").strip()
+    with contextlib.suppress(ValueError, InputError):
+        if si_unit == "Hz" and _SAMPLES_A_SECOND.fullmatch(said):
+            return float(text) * {"k": 1e3, "m": 1e6}.get(said[0].lower() if said[0] in "kM" else "", 1.0)
+        return float(text) * (scale_of(said, si_unit, "clock") if said else 1.0)
+    return None

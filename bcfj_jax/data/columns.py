@@ -1,0 +1,108 @@
+"""What a reader of a binary file hands on: columns by name, tables by path, and a clock where channels have one of their own.
+
+This file and the readers import NumPy alone at their top, for the start of the process that reads (``child``) is most of what
+reading a file costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+UNIT_NAMES = ("unit", "units")
+# What a channel of samples without a physical unit is in: a share of its full scale.
+FULL_SCALE = "FS"
+
+
+class Refused(Exception):
+    """What is wrong with a file, and the remedy."""
+
+
+class Column(NamedTuple):
+    """A column that is there: its unit, its number of values, and how to read them."""
+
+    unit: str | None
+    size: int
+    values: Callable[[], Any]
+
+
+# The columns of a table by name, and the tables of a file by path; "" is what stands outside any group.
+Columns = dict[str, Column]
+Tables = dict[str, Columns]
+
+
+class Content(NamedTuple):
+    """What a file holds: its tables, or of a spreadsheet its sheets of numbered rows; and what it lacks, "" for nothing."""
+
+    tables: Tables
+    note: str = ""
+    sheets: dict[str, list] = {}
+
+
+class Sampled(NamedTuple):
+    """A channel with a clock of its own: values (N,), sampled from ``start`` [s] every ``step`` [s]."""
+
+    name: str
+    unit: str | None
+    values: np.ndarray
+    start: float
+    step: float
+
+
+def vector(values: np.ndarray, unit: object = None) -> Column | None:
+    """An array as a column, or None for what is none: a matrix, a reference, a complex number."""
+    if values.dtype.kind not in "iufbOSUMm" or (values.ndim and max(values.shape) != values.size):
+        return None
+    if values.dtype.kind == "O" and not all(isinstance(v, str) for v in values.flat):
+        return None
+    return Column(text(unit), values.size, lambda: values)
+
+
+def matrix(name: str, values: np.ndarray) -> Columns:
+    """The columns of a matrix (N, m) or (m, N) of numbers, with m the smaller; none of anything else."""
+    if values.ndim != 2 or values.dtype.kind not in "iuf" or min(values.shape) < 2 or min(values.shape) > 64:
+        return {}
+    tall = values if values.shape[0] >= values.shape[1] else values.T
+    return {f"{name} {j + 1}": Column(None, len(tall), _part(tall, j)) for j in range(tall.shape[1])}
+
+
+def _part(values: np.ndarray, j: int) -> Callable[[], Any]:
+    return lambda: values[:, j]
+
+
+def text(value: object) -> str | None:
+    """A text in any of the forms in which files hold one."""
+    value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+    value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    return str(value).strip() or None if isinstance(value, str) else None
+
+
+def sampled(path: str, channels: Sequence[Sampled]) -> Tables:
+    """Channels as tables, each with its clock "time": one where all share it, else one a clock, named after its first channel."""
+    by_clock: dict[tuple[float, float, int], list[Sampled]] = {}
+    for channel in channels:
+        by_clock.setdefault((channel.start, channel.step, channel.values.size), []).append(channel)
+    tables: Tables = {}
+    for (start, step, size), group in by_clock.items():
+        names = [c.name for c in group]
+        columns: Columns = {"time": Column("s", size, lambda a=start, b=step, n=size: a + b * np.arange(n))}
+        for k, c in enumerate(group):
+            name = c.name if names.count(c.name) == 1 and c.name not in columns else f"{c.name} {k + 1}"
+            columns[name] = Column(c.unit, size, lambda values=c.values: values)
+        tables[path if len(by_clock) == 1 else f"{path}/{names[0]}".strip("/")] = columns
+    return tables
+
+
+def with_units(tables: Tables) -> Tables:
+    """Units from a struct of texts named ``units`` inside a struct, which is then no table of its own."""
+    united: Tables = {}
+    for name, columns in tables.items():
+        parent, _, own = name.rpartition("/")
+        if own in UNIT_NAMES and parent in tables:
+            continue
+        beside: Iterable[Columns] = (tables.get(f"{name}/{key}".strip("/"), {}) for key in UNIT_NAMES)
+        units = {k: text(np.asarray(c.values())) for texts in beside for k, c in texts.items() if c.size == 1}
+        united[name] = {k: c._replace(unit=c.unit or units.get(k)) for k, c in columns.items()}
+    return united

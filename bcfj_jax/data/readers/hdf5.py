@@ -1,0 +1,83 @@
+"""HDF5 by h5py, also MATLAB 7.3: a group of 1-D datasets, or a compound dataset; attribute ``unit`` or ``units``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bcfj_jax.data.columns import UNIT_NAMES, Column, Content, Tables, matrix, text, with_units
+
+KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_RATES = ("dt", "sample_interval", "sample_rate", "sampling_rate", "samplerate", "fs")
+
+
+def sniff(head: bytes) -> bool:
+    """Named files alone; of others the bytes are shown (``decoding``)."""
+    del head
+    return False
+
+
+def read(file: str, wanted: str) -> Content:
+    """The vectors of a file by the path of their group, and matrices where a group holds no vectors."""
+    import h5py
+
+    content = h5py.File(file, "r")  # Closed with the process: values are read when they are written out.
+    tables, matrices = Tables(), Tables()
+
+    def visit(name: str, thing: object) -> None:
+        # MATLAB keeps the content of cells and objects in groups of these names.
+        if name.startswith("#") or not isinstance(thing, h5py.Dataset):
+            return
+        item: Any = thing
+        unit = next((item.attrs[k] for k in UNIT_NAMES if k in item.attrs), None)
+        if item.dtype.names:
+            tables[name] = {field: Column(None, item.size, _part(item, field)) for field in item.dtype.names}
+            return
+        parent, _, own = name.rpartition("/")
+        found = _matlab_text(item) if item.attrs.get("MATLAB_class") == b"char" else _dataset(item, unit)
+        if found:
+            columns = tables.setdefault(parent, {})
+            columns[own] = found
+            for key in (k for k in _RATES if k in item.attrs and k not in columns):
+                columns[key] = Column(None, 1, lambda value=item.attrs[key]: np.ravel(value)[:1])
+        elif item.ndim == 2 and item.dtype.kind in "iuf" and 1 < min(item.shape) <= 64 and item.size < 1 << 24:
+            matrices.setdefault(parent, {}).update(matrix(own, item[()]))
+
+    content.visititems(visit)
+    for name, columns in matrices.items():
+        if not any(c.size > 1 for c in tables.get(name, {}).values()):
+            tables.setdefault(name, {}).update(columns)
+    return Content(with_units(tables))
+
+
+def _part(item: Any, field: str) -> Callable[[], Any]:
+    return lambda: item[field]
+
+
+def _dataset(item: Any, unit: object) -> Column | None:
+    if item.shape is None or (item.ndim and max(item.shape) != item.size):
+        return None
+    if item.dtype.kind == "O":
+        return Column(text(unit), item.size, lambda: item.asstr()[()]) if item.dtype.metadata else None
+    return Column(text(unit), item.size, lambda: item[()]) if item.dtype.kind in "iufbS" else None
+
+
+def _matlab_text(item: Any) -> Column:
+    letters = "".join(chr(code) for code in np.ravel(item[()]))
+    return Column(None, 1, lambda: np.array([letters]))
+
+
+def is_hdf5(file: str) -> bool:
+    """Whether the signature of HDF5 stands where a file may have it: at 0, 512, 1024, 2048, ... bytes."""
+    with open(file, "rb") as content:
+        at, end = 0, os.fstat(content.fileno()).st_size
+        while at < end:
+            content.seek(at)
+            if content.read(8) == _SIGNATURE:
+                return True
+            at = 2 * at or 512
+    return False

@@ -1,0 +1,107 @@
+"""Sensors whose records are voltages, charges or shares of a full scale: "2.3 mV/N", "4 pC/N", "100 mV/g", "100 N/V".
+
+Several sensors are told apart by the names of their columns: "CH1 = 2.3 mV/N, CH2 = 100 mV/g". A WAV file has a full scale, as
+in "500 N".
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bcfj_jax.core.errors import InputError, clip
+from bcfj_jax.data.columns import FULL_SCALE
+from bcfj_jax.io.units import GRAVITIES, scale_of
+
+_GIVE = 'say what it stands for: --sensitivity "10 mV/N" of init calibration, or sensitivity = "10 mV/N" under [[experiment]]'
+_FULL = 'say what full scale is: --full-scale "500 N" of init calibration, or full_scale = "500 N" under [[experiment]]'
+NEEDED = {"": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N"))}
+# Units of columns that are no quantity of a scene, and in which a sensitivity is written.
+_VOLTS = ("V", "Volt", "Volts", "volt", "volts", "mV", "uV", "µV", "kV", "Vdc", "VDC", "mVolt", "mV/V", "mA")
+ELECTRICAL = {**dict.fromkeys(_VOLTS, "mV"), **dict.fromkeys(("pC", "nC", "C"), "pC"), FULL_SCALE: FULL_SCALE}
+_ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt": "V", "mVolt": "mV"}
+# What a sensor may read, in SI.
+_READ = ("N", "m/s^2", "m/s", "m", "N m")
+_ONE = re.compile(r"(?:(?P<name>[^=]+?)\s*=\s*)?(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
+_RIGHT = 'give one such as "2.3 mV/N", "4 pC/N", "100 mV/g" or "100 N/V"'
+
+
+class Factor(NamedTuple):
+    """What one unit of a column is in SI: the factor, the SI unit, and the text it is from."""
+
+    factor: float
+    si_unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Sensitivities by column, "" for all others, and of a full scale; each as it was stated."""
+
+    stated: str = ""
+    full_scale: str = ""
+    where: str = ""
+
+    def of(self, name: str, unit: str | None) -> Factor | None:
+        """The factor of a column of a unit; None where none is stated or the unit is no sensor's.
+
+        Raises:
+            InputError: for a text that is no sensitivity.
+        """
+        if unit == FULL_SCALE:
+            return _full(self.full_scale, f"{self.where} full_scale") if self.full_scale else None
+        if not self.stated or unit is None or unit not in ELECTRICAL:
+            return None
+        other = None
+        for text in re.split(r"[,;]\s*(?=\D)", self.stated):
+            found = _ONE.fullmatch(text.strip())
+            if not found:
+                raise InputError(f"{self.where} sensitivity", f"'{clip(text)}' is none", _RIGHT)
+            if found["name"] in (None, name):
+                one = _factor(float(found["number"]), found["unit"], unit, f"{self.where} sensitivity")
+                if found["name"]:
+                    return one
+                other = one
+        return other
+
+
+def _full(text: str, where: str) -> Factor:
+    found = _ONE.fullmatch(text.strip())
+    if found and not found["name"] and float(found["number"]) != 0.0:
+        for si_unit in _READ:
+            if (scale := _scale(found["unit"], si_unit)) is not None:
+                return Factor(float(found["number"]) * scale, si_unit, text)
+    raise InputError(where, f"'{clip(text)}' is no full scale", 'give one such as "500 N" or "100 g"')
+
+
+def _scale(unit: str, si_unit: str) -> float | None:
+    """The factor to SI, with g as gravity; None for another quantity."""
+    bare = unit.strip("() ")
+    if si_unit == "m/s^2" and bare in GRAVITIES:
+        return GRAVITIES[bare]
+    if bare in GRAVITIES:
+        return None
+    try:
+        return scale_of(bare, si_unit, "sensitivity")
+    except InputError:
+        return None
+
+
+def _factor(number: float, text: str, unit: str, where: str) -> Factor:
+    """What one ``unit`` of a column is, of a sensitivity of ``number`` ``text``: in volts per newton, or newtons per volt."""
+    above, _, below = text.partition("/")
+    base = "C" if ELECTRICAL[unit] == "pC" else "V"
+    for electric, other, inverse in ((above, below, True), (below, above, False)):
+        volts = _scale(_ALIKE.get(electric.strip(), electric), base)
+        if volts is None or not other or not number:
+            continue
+        for si_unit in _READ:
+            if (scale := _scale(other, si_unit)) is not None:
+                size = scale_of(_ALIKE.get(unit, unit), base, where)
+                factor = scale / (number * volts) if inverse else number * scale / volts
+                return Factor(factor * size, si_unit, f"{number:g} {text}")
+    raise InputError(where, f"'{number:g} {clip(text)}' is no sensitivity of a column in {unit}", _RIGHT)
+
+
+NONE = Sensitivities()
