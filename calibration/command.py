@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from bcfj_jax.io.units import format_si
 from calibration.diagnostics.answers import Answer
 from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
 from calibration.impacts.preparation import Prepared
-from calibration.problem import Problem
+from calibration.problem import NUISANCES, Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
 from calibration.report import plots_uncertainty
 from calibration.report.diagnosis import as_json as diagnosis_json
@@ -36,7 +36,7 @@ from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
-from calibration.uncertainty import unstated_filter
+from calibration.uncertainty import quote, unstated_filter
 from calibration.uncertainty.estimates import REFERENCE, Reference
 from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
@@ -60,11 +60,15 @@ MEANING = {
     "robust": "runs, or blocks of samples, differ",
     "discrepancy": "the law misses a shape of the contact",
     unstated_filter.KIND: "a filter that nobody stated",
+    quote.KIND: "every error that may act, of which few do",
     apart.KIND: "contacts differ: no law",
     NEXT_RUN: "the estimate of one more run by itself",
 }
-_BUDGET = "Errors of the sensor and of fixed values that residuals do not show: how far each moves the estimates"
-_HEAD = ["parameter", "value", "95 % interval", "which allows for", "with the errors below", "remark"]
+_ERRORS = (
+    "Errors that may act: what the record says of each, how far each alone moves the estimates, and what it costs: the width "
+    "of the interval over its width without the error. What costs most is what to measure or buy first"
+)
+_HEAD = ["to quote", "value", "95 % interval", "which allows for", "noise alone", "remark"]
 # Of intervals that hold on a condition.
 _IF_SO = "95 % interval, if so"
 
@@ -218,24 +222,15 @@ def _absurd(outcome: Outcome) -> list[plausibility.Finding]:
 
 
 def text(result: Fit) -> str:
-    """The fit in words: verdict, the three answers, then a line a parameter."""
-    lines = [f"verdict: {result.verdict}"]
+    """The fit in words: verdict, what to quote, the three answers, then the rest."""
+    lines = [f"verdict: {result.verdict}", *_on_condition(result), report.text([_head(result), *_rows(result)]), ""]
     for question, found in _answers(result):
         lines += [f"{question}: {found.answer}", *(f"  - {reason}" for reason in found.because)]
-    lines += ["", *_on_condition(result), report.text([_head(result), *_rows(result)])]
     if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
-    force = result.reference
-    # Of a fit that knows nothing but on a condition the line above has it.
-    if force and (force.ci95 or not result.conditional):
-        wider = f", with the errors below {_ends(force.with_budget, 'N')}" if force.with_budget else ""
-        where = "the power law where the data are; the stiffness is derived from it"
-        lines += [
-            "",
-            f"force at {brief(force.penetration, 'm')}: {_interval(force.force, force.ci95, 'N')}{wider} ({where})",
-        ]
     if result.systematic:
-        lines += ["", f"{_BUDGET}:", report.text(_budget_rows(result))]
+        lines += ["", "standard uncertainty:", report.text(_uncertainty_rows(result))]
+        lines += ["", f"{_ERRORS}:", report.text(_error_rows(result))]
     lines += ["", _residual(result)]
     for name, seen in result.residual["features"].items():
         sigma = f"(sigma {seen['sigma']:.2g})"
@@ -285,23 +280,47 @@ def _kinds(result: Fit) -> list[list[str]]:
     every = _shown(result)
     kinds = [k for k in MEANING if any(k in p.intervals for p in every.values())]
     rows = [["parameter", *kinds]]
-    for name in _shared(result):
+    for name in _in_order(_shared(result)):
         p = every[name]
         shown = {k: _ends(ends, p.unit) + (" *" if k == p.headline else "") for k, ends in p.intervals.items()}
         rows.append([name, *(shown.get(k, "") for k in kinds)])
     return rows
 
 
-def _budget_rows(result: Fit) -> list[list[str]]:
-    """What each estimate moves by for every error, a share of itself, and for all together."""
+def _error_rows(result: Fit) -> list[list[str]]:
+    """What the record says of every error, what each estimate moves by for it alone, and what it costs, the dearest first."""
     found = result.systematic
     assert found is not None
-    names = [name for name in (REFERENCE, *_shared(result)) if name in found.names]
+    names = [name for name in (REFERENCE, *_in_order(_shared(result))) if name in found.names]
+    lines = sorted(found.lines, key=lambda line: -max(line.cost.get(name, 1.0) for name in names))
     rows = [
-        [line.error, line.limit, *(_moved(line.moves[name], result, name) for name in names)] for line in found.lines
-    ]
-    together = [_moved(max(found.widened(name, 0.0)), result, name) for name in names]
-    return [["error", "up to", *names], *rows, ["all together", "", *together]]
+        [
+            line.error, line.limit, f"{line.says} ({line.chance:.0%})",
+            *(_moved(line.moves[name], result, name) for name in names), f"{max(line.cost[name] for name in names):.2f}",
+        ]
+        for line in lines
+    ]  # fmt: skip
+    return [["error", "up to", "by the record", *names, "width over that without it"], *rows]
+
+
+def _uncertainty_rows(result: Fit) -> list[list[str]]:
+    """Standard uncertainties in the words of JCGM 100."""
+    found = result.systematic
+    assert found is not None
+    rows = [["", "Type A (noise)", "Type B (errors)", "combined", "coverage factor"]]
+    for name in (n for n in (REFERENCE, *_in_order(_shared(result))) if n in found.names):
+        own = found.uncertainties[name]
+        parts = (_moved(x, result, name) for x in (own.type_a, own.type_b, own.combined))
+        rows.append([name, *parts, f"{own.coverage_factor:.2f}"])
+    return rows
+
+
+def _in_order(names: Iterable[str]) -> list[str]:
+    """Losses, then exponents, then others, a stiffness, which follows from force and exponent, and last the sensor's numbers."""
+    kinds = ("restitution", "damping", "loss", "exponent")
+    place = {n: next((k for k, kind in enumerate(kinds) if kind in n), 4 + ("stiffness" in n)) for n in names}
+    place |= {n: 6 for n in place if n.partition("[")[0] in NUISANCES}
+    return sorted(place, key=lambda n: place[n])
 
 
 def _shared(result: Fit) -> list[str]:
@@ -326,15 +345,24 @@ def _interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
 
 
 def _rows(result: Fit) -> list[list[str]]:
-    rows = []
-    for name, p in _shown(result).items():
-        ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.with_budget, p.unit)
+    """What to quote, first the force that the data know best; the interval of the noise alone beside."""
+    rows, shown = [], _shown(result)
+    force = (result.conditional.reference if result.conditional else None) or result.reference
+    if force and (force.ci95 or not result.conditional):
+        value = bounded([force.force], force.ci95 or (), "N")[0]
+        allowed = MEANING[quote.KIND] if force.with_budget else ""
+        ends = _ends(force.ci95, "N"), allowed, _ends(force.noise, "N")
+        rows.append([f"force at {brief(force.penetration, 'm')}", value, *ends, "the power law where the data are"])
+    for name in _in_order(shown):
+        p = shown[name]
+        ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.intervals.get("noise"), p.unit)
         rows.append([name, *bounded([p.value], p.ci95 or (), p.unit), *ends, _remark(p)])
     return rows
 
 
 def _remark(p: Parameter) -> str:
-    remarks = [p.kind] if p.kind != "fitted" else []
+    remarks = ["derived from force and exponent"] if p.kind == "derived" else []
+    remarks += ["not to a factor of two"] if p.ci95 and p.ci95[0] > 0.0 and p.ci95[1] > 2.0 * p.ci95[0] else []
     remarks += [f"interval by {p.interval_kind}"] if p.headline == "noise" and p.interval_kind != "covariance" else []
     remarks += [f"at its {p.at_bound} bound"] if p.at_bound else []
     remarks += [] if p.identifiable else ["not determined by the data"]
@@ -346,6 +374,7 @@ def as_json(result: Fit) -> dict[str, Any]:
     found, matrix = result.conditional, result.correlation
     return {
         "verdict": result.verdict,
+        "quoted": _quoted_json(result),
         "reasons": result.reasons,
         **{question: found._asdict() for question, found in _answers(result)},
         "notes": result.notes,
@@ -356,7 +385,7 @@ def as_json(result: Fit) -> dict[str, Any]:
             for t in result.tests
         ],
         **_fields(result, "starts", "residual", "noise", "check", "held_out"),
-        "systematic": [line._asdict() for line in result.systematic.lines] if result.systematic else [],
+        "systematic": [{**line._asdict(), "says": line.says} for line in result.systematic.lines] if result.systematic else [],
         "correlation": None if matrix is None else {"labels": list(result.labels), "matrix": matrix},
         "seed": result.seed,
         "conditional": found and {
@@ -383,8 +412,32 @@ def _parameter(p: Parameter) -> dict[str, Any]:
     }
 
 
+def _quoted_json(result: Fit) -> list[dict[str, Any]]:
+    """What to quote, in order: value, interval, and its standard uncertainties where errors are allowed for."""
+    known = result.systematic.uncertainties if result.systematic else {}
+    force, found = result.reference, []
+    if force:
+        named = {
+            "name": REFERENCE,
+            "penetration": force.penetration,
+            "value": force.force,
+            "unit": "N",
+            "ci95": force.ci95,
+        }
+        found.append(named | {"uncertainty": known[REFERENCE]._asdict() if REFERENCE in known else None})
+    for name in _in_order(result.parameters):
+        own = {"name": name, **_fields(result.parameters[name], "value", "unit", "ci95")}
+        found.append(own | {"uncertainty": known[name]._asdict() if name in known else None})
+    return found
+
+
 def _force(reference: Reference | None) -> dict[str, Any] | None:
-    return reference and _fields(reference, "penetration", "force", "ci95", "with_budget")
+    if reference is None:
+        return None
+    return {
+        **_fields(reference, "penetration", "force", "ci95", "with_budget"),
+        "intervals": {"noise": reference.noise},
+    }
 
 
 def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
@@ -448,7 +501,7 @@ def _draw(done: _Done) -> None:
         *plots_uncertainty.draw(result, folder),
     ]
     note = " ".join([*_on_condition(result)[:1], "* in the table below marks the kind that is printed here."])
-    found = [Table("Parameters", [_head(result), *_rows(result)], note,
+    found = [Table("To quote", [_head(result), *_rows(result)], note,
                    (Table("Every kind of interval (* the one printed)", _kinds(result)),))]  # fmt: skip
     answers = [[question, one.answer, "; ".join(one.because)] for question, one in _answers(result)]
     answers = [["question", "answer", "because"], *answers]
@@ -456,7 +509,8 @@ def _draw(done: _Done) -> None:
     found.append(Table("The three questions behind the verdict", answers))
     found += [page.block(heading, rows) for heading, rows in done.explained]
     if result.systematic:
-        found.append(Table(_BUDGET, _budget_rows(result)))
+        found.append(Table("Standard uncertainty", _uncertainty_rows(result)))
+        found.append(Table(_ERRORS, _error_rows(result)))
     if result.held_out:
         head = ["record", "largest error of the peak", "rms of the peak, where the force acts"]
         rows = [[n, *(percent(e[f"{k}_error_of_peak"]) for k in ("max", "rms"))] for n, e in result.held_out.items()]

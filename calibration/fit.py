@@ -19,7 +19,7 @@ from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location, systematic
+from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
 from calibration.diagnostics.optimum import Optimum, start_rows
@@ -27,10 +27,9 @@ from calibration.diagnostics.records import Record, features_of, hold_out, recor
 from calibration.diagnostics.residual_tests import overstated, residual_tests
 from calibration.diagnostics.scales import untold
 from calibration.diagnostics.solver_error import corrected
-from calibration.diagnostics.systematic import Budget
 from calibration.forward import integration
 from calibration.forward.coordinates import Coordinate
-from calibration.forward.model import Model, build, evaluation, predictions
+from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
@@ -40,12 +39,13 @@ from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, batch_size, by_cost, referred, screen, search
 from calibration.solver_budget import budget
-from calibration.uncertainty import notes, unstated_filter
-from calibration.uncertainty.estimates import REFERENCE, estimates, placed, widened
+from calibration.uncertainty import notes, quote, systematic, unstated_filter
+from calibration.uncertainty.estimates import REFERENCE, estimates, placed
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
-from calibration.uncertainty.intervals import Evidence, check_kind, half, headlined, revised
+from calibration.uncertainty.intervals import BOUND, Evidence, check_kind, half, headlined, revised
 from calibration.uncertainty.law_miss import clustered, discrepancy, in_blocks
+from calibration.uncertainty.quote import Quoted
 
 log = logging.getLogger("calibration")
 
@@ -76,7 +76,7 @@ class Fit:
 
     ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
     said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
-    ``systematic``: errors that no residual shows, and what the estimates move by (``diagnostics.systematic``); None
+    ``systematic``: the errors that may act, what each costs, and uncertainties (``uncertainty.quote``); None
     where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
     on what the record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
     """
@@ -101,7 +101,7 @@ class Fit:
     check: dict[str, Any]
     notes: list[str]
     optimum: Optimum
-    systematic: Budget | None = None
+    systematic: Quoted | None = None
     evidence: Evidence = field(default_factory=Evidence)
     conditional: Conditional | None = None
     stage: str = COMPLETE
@@ -135,8 +135,9 @@ def fit(
         seed: of the start design; the same seed gives the same fit.
         starts: how many starts descend, at least 4.
         journal: where finished starts are kept, and taken from.
-        intervals: "covariance" (a profile where the cost does not rise as that says), "profile" or "posterior".
-        systematic: whether errors of sensor, law and fixed values are allowed for (``with_budget``).
+        intervals: of the noise: "covariance" (a profile where the cost does not rise as that says), "profile" or "posterior";
+            "bound" quotes every error at its limit.
+        systematic: whether errors of sensor, law and fixed values are allowed for.
         tell: called with the best fit before it is tested ("not tested yet": values alone), and with the tested one before
             those errors are looked at.
 
@@ -176,7 +177,7 @@ def fit(
         return _doubted(problem, assessed)
     if tell:
         tell(replace(assessed, stage=NARROW))
-    return with_budget(problem, assessed)
+    return with_errors(problem, assessed, intervals == BOUND)
 
 
 def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
@@ -220,9 +221,9 @@ def _doubted(problem: Problem, found: Fit) -> Fit:
     return _refused(found, text, " and ".join(dict.fromkeys(conditions)))
 
 
-def with_budget(problem: Problem, found: Fit) -> Fit:
-    """A fit with the errors that its residuals do not show: filters that nobody stated (``uncertainty.unstated_filter``),
-    ``systematic``, and the intervals that allow for them.
+def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
+    """A fit with the interval to quote: filters that nobody stated (``uncertainty.unstated_filter``), and errors of which few
+    act (``uncertainty.quote``); ``bound``: every error at its limit.
 
     Unchanged where no estimate is determined or no channel is read.
     """
@@ -230,26 +231,50 @@ def with_budget(problem: Problem, found: Fit) -> Fit:
     if found.optimum.spread.covariance is None or not model.channels:
         return _doubted(problem, found)
     found = _with_filters(problem, found)
+    at = found.optimum
     with stage("errors that residuals do not show"):
-        allowed = _systematic(problem, found.optimum)
-
-    def wider(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
-        axes = dict(zip(found.labels, model.coordinates, strict=True))
-        return {
-            name: replace(p, with_budget=widened(axes[name], p, partial(allowed.widened, name)))
-            for name, p in parameters.items()
-        }
-
-    reference = found.reference and found.reference.widened(partial(allowed.widened, REFERENCE))
-    conditional = found.conditional
-    if conditional:
-        own = conditional.reference and conditional.reference.widened(partial(allowed.widened, REFERENCE))
-        conditional = replace(conditional, parameters=wider(conditional.parameters), reference=own)
-    parameters = wider(found.parameters)
+        errors = systematic.every(problem, at)
+        allowed = quote.quoted(at, errors, bound=bound)
+        conditional, known = found.conditional, allowed
+        if conditional:
+            free = np.array(
+                [bool(conditional.parameters[n].ci95) if n in conditional.parameters else True for n in at.labels]
+            )
+            known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound)
+            force, own = conditional.reference, conditional.parameters
+            own = {n: _quoted(at, n, p, known) if n in at.labels else p for n, p in own.items()}
+            conditional = replace(conditional, parameters=own, reference=force and _force_quoted(at, force, known))
+    parameters = {name: _quoted(at, name, p, allowed) for name, p in found.parameters.items()}
+    reference = found.reference and _force_quoted(at, found.reference, allowed)
+    shown = conditional.parameters if conditional else parameters
+    said = [n for n in found.notes if not n.startswith(notes.WIDE)] + notes.spanning(at, shown)
     found = replace(
-        found, systematic=allowed, parameters=parameters, reference=reference, conditional=conditional
+        found, systematic=known, parameters=parameters, reference=reference, conditional=conditional, notes=said
     )  # fmt: skip
     return _doubted(problem, found)
+
+
+def _quoted(at: Optimum, name: str, p: Parameter, by: Quoted) -> Parameter:
+    """An estimate with the interval to quote, where it has one; it holds that of a filter, a profile or a posterior."""
+    if p.ci95 is None:
+        return p
+    axis, z = at.model.coordinates[at.labels.index(name)], np.log(p.value) if p.value > 0.0 else 0.0
+    kept = p.headline == unstated_filter.KIND or (p.headline == "noise" and p.interval_kind != "covariance")
+    about = (float(z) if axis.log else p.value, by.reach(name), axis.log)
+    own, ends = (
+        quote.ends_about(*about, given, (axis.lower, axis.upper)) for given in (None, p.ci95 if kept else None)
+    )
+    headline = quote.KIND if ends == own else p.headline
+    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, quote.KIND: own})
+
+
+def _force_quoted(at: Optimum, force: Reference, by: Quoted) -> Reference:
+    if force.ci95 is None:
+        return force
+    reach, wide = by.reach(REFERENCE), (-np.inf, np.inf)
+    kept = force.ci95 if force.interval_kind != "covariance" else None
+    ends = quote.ends_about(float(np.log(force.force)), reach, True, kept, wide)
+    return replace(force, ci95=ends, with_budget=ends)
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -307,7 +332,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
         return _refused(found, text, unstated_filter.NONE)
     if reference and reference.ci95:
-        reference = replace(reference, ci95=open_.ends(-1, reference.ci95))
+        reference = replace(reference, ci95=open_.ends(-1, reference.ci95), interval_kind=unstated_filter.KIND)
     return replace(found, parameters=parameters, reference=reference)
 
 
@@ -421,10 +446,10 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     converged = of_search.answer == "converged" and seen.rivals.passed
     # Where the verdict stands already no profile can mend it, and where the law misses the noise's interval is not the
     # headline.
-    if asked.intervals != "covariance" or (converged and consistent and whole):
+    if asked.intervals not in ("covariance", BOUND) or (converged and consistent and whole):
         found, evidence = revised(asked.intervals, at, found, batch_size(len(ends)), asked.seed)
     # Where the law misses, the headline is of the miss: that the cost is no parabola over the noise's interval is a note.
-    bent = [] if asked.intervals != "covariance" or consistent else fit_tests.bent(found.tests)
+    bent = [] if asked.intervals not in ("covariance", BOUND) or consistent else fit_tests.bent(found.tests)
     # A rival that fits as well is another answer, not a failed search.
     identification = [seen.rivals, *(t for t in found.tests if t not in bent), *others]
     of_data = answers.data(identification, {name: p.identifiable for name, p in found.parameters.items()})
@@ -537,43 +562,6 @@ def _misses(at: Optimum, best: End, spread: fit_tests.Spread) -> dict[str, fit_t
         found["robust"] = within
     process = discrepancy(series, best.residuals, best.jacobian, spread)
     return found | ({"discrepancy": process.spread} if process else {})
-
-
-def _systematic(problem: Problem, at: Optimum) -> Budget:
-    """The budget of errors."""
-    model, best = at.model, at.end
-    seen = contacts(model, best.point)
-    deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
-    longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
-    law = law_errors.signatures(model, best.point, deepest, peak, longest)
-    stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
-    errors = [
-        *systematic.of_sensor(model, predictions(model, best.point), at.series, stated),
-        *systematic.of_law(law),
-        *systematic.of_fixed(model, best, _tolerances(problem), stated),
-        *systematic.of_weight(model, best, at.series),
-    ]
-    return systematic.budget_of(at, errors, _moving(at), list(law.values()))
-
-
-def _tolerances(problem: Problem) -> dict[str, np.ndarray]:
-    """What is said of fixed values by name and record (E,), SI; 0 where a record has its own value without a tolerance."""
-    fitted, common = _fitted(problem), problem.tolerances
-    names = dict.fromkeys((*common, *(name for e in fitted for name in e.tolerances)))
-    return {
-        n: np.array([e.tolerances.get(n, 0.0 if n in e.fixed else common.get(n, 0.0)) for e in fitted]) for n in names
-    }
-
-
-def _moving(at: Optimum) -> systematic.Moving:
-    """Estimates and, last, the logarithm of the reference force, as errors move them."""
-    model = at.model
-    slopes, values = placed(model, at.end)[1], model.values(at.end.point)
-    sizes = [1.0 if axis.log else max(abs(v), 1e-300) for axis, v in zip(model.coordinates, values, strict=True)]
-    if not model.referenced:
-        return systematic.Moving(at.labels, slopes, np.array(sizes))
-    slopes = np.vstack([slopes, np.diag(model.box[1])[model.pair()[0]]])
-    return systematic.Moving((*at.labels, REFERENCE), slopes, np.array([*sizes, 1.0]))
 
 
 def _turns(seen: _Seen) -> bool:

@@ -286,7 +286,7 @@ class Problem:
     motion, whose derivatives would take ten times as long. ``loss`` is SciPy's name for what a residual of z standard
     deviations costs (``losses.loss_of``). ``adequate``: share of the peak that a law may miss a contact by, to be called
     adequate (``diagnostics.answers``). ``tolerances`` (SI): how well fixed values are known, as limits of 95 %; without
-    one, 1 % of the value (``diagnostics.systematic``). ``filter``: what the readings passed between sensor and record, whose
+    one, 1 % of the value (``uncertainty.systematic``). ``filter``: what the readings passed between sensor and record, whose
     ``cutoff`` is free or given; "none"; or "unknown": where the record's clock is free, too, a fit asks whether the record
     tells one from the law (``uncertainty.unstated_filter``). ``doubts``: why given values may be wrong; a fit with one
     identifies nothing, and says what holds on the condition that they are right.

@@ -35,7 +35,7 @@ FOLDERS = {
     "mechanism": (("bcfj_jax/mechanism",), ("tests/mechanism/test_[!a]*.py", "tests/models/test_mechanism_energy.py")),
     "solve": (("bcfj_jax/solve",), tuple(f"tests/solve/test_{name}.py" for name in _SOLVE)),
     "uncertainty": (
-        ("calibration/uncertainty", "calibration/diagnostics/systematic.py"),
+        ("calibration/uncertainty", "calibration/uncertainty/systematic.py"),
         tuple(f"tests/calibration/test_{name}.py" for name in _UNCERTAINTY),
     ),
     "noise": (("calibration/noise",), ("tests/calibration/test_noise.py", "tests/calibration/test_averaging.py")),

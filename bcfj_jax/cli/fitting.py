@@ -100,7 +100,7 @@ def calibrate(
     out: Out = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the starting points.")] = 0,
     starts: Annotated[int, typer.Option(min=4, max=limits.STARTS, help="Number of starting points.")] = 12,
-    intervals: Annotated[str, typer.Option(help="covariance, profile or posterior.")] = "covariance",
+    intervals: Annotated[str, typer.Option(help="covariance, profile, posterior or bound.")] = "covariance",
     diagnose: Annotated[
         bool, typer.Option("--diagnose", help="Say what would explain a miss; confirm by fits.")
     ] = False,

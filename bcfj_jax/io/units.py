@@ -246,8 +246,14 @@ def _short(value: str, where: str, remedy: str) -> None:
         raise InputError(where, f"a text of {len(value)} characters, '{clip(value, 40)}'", remedy)
 
 
+# Normal quantile of 95 %, both sides.
+_NORMAL = 1.959964
+
+
 def toleranced(value: object, unit: str, where: str, *, exponent: float | None = None) -> tuple[float, float | None]:
-    """A value and how well it is known, both SI: "0.55 kg +- 2 %", "12 mm +- 0.1 mm"; None where nothing is said.
+    """A value and how well it is known with 95 %, both SI: "0.55 kg +- 2 %", "12 mm +- 0.1 mm"; None where nothing is said.
+
+    A certificate's coverage factor may follow: "1 +- 0.5 %, k = 2" is "1 +- 0.49 %".
 
     Args, Raises: as ``quantity``; and for a tolerance that is no share and no value of the same unit, or below 0.
     """
@@ -256,9 +262,13 @@ def toleranced(value: object, unit: str, where: str, *, exponent: float | None =
     if not isinstance(value, str) or not (found := re.fullmatch(r"(.*?)\s*(?:\+-|\+/-|±)\s*(.*)", value)):
         return quantity(value, unit, where, exponent=exponent), None
     number = quantity(found[1], unit, where, exponent=exponent)
-    share = found[2].endswith("%")
-    tolerance = quantity(found[2], "1" if share else unit, where, exponent=None if share else exponent)
-    tolerance *= abs(number) if share else 1.0
+    factor = re.fullmatch(r"(.*?)\s*[,(]\s*k\s*=\s*(\d+\.?\d*)\s*\)?", found[2])
+    text, covered = (
+        (factor[1], _NORMAL / float(factor[2]) if float(factor[2]) > 0.0 else math.inf) if factor else (found[2], 1.0)
+    )
+    share = text.endswith("%")
+    tolerance = quantity(text, "1" if share else unit, where, exponent=None if share else exponent)
+    tolerance *= covered * (abs(number) if share else 1.0)
     if not (math.isfinite(tolerance) and tolerance >= 0.0):
         raise InputError(where, f"a tolerance of '{found[2]}'", 'give one above 0, as in "+- 2 %"')
     return number, tolerance

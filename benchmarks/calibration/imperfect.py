@@ -1,8 +1,10 @@
-"""Records of imperfect worlds: does the headline interval, with its systematic budget, hold the truth?
+"""Records of imperfect worlds: does the interval to quote hold the truth, and how wide is it?
 
-A single impact by SciPy from the exact law, or with one imperfection of the sensor, of the contact or of what was held
-fixed, in three magnitudes: its largest effect on the force is 0.3, 2 and 10 deviations of the noise. "mixture" is two of
-them at once, another pair for every seed. One run, or four or eight at different speeds.
+A single impact by SciPy from the exact law, or with one imperfection of the sensor, of the contact, of what was held fixed or
+of the recorder, in three magnitudes: its largest effect on the force is 0.3, 2 and 10 deviations of the noise. "mixture" is
+two of them at once, another pair for every seed. One run, or four or eight at different speeds. Priors were chosen on worlds
+of ``SINGLE`` and their mixtures; ``OTHER`` and ``NOISES`` judge them. Widths are beside those of the former budget (every
+error at once), and of an oracle that knows which error acts and how large it is.
 
     python -m benchmarks.calibration.imperfect [--replicates 20] [--runs 1 4 8] [--minutes 30] [--more]
 
@@ -14,7 +16,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import cache
 from multiprocessing import get_context
@@ -24,10 +26,13 @@ os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
 import bcfj_jax as bj
 from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
+from calibration.uncertainty.estimates import placed
 
 SCENE = bj.scenes.impact(smoothing=False)
 TRUTH = {"stiffness": 1e8, "exponent": 1.5, "damping": 0.1}
@@ -38,7 +43,13 @@ MAGNITUDES = (0.3, 2.0, 10.0)
 
 @cache
 def motion(
-    speed: float, relaxation: float = 0.0, stop: float = 0.0, mass: float = MASS, faster: float = 0.0
+    speed: float,
+    relaxation: float = 0.0,
+    stop: float = 0.0,
+    mass: float = MASS,
+    faster: float = 0.0,
+    bend: float = 0.0,
+    loss: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and forces [N] of the exact law.
 
@@ -47,14 +58,19 @@ def motion(
         relaxation: share of the force that a Maxwell branch adds.
         stop: stiffness of a second contact behind 0.6 of the depth, as a share of the mean stiffness of the first.
         mass: [kg].
-    """
+        bend: share by which the elastic force waves about a power of the depth.
+        loss: share of the elastic force that a loss with the power 1/4 of the rate adds.
+    """  # fmt: skip
     k, n, a = TRUTH.values()
     depth = (MASS * speed**2 * (n + 1.0) / (2.0 * k)) ** (1.0 / (n + 1.0))
     duration = 3.0 * depth / speed
     tau, behind, second = 0.3 * duration, 0.6 * 0.00021, stop * k * 0.00021 ** (n - 1.0)
 
     def elastic(d: Any, rate: Any) -> Any:
-        layer = k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
+        depth = np.maximum(d, 0.0) / 0.00021
+        wave = 1.0 + bend * (0.6 * np.sin(2.0 * depth) + 0.5 * np.cos(3.0 * depth) + 0.3 * np.sin(5.0 * depth + 1.0))
+        lost = loss * rate / (rate**2 + 1e-4) ** 0.375
+        layer = k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate + lost, 0.0) * wave
         return layer + second * np.maximum(d - behind, 0.0)
 
     def change(_: float, s: np.ndarray) -> list[float]:
@@ -107,7 +123,18 @@ CONTACT: dict[str, Callable[[float], dict[str, float]]] = {
     "speed": lambda s: {"faster": s},
 }
 SINGLE = (*SENSOR, *CONTACT)
-WORLDS = ("none", *SINGLE, "mixture")
+# Worlds that no prior was chosen on: of the sensor, of the law, of the recorder (after the noise), and noise of another kind.
+SENSOR |= {"zero phase": lambda t, f, s: gaussian_filter1d(f, 0.05 * s * f.size, mode="nearest")}
+CONTACT |= {"smooth law": lambda s: {"bend": s}, "speed loss": lambda s: {"loss": s}}
+RECORDER: dict[str, Callable[[np.ndarray, float, float], np.ndarray]] = {
+    "quantised": lambda f, peak, s: np.round(f / (s * peak)) * s * peak,
+    "saturated": lambda f, peak, s: np.minimum(f, (1.0 - min(s, 0.9)) * peak),
+}
+# Of intervals.
+KINDS = ("noise", "quoted", "force")
+NOISES = ("AR(1) noise", "proportional noise")
+OTHER = ("zero phase", "smooth law", "speed loss", *RECORDER)
+WORLDS = ("none", *SINGLE, "mixture", *OTHER, *NOISES)
 
 
 def read(worlds: dict[str, float], speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -119,6 +146,24 @@ def read(worlds: dict[str, float], speed: float) -> tuple[np.ndarray, np.ndarray
     return times, force
 
 
+def recorded(worlds: dict[str, float], force: np.ndarray, peak: float) -> np.ndarray:
+    """What the recorder keeps of readings with their noise; ``peak`` is that of the fastest run."""
+    for world, strength in worlds.items():
+        force = RECORDER[world](force, peak, strength) if world in RECORDER else force
+    return force
+
+
+def scattered(worlds: Collection[str], force: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Noise of a mean variance of 1: white, with a memory of 0.6 a sample, or as large as the force (a fifth of it at rest)."""
+    white = rng.standard_normal(force.size)
+    if "AR(1) noise" in worlds:
+        return lfilter([0.8], [1.0, -0.6], white, zi=[0.6 * rng.standard_normal()])[0]
+    if "proportional noise" in worlds:
+        size = 0.2 + np.abs(force) / np.abs(force).max()
+        return white * size / np.sqrt(np.mean(size**2))
+    return white
+
+
 @cache
 def strength_of(world: str, deviations: float) -> float:
     """The strength whose largest effect is so many deviations of the noise, by bisection."""
@@ -126,7 +171,8 @@ def strength_of(world: str, deviations: float) -> float:
     target, low, high = deviations * NOISE * plain.max(), 1e-6, 1.0
     for _ in range(18):
         middle = np.sqrt(low * high)
-        effect = np.abs(read({world: middle}, 1.0)[1] - plain).max()
+        changed = recorded({world: middle}, read({world: middle}, 1.0)[1], float(plain.max()))
+        effect = np.abs(changed - plain).max()
         low, high = (middle, high) if effect < target else (low, middle)
     return float(np.sqrt(low * high))
 
@@ -135,7 +181,7 @@ def imperfections(world: str, deviations: float, seed: int) -> dict[str, float]:
     """Imperfections and their strengths: none, one, or two that the seed draws."""
     rng = np.random.default_rng([seed, 77])
     names = rng.choice(SINGLE, 2, replace=False).tolist() if world == "mixture" else [world] if world != "none" else []
-    return {name: strength_of(name, deviations) for name in names}
+    return {name: 1.0 if name in NOISES else strength_of(name, deviations) for name in names}
 
 
 def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
@@ -144,7 +190,9 @@ def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
     sigma = NOISE * float(motion(1.0)[1].max())
     for k, speed in enumerate(SPEEDS[runs]):
         times, force = read(worlds, speed)
-        values = force + sigma * rng.standard_normal(force.size)
+        values = recorded(
+            worlds, force + sigma * scattered(worlds, force, rng), float(motion(max(SPEEDS[runs]))[1].max())
+        )
         channel = Channel("contact.normal", values, None)
         experiments.append(Experiment(f"run {k + 1}", times, (channel,), fixed={"approach_speed": speed}))
     params = {k: float(v) for k, v in SCENE.parameters({"mass": MASS, "approach_speed": 1.0, **TRUTH}).items()}
@@ -152,21 +200,55 @@ def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
     return Problem(SCENE, params, tuple(experiments), free)
 
 
-def judged(found: Fit) -> dict[str, Any]:
-    """By kind, how many intervals are given and hold the truth, and how wide they are beside the noise's (median)."""
-    held: dict[str, list[float]] = {"noise": [0, 0], "headline": [0, 0], "with budget": [0, 0]}
-    widths: dict[str, list[float]] = {"headline": [], "with budget": []}
-    for axis, (name, p) in zip(found.optimum.model.coordinates, found.parameters.items(), strict=True):
+def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
+    """By kind, how many intervals are given and hold the truth; widths beside the noise's (median), and the oracle's."""
+    held: dict[str, list[float]] = {kind: [0, 0] for kind in KINDS}
+    widths: dict[str, float] = {}
+    best, over = oracle(found, worlds, runs), []
+    for k, (axis, (name, p)) in enumerate(zip(found.optimum.model.coordinates, found.parameters.items(), strict=True)):
         noise = p.intervals.get("noise")
-        for kind, ends in (("noise", noise), ("headline", p.ci95), ("with budget", p.with_budget)):
-            if ends is None:
-                continue
-            held[kind][0] += 1
-            held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
-            if kind in widths and noise:
-                widths[kind].append(_width(ends, axis.log) / _width(noise, axis.log))
-    medians = {k: float(f"{np.median(w):.3g}") for k, w in widths.items() if w}
-    return {"verdict": found.verdict, **held, "widths": medians}
+        for kind, ends in zip(KINDS[:2], (noise, p.ci95), strict=True):
+            if ends is not None:
+                held[kind][0] += 1
+                held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
+        if p.ci95 and noise:
+            over.append(_width(p.ci95, axis.log) / _width(noise, axis.log))
+        if p.ci95 and best is not None:
+            widths[name] = float(f"{_width(p.ci95, axis.log) / best[k]:.3g}")
+    force = found.reference
+    if force and force.ci95:
+        held["force"] = [
+            1,
+            int(force.ci95[0] <= TRUTH["stiffness"] * force.penetration ** TRUTH["exponent"] <= force.ci95[1]),
+        ]
+    return {
+        "verdict": found.verdict,
+        **held,
+        "widths": {"quoted": float(f"{np.median(over):.3g}")} if over else {},
+        "oracle": widths,
+    }
+
+
+def oracle(found: Fit, worlds: dict[str, float], runs: int) -> np.ndarray | None:
+    """Widths (P,) of 95 % about the optimum by one that knows which errors act, with their sizes as deviations."""
+    if not all(w in SENSOR or w in CONTACT for w in worlds):
+        return None
+    end, sigma = found.optimum.end, NOISE * float(motion(1.0)[1].max())
+    columns = [
+        np.concatenate([(read({w: x}, v)[1] - motion(v)[1]) / sigma for v in SPEEDS[runs]]) for w, x in worlds.items()
+    ]
+    design = np.column_stack([end.jacobian[: sum(SAMPLES for _ in SPEEDS[runs])] * _deviations(found), *columns])
+    precision = design.T @ design
+    count = end.jacobian.shape[1]
+    precision[count:, count:] += np.eye(len(columns))
+    slopes = placed(found.optimum.model, end)[1]
+    covariance = slopes @ np.linalg.inv(precision)[:count, :count] @ slopes.T
+    return 2.0 * 1.959964 * np.sqrt(np.diag(covariance))
+
+
+def _deviations(found: Fit) -> float:
+    """The deviation that the fit took over the true one, by which its Jacobian is too small."""
+    return found.noise["contact.normal"]["sigma"] / (NOISE * float(motion(1.0)[1].max()))
 
 
 def _width(ends: tuple[float, float], log: bool) -> float:
@@ -175,21 +257,20 @@ def _width(ends: tuple[float, float], log: bool) -> float:
 
 def one(world: str, deviations: float, runs: int, seed: int) -> tuple[str, dict[str, Any]]:
     """A fit of one record set, judged, and the cell that it belongs to."""
-    found = fit(problem(imperfections(world, deviations, seed), runs, seed), seed=seed, starts=STARTS)
-    return f"{world}|{deviations:g}|{runs}", judged(found)
-
-
-KINDS = ("noise", "headline", "with budget")
+    worlds = imperfections(world, deviations, seed)
+    found = fit(problem(worlds, runs, seed), seed=seed, starts=STARTS)
+    return f"{world}|{deviations:g}|{runs}", judged(found, worlds, runs)
 
 
 def added(cell: dict[str, dict[str, Any]], found: dict[str, Any]) -> None:
     """Count one fit in its cell, whose keys are verdicts."""
-    kept = cell.setdefault(found["verdict"], {"fits": 0, **{k: [0, 0] for k in KINDS}, "widths": {}})
+    kept = cell.setdefault(found["verdict"], {"fits": 0, **{k: [0, 0] for k in KINDS}, "widths": {}, "oracle": {}})
     kept["fits"] += 1
     for kind in KINDS:
         kept[kind] = [a + b for a, b in zip(kept[kind], found[kind], strict=True)]
-    for kind, width in found["widths"].items():
-        kept["widths"].setdefault(kind, []).append(width)
+    for table in ("widths", "oracle"):
+        for kind, width in found[table].items():
+            kept[table].setdefault(kind, []).append(width)
 
 
 def shares(found: list[dict[str, Any]], kind: str) -> tuple[int, int]:
@@ -197,32 +278,55 @@ def shares(found: list[dict[str, Any]], kind: str) -> tuple[int, int]:
     return sum(f[kind][1] for f in found), sum(f[kind][0] for f in found)
 
 
-def table(cells: dict[str, dict[str, Any]]) -> str:
-    head = ["imperfection", "effect / noise", "runs", "verdicts", "noise holds", "headline holds", "with its budget"]
-    rows = [[*head, "widths beside the noise's"]]
+def every(found: list[dict[str, Any]], table: str, kind: str) -> list[float]:
+    """All widths of a kind."""
+    return [w for of in found for w in of[table].get(kind, [])]
+
+
+def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
+    """A row a cell, the worst first."""
+    head = ["imperfection", "effect / noise", "runs", "verdicts", "noise holds", "quoted holds", "force holds"]
+    rows = [[*head, "width beside the noise's", "over the former budget's"]]
     shown = []
     for key, found in cells.items():
         world, magnitude, runs = key.split("|")
         verdicts = ", ".join(f"{word} {of['fits']}" for word, of in sorted(found.items()))
-        held = [shares(list(found.values()), kind) for kind in KINDS]
-        widths = [[w for of in found.values() for w in of["widths"].get(k, [])] for k in KINDS[1:]]
-        wide = ", ".join(f"{np.median(w):.2g}" for w in widths if w)
-        cell = [world, magnitude, runs, verdicts, *(f"{a} of {b}" for a, b in held), wide]
-        shown.append(([a / b if b else 1.0 for a, b in reversed(held)], cell))
+        fits = list(found.values())
+        held = [shares(fits, kind) for kind in KINDS]
+        wide = every(fits, "widths", "quoted")
+        width = float(np.median(wide)) if wide else np.nan
+        ratio = f"{width / former[key]:.2f}" if key in former else ""
+        cell = [world, magnitude, runs, verdicts, *(f"{a} of {b}" for a, b in held), f"{width:.2g}", ratio]
+        shown.append((held[1][0] / max(held[1][1], 1), cell))
     shown.sort(key=lambda x: x[0])
     return markdown([*rows, *(row for _, row in shown)])
 
 
-def summary(cells: dict[str, dict[str, Any]]) -> str:
-    """All cells, and of the fits that are called identified."""
-    every = [of for found in cells.values() for of in found.values()]
-    sure = [found["identified"] for found in cells.values() if "identified" in found]
-    said = []
-    for name, fits in (("All", every), ("`identified` alone", sure)):
-        held = {kind: shares(fits, kind) for kind in KINDS}
-        parts = [f"{k} {a / max(b, 1):.1%} of {b}" for k, (a, b) in held.items()]
-        said.append(f"{name}, {sum(of['fits'] for of in fits)} fits: {'; '.join(parts)}.")
-    return "\n".join(said)
+def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
+    """By number of runs: worlds that priors were chosen on, and the others."""
+    rows = [["worlds", "runs", "fits", "noise holds", "quoted holds", "force holds", "cells below .88",
+             "width over the former budget's", "over an oracle's: damping", "stiffness", "exponent"]]  # fmt: skip
+    for name, new in (("chosen on", False), ("judged on", True)):
+        for runs in SPEEDS:
+            own = {
+                k: list(v.values()) for k, v in cells.items()
+                if int(k.rpartition("|")[2]) == runs and (k.split("|")[0] in (*OTHER, *NOISES)) == new
+            }  # fmt: skip
+            fits = [of for found in own.values() for of in found]
+            if not fits:
+                continue
+            held = [shares(fits, kind) for kind in KINDS]
+            low = sum(shares(v, "quoted")[0] < 0.88 * shares(v, "quoted")[1] for v in own.values())
+            ratios = [
+                np.median(w) / former[k] for k, v in own.items() if k in former and (w := every(v, "widths", "quoted"))
+            ]
+            over = [every(fits, "oracle", name) for name in ("damping", "stiffness", "exponent")]
+            rows.append([
+                name, str(runs), str(sum(of["fits"] for of in fits)), *(f"{a / max(b, 1):.1%} of {b}" for a, b in held),
+                f"{low} of {len(own)}", f"{np.median(ratios):.2f}" if ratios else "",
+                *(f"{np.median(w):.2f}" if w else "" for w in over),
+            ])  # fmt: skip
+    return markdown(rows)
 
 
 def main() -> None:
@@ -235,11 +339,12 @@ def main() -> None:
     given = parser.parse_args()
     begin = time.perf_counter()
     # Cells of other numbers of runs stay as they were measured.
-    known = load("imperfect")["cells"] if (RESULTS / "imperfect.json").exists() else {}
+    kept = load("imperfect") if (RESULTS / "imperfect.json").exists() else {}
+    known, former = kept.get("cells", {}), kept.get("former", {})
     cells = {key: found for key, found in known.items() if given.more or int(key.rpartition("|")[2]) not in given.runs}
     own = [found for key, found in cells.items() if int(key.rpartition("|")[2]) in given.runs]
     done = min((sum(of["fits"] for of in found.values()) for found in own), default=0)
-    plans = [(w, m, r) for w in WORLDS for m in (MAGNITUDES if w != "none" else (0.0,)) for r in given.runs]
+    plans = [(w, m, r) for w in WORLDS for m in ((0.0,) if w in ("none", *NOISES) else MAGNITUDES) for r in given.runs]
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for seed in range(done, given.replicates):
             if time.perf_counter() - begin > 60.0 * given.minutes:
@@ -247,11 +352,12 @@ def main() -> None:
             for done in as_completed([pool.submit(one, *plan, seed) for plan in plans]):
                 key, found = done.result()
                 added(cells.setdefault(key, {}), found)
-            strengths = {f"{w}|{m:g}": strength_of(w, m) for w in SINGLE for m in MAGNITUDES}
-            save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths})
+            strengths = {f"{w}|{m:g}": strength_of(w, m) for w in (*SINGLE, *OTHER) for m in MAGNITUDES}
+            save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths, "former": former})
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
-    put_in_readme("imperfect", f"{table(cells)}\n\n{summary(cells)}", "docs/fits_measured.md")
-    print(table(cells), summary(cells), sep="\n\n")
+    shown = f"{summary(cells, former)}\n\n{table(cells, former)}"
+    put_in_readme("imperfect", shown, "docs/fits_measured.md")
+    print(shown)
 
 
 if __name__ == "__main__":

@@ -99,11 +99,11 @@ def by_mujoco(given: Problem) -> Ends:
 
 
 def by_us(given: Problem) -> dict[str, Ends]:
-    """The interval of the noise, the headline, and the headline with its budget; NaN for none."""
+    """The interval of the noise, and the one to quote; NaN for none."""
     found = fit(given, starts=STARTS)
-    rows: dict[str, Ends] = {"noise": [], "headline": [], "headline with its budget": []}
+    rows: dict[str, Ends] = {"noise": [], "quoted": []}
     for name, p in found.parameters.items():
-        for kind, ends in zip(rows, (p.intervals.get("noise"), p.ci95, p.with_budget), strict=True):
+        for kind, ends in zip(rows, (p.intervals.get("noise"), p.ci95), strict=True):
             low, high = ends or (np.nan, np.nan)
             rows[kind].append((low, high) if name == "exponent" else (float(np.log(low)), float(np.log(high))))
     return rows

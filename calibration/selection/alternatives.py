@@ -29,13 +29,14 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.fit import Fit, fit, with_budget
+from calibration.fit import Fit, fit, with_errors
 from calibration.problem import NUISANCES, Problem, nuisances, units_of
 from calibration.problemfile import FreeTable, free_of, options_of
 from calibration.selection.apart import with_contacts_apart
 from calibration.selection.choice import Choice, choose
 from calibration.selection.next_experiment import Candidate, Gain, next_experiment
 from calibration.selection.supposed import with_doubts_right
+from calibration.uncertainty.intervals import BOUND
 
 
 class _Model(tables.Table):
@@ -92,7 +93,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
     if choice is not None:
         chosen = next(r for r in rivals if r.name == choice.chosen)
         problem, base = chosen.problem, chosen.base
-    found = with_budget(problem, choice.fit) if choice else fit(problem, **options)
+    found = with_errors(problem, choice.fit, options.get("intervals") == BOUND) if choice else fit(problem, **options)
     found = with_doubts_right(problem, with_contacts_apart(problem, found), options.get("starts", 12))
     planned = candidates(path, problem)
     return Outcome(found, problem, base, choice, next_experiment(problem, found, planned) if planned else [])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +24,6 @@ from calibration.solver_budget import budget
 REFERENCE = "reference force"
 # In half-widths of an interval.
 _NEAR = 0.1
-# Of a half width, how far an interval reaches below and above.
-Reaches = Callable[[float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class Parameter:
         interval_kind: what the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
         intervals: 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
         headline: the kind that ci95 is, "" for none.
-        with_budget: ci95 with the errors of the sensor and of fixed values allowed for (``diagnostics.systematic``).
+        with_budget: ci95, for one release more.
     """
 
     value: float
@@ -64,20 +62,14 @@ def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Reference:
-    """The power law where the data are: F_ref at d_ref, with the interval of F_ref (None as in Parameter)."""
+    """The power law where the data are: F_ref at d_ref, its interval (None as in Parameter), and that of noise alone."""
 
     penetration: float
     force: float
     ci95: tuple[float, float] | None
     interval_kind: str = "covariance"
     with_budget: tuple[float, float] | None = None
-
-    def widened(self, wider: Reaches) -> Reference:
-        """With the interval in which the errors of sensor and fixed values are allowed for; ``wider`` is of its logarithm."""
-        if self.ci95 is None:
-            return self
-        below, above = (wider(abs(np.log(end / self.force)))[k] for k, end in enumerate(self.ci95))
-        return replace(self, with_budget=(float(self.force * np.exp(-below)), float(self.force * np.exp(above))))
+    noise: tuple[float, float] | None = None
 
 
 class Estimates(NamedTuple):
@@ -159,16 +151,6 @@ def ends_of(at: Optimum) -> tuple[dict[str, tuple[float, float] | None], tuple[f
     return found, reference and reference.ci95
 
 
-def widened(axis: Coordinate, p: Parameter, wider: Reaches) -> tuple[float, float] | None:
-    """Ends of the headline interval, each as far from the estimate as ``wider`` makes it, inside the bounds."""
-    if p.ci95 is None:
-        return None
-    z, low, high = np.log([p.value, *p.ci95]) if axis.log else (p.value, *p.ci95)
-    ends = np.clip((z - wider(z - low)[0], z + wider(high - z)[1]), axis.lower, axis.upper)
-    low, high = np.exp(ends) if axis.log else ends
-    return float(low), float(high)
-
-
 def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
@@ -182,7 +164,12 @@ def _reference(at: Optimum) -> Reference | None:
     centre, half = float(lower[k] + at.end.point[k] * width[k]), at.spread.half_width(np.diag(width)[k])
     interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
     known = half < np.log(fit_tests.WIDEST_FACTOR)
-    return Reference(float(np.exp(model.log_depth)), float(np.exp(centre)), interval if known else None)
+    return Reference(
+        float(np.exp(model.log_depth)),
+        float(np.exp(centre)),
+        interval if known else None,
+        noise=interval if known else None,
+    )
 
 
 def _curvature(at: Optimum, slope: np.ndarray, reaches: tuple[float, float]) -> float:

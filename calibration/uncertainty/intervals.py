@@ -20,7 +20,9 @@ from calibration.uncertainty.law_miss import NEXT_RUN
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
 
-KINDS = ("covariance", "profile", "posterior")
+# The last is the covariance with every error at its limit beside it.
+BOUND = "bound"
+KINDS = ("covariance", "profile", "posterior", BOUND)
 # Intervals by the name of what they are of; None where there is none.
 Ends = Mapping[str, tuple[float, float] | None]
 
@@ -83,6 +85,7 @@ def revised(kind: str, at: Optimum, found: Estimates, batch: int, seed: int) -> 
         batch: points evaluated together.
         seed: of the sampler.
     """
+    kind = "covariance" if kind == BOUND else kind
     if kind == "posterior":
         if at.spread.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
             return found, Evidence()

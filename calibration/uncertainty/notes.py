@@ -6,11 +6,15 @@ import numpy as np
 
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series, overstated
 from calibration.forward.model import Model
 from calibration.noise.noise_model import Estimate
 from calibration.uncertainty.estimates import Parameter
 from calibration.uncertainty.intervals import half
+
+WIDE = "with what the law misses and runs differ by allowed for, the data do not determine"
+SPANNING = "with every error that may act allowed for, not to a factor of two:"
 
 
 def of_integrator(noise: Estimate) -> list[str]:
@@ -29,8 +33,15 @@ def wide(model: Model, parameters: dict[str, Parameter]) -> list[str]:
         for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
         if p.intervals.get("noise") and (p.ci95 is None or half(p.ci95, axis.log) >= fit_tests.widest(axis))
     ]
-    what = "with what the law misses and runs differ by allowed for, the data do not determine"
-    return [f"{what} {' and '.join(wide)} to a factor of two"] if wide else []
+    return [f"{WIDE} {' and '.join(wide)} to a factor of two"] if wide else []
+
+
+def spanning(at: Optimum, parameters: dict[str, Parameter]) -> list[str]:
+    """Of intervals to quote that span more than a factor of two."""
+    log = {name for name, axis in zip(at.labels, at.model.coordinates, strict=True) if axis.log}
+    wide = {n: p.ci95[1] / p.ci95[0] for n, p in parameters.items() if n in log and p.ci95 and p.ci95[0] > 0.0}
+    wide = [f"{n} (a factor of {x:.2g} from end to end)" for n, x in wide.items() if x > fit_tests.WIDEST_FACTOR]
+    return [f"{SPANNING} {' and '.join(wide)}"] if wide else []
 
 
 def bent(tests: list[fit_tests.Test]) -> list[str]:

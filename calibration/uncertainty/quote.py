@@ -1,0 +1,225 @@
+"""The interval to quote: a fit's estimates with errors of which few act (``uncertainty.sets``), and what each error costs.
+
+About the optimum; where errors move an estimate far, half of the answer comes from the fit linearised about where they lead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calibration.diagnostics.optimum import Optimum
+from calibration.diagnostics.residual_tests import overstated
+from calibration.forward.losses import influence
+from calibration.forward.model import evaluation
+from calibration.solver_budget import budget
+from calibration.uncertainty.estimates import REFERENCE, placed
+from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, mixture
+
+# Kind of interval.
+KIND = "errors"
+# An error that moves no estimate by more than this share is not named.
+_NAMED = 1e-4
+# A mean move by so many half widths of the noise, and by such a share, is far.
+_FAR, _LEAST = 3.0, 0.02
+# The chance from which on a record is said to show an error, and the share of the prior's chance below which it rules it out.
+SHOWN, OUT = 0.95, 0.2
+
+
+class Line(NamedTuple):
+    """One error.
+
+    Attributes:
+        amplitude, unit: the size up to which it is allowed for, alone; moves: what each estimate moves by then, a share of itself
+            where its coordinate is logarithmic, else in SI.
+        chance: that it acts, by record and prior; prior: by the prior alone.
+        cost: width of each interval over the width without this error.
+    """
+
+    error: str
+    amplitude: float
+    unit: str
+    moves: dict[str, float]
+    chance: float = 1.0
+    prior: float = 1.0
+    cost: dict[str, float] = {}
+
+    @property
+    def limit(self) -> str:
+        """The amplitude in words; of a resonance the frequency."""
+        if self.error == "resonance":
+            return f"{1.0 / (2.0 * np.pi * np.sqrt(self.amplitude)):.2g} oscillations in a contact's duration"
+        return f"{100 * self.amplitude:.2g} % {self.unit}"
+
+    @property
+    def says(self) -> str:
+        """What the record says of it."""
+        return "acts" if self.chance >= SHOWN else "ruled out" if self.chance <= OUT * self.prior else "open"
+
+
+class Uncertainty(NamedTuple):
+    """Standard uncertainty of an estimate in the words of JCGM 100, relative where its coordinate is logarithmic, else SI."""
+
+    type_a: float
+    type_b: float
+    combined: float
+    coverage_factor: float
+    relative: bool
+
+
+class Quoted(NamedTuple):
+    """What is quoted: names, how far the ends of each interval lie from the estimate, uncertainties, and every error."""
+
+    names: tuple[str, ...]
+    ends: np.ndarray
+    uncertainties: dict[str, Uncertainty]
+    lines: list[Line]
+
+    def reach(self, name: str) -> tuple[float, float]:
+        """Moves (low, high) of an estimate's coordinate to the ends of its interval."""
+        low, high = self.ends[self.names.index(name)]
+        return float(low), float(high)
+
+
+class Moving(NamedTuple):
+    """What errors move: names, coordinates z (K,), how each moves with the unit box (K, P), whether it is logarithmic."""
+
+    names: tuple[str, ...]
+    z: np.ndarray
+    slopes: np.ndarray
+    log: tuple[bool, ...]
+
+
+def moving(at: Optimum) -> Moving:
+    """Estimates and, last, the logarithm of the reference force."""
+    model = at.model
+    (z, slopes), log = placed(model, at.end), tuple(axis.log for axis in model.coordinates)
+    if not model.referenced:
+        return Moving(at.labels, z, slopes, log)
+    (lower, width), k = model.box, model.pair()[0]
+    z, slopes = np.append(z, lower[k] + at.end.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
+    return Moving((*at.labels, REFERENCE), z, slopes, (*log, True))
+
+
+def quoted(at: Optimum, errors: Sequence[Error], free: np.ndarray | None = None, bound: bool = False) -> Quoted:
+    """The intervals of an optimum whose covariance is known.
+
+    Args:
+        free: (P,) coordinates that are not held; all where None.
+        bound: every error at its limit at once in place of few that act: a bound, no interval of 95 %.
+    """
+    how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
+    lin, errors = _linear(at, errors, how.slopes, free)
+    found = mixture(lin, errors)
+    known = _lines(lin, errors, found, how)
+    if bound:
+        half = [
+            QUANTILE * lin.student * np.sqrt(found.variance) * np.linalg.norm(row)
+            + sum(line.moves[name] for line in known)
+            for name, row in zip(how.names, _rows(lin), strict=True)
+        ]
+        ends = np.array([[-h, h] for h in half])
+    else:
+        found = _about_the_answer(at, lin, errors, found, free)
+        ends = found.ends()
+    combined, type_a, type_b = found.combined()
+    factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
+    columns = zip(
+        how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
+    )
+    return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns}, known)
+
+
+def _linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
+    """The fit as readings that are linear in coordinates and errors; least squares over these rows is a step of a robust loss."""
+    best, spread, loss = at.end, at.spread, at.model.loss
+    psi, bend = influence(loss, best.residuals)
+    root = np.sqrt(np.maximum(bend, 1e-3))
+    data, jacobian, rows = -psi / root, root[:, None] * best.jacobian[:, free], slopes[:, free]
+    stated = [not s.estimated or s.integrator for s in at.series] or [True]
+    large = bool(at.series) and all(overstated(s, best.residuals) for s in at.series)
+    share = float(data @ data) / max(spread.freedom, 1) if large else 1.0
+    floor = 0.0 if large or (loss == "linear" and not any(stated)) else 1.0
+    alone = np.linalg.norm(np.linalg.solve(np.linalg.qr(jacobian)[1].T, rows.T), axis=0)
+    halves = np.array([spread.half_width(slope) for slope in slopes])
+    moved = (alone > 0.0) & np.isfinite(halves) & (halves > 0.0)
+    student = (
+        float(np.max(halves[moved] / alone[moved])) / QUANTILE / np.sqrt(share) if moved.any() and free.all() else 1.0
+    )
+    series = [s.rows for s in at.series] if loss == "linear" else []
+    ceiling = np.inf if loss == "linear" else 1.0
+    lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, student, ceiling)
+    return lin, [e._replace(columns=root[:, None] * e.columns) for e in errors]
+
+
+def _rows(lin: Linear) -> np.ndarray:
+    """(K, P) moves of what is quoted with an orthonormal basis of the Jacobian."""
+    return np.linalg.solve(np.linalg.qr(lin.jacobian)[1].T, lin.rows.T).T
+
+
+def _about_the_answer(at: Optimum, lin: Linear, errors: list[Error], found: Mixture, free: np.ndarray) -> Mixture:
+    """Pooled with the mixture about the point where errors lead, where that is far and the model runs there."""
+    count = lin.rows.shape[0]
+    halves = QUANTILE * np.linalg.norm(_rows(lin), axis=1)
+    away = np.abs(found.weights @ found.means)
+    if (
+        budget(at.model.scene).rough
+        or at.model.loss != "linear"
+        or not np.any(away > np.maximum(_FAR * halves, _LEAST))
+    ):
+        return found
+    steps = mixture(lin._replace(rows=np.vstack([lin.rows, np.eye(int(free.sum()))])), errors)
+    point = np.array(at.end.point, dtype=float)
+    point[free] += steps.weights @ steps.means[:, count:]
+    point = np.clip(point, 1e-9, 1.0 - 1e-9)
+    one = evaluation(at.model)(point[None])
+    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
+    if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+        return found
+    there = replace(at, end=replace(at.end, point=point, residuals=residuals, jacobian=jacobian))
+    how = moving(there)
+    again = mixture(lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=how.slopes[:, free]), errors)
+    return found.pooled(again.moved(how.z - moving(at).z))
+
+
+def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> list[Line]:
+    """Every error that moves an estimate: alone as large as residuals and prior let pass; its chance, and what it costs."""
+    basis, _ = np.linalg.qr(lin.jacobian)
+    rows, chances = _rows(lin), found.chances
+    rest = lin.data - basis @ (basis.T @ lin.data)
+    ends = found.ends()
+    sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
+    lines = []
+    for k, error in enumerate(errors):
+        columns = error.columns * (error.most / QUANTILE)
+        beside = columns - basis @ (basis.T @ columns)
+        covariance = np.linalg.inv(beside.T @ beside / found.variance + np.eye(columns.shape[1]))
+        mean, way = covariance @ beside.T @ rest / found.variance, rows @ (basis.T @ columns)
+        moves = np.abs(way @ mean) + QUANTILE * np.sqrt(np.einsum("qi,ij,qj->q", way, covariance, way))
+        if np.max(moves / sizes) <= _NAMED:
+            continue
+        size = error.most
+        if columns.shape[1] == 1:
+            size *= (abs(float(mean[0])) + QUANTILE * float(np.sqrt(covariance[0, 0]))) / QUANTILE
+        apart = found.without(k).ends()
+        cost = (ends[:, 1] - ends[:, 0]) / np.maximum(apart[:, 1] - apart[:, 0], 1e-300)
+        by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]
+        lines.append(
+            Line(error.name, size, error.unit, by_name[0], float(chances[k]), float(found.prior[k]), by_name[1])
+        )
+    return lines
+
+
+def ends_about(
+    z: float, reach: tuple[float, float], log: bool, given: tuple[float, float] | None, limits: tuple[float, float]
+) -> tuple[float, float]:
+    """Ends in SI of an interval that reaches so far about a coordinate, within its limits; holds what was ``given`` (SI) too."""
+    low, high = z + reach[0], z + reach[1]
+    if given:
+        first, last = np.log(given) if log else given
+        low, high = min(low, first), max(high, last)
+    low, high = np.clip((low, high), *limits)
+    return (float(np.exp(low)), float(np.exp(high))) if log else (float(low), float(high))

@@ -1,0 +1,287 @@
+"""Estimates with errors of which few act: an average over sets of acting errors, each set linear and Gaussian.
+
+Readings less predictions y = J x + S a + e in deviations of the noise, e of variance v; coordinates x, of which nothing is known
+before; amplitudes a of the acting errors, normal with deviation 1 in columns S that are a share of their priors (``SCALES``:
+an error may be far smaller than its prior says, or larger). With J = Q T, S' = S - Q Q^T S and H = 1 + S'^T S'/v:
+
+    a = H^-1 S'^T y / v,   x = T^-1 Q^T (y - S a),   log evidence = -(y'^T y' / v - a^T H a + log |H|) / 2 + constant.
+
+A set's estimates are normal. Noise that is estimated is what the most probable set leaves. What is quoted are quantiles of the
+mixture of all sets by their evidence (Bayesian model averaging: Hoeting et al., Statistical Science 14, 1999). In the words of
+JCGM 100: of the combined variance, Type A is what the noise makes of each set's estimate, Type B the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+# Chance that an error acts, before the record is looked at; shares of its prior, with their chances, if it does.
+ACTS, SCALES = 0.6, {0.1: 0.3, 0.3: 0.3, 1.0: 0.3, 3.0: 0.1}
+# Errors that act at once, at most.
+MOST = 2
+# A set with a smaller share of the largest weight is left out.
+_LEAST = 1e-6
+_ROUNDS = 4
+# Normal quantile that sizes of errors are stated with.
+QUANTILE = 1.959964
+
+
+class Error(NamedTuple):
+    """An error that may act.
+
+    Attributes:
+        unit, most: of its amplitude, and the size that it has with 95 % if it acts.
+        columns: (N, K) a unit of it, in deviations of the noise; several have independent amplitudes.
+        kind: errors of one kind exclude each other; alone where empty.
+        floor: share of its prior with which it always acts.
+    """
+
+    name: str
+    unit: str
+    most: float
+    columns: np.ndarray
+    kind: str = ""
+    floor: float = 0.0
+
+
+class Linear(NamedTuple):
+    """A fit, linear about its optimum.
+
+    Attributes:
+        data: (N,) readings less predictions, in deviations.
+        jacobian: (N, P) of the predictions; rows: (Q, P) how what is quoted moves with the coordinates.
+        floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss, whose
+            outliers say nothing of it.
+        freedom: readings less coordinates.
+        series: rows in order of time, which may share more than the noise.
+        student: quantile of an interval of the noise alone, over the normal one.
+    """
+
+    data: np.ndarray
+    jacobian: np.ndarray
+    rows: np.ndarray
+    floor: float
+    freedom: int
+    series: Sequence[np.ndarray] = ()
+    student: float = 1.0
+    ceiling: float = np.inf
+
+
+class Mixture(NamedTuple):
+    """Normal estimates by set of acting errors.
+
+    Attributes:
+        weights: (M,), sum 1; members: (M, E) whether an error acts.
+        means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
+        variance: of the noise, in squares of its deviation.
+        prior: (E,) that each error acts, before the record is looked at.
+    """
+
+    weights: np.ndarray
+    members: np.ndarray
+    means: np.ndarray
+    type_a: np.ndarray
+    type_b: np.ndarray
+    variance: float
+    prior: np.ndarray
+
+    def ends(self, level: float = 0.95) -> np.ndarray:
+        """(Q, 2) ends of the interval, as moves from the optimum."""
+        spread = np.hypot(self.type_a, self.type_b)
+        tails = 0.5 * (1.0 - level), 0.5 * (1.0 + level)
+        parts = zip(self.means.T, spread.T, strict=True)
+        return np.array([[_quantile(m, s, self.weights, q) for q in tails] for m, s in parts])
+
+    @property
+    def chances(self) -> np.ndarray:
+        """(E,) that each error acts."""
+        return self.weights @ self.members
+
+    def combined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Standard uncertainties (Q,): combined, Type A, Type B; what sets differ by is of Type B."""
+        mean = self.weights @ self.means
+        between = self.weights @ (self.means - mean) ** 2
+        a, b = self.weights @ self.type_a**2, self.weights @ self.type_b**2 + between
+        return np.sqrt(a + b), np.sqrt(a), np.sqrt(b)
+
+    def moved(self, by: np.ndarray) -> Mixture:
+        """About another point, (Q,) away."""
+        return self._replace(means=self.means + by)
+
+    def pooled(self, other: Mixture) -> Mixture:
+        """Half of each: one fit, linear about two points."""
+        both = (np.concatenate([getattr(self, n), getattr(other, n)]) for n in self._fields[:5])
+        weights, members, means, type_a, type_b = both
+        return Mixture(0.5 * weights, members, means, type_a, type_b, max(self.variance, other.variance), self.prior)
+
+    def without(self, error: int) -> Mixture:
+        """As if one error were known not to act."""
+        kept = ~self.members[:, error]
+        weights = self.weights * kept
+        return self._replace(weights=weights / max(weights.sum(), 1e-300)) if weights.sum() > 0 else self
+
+
+class _Sums(NamedTuple):
+    """S'^T S', S'^T y; moves of what is quoted without errors (Q,) and by column (Q, C)."""
+
+    gram: np.ndarray
+    push: np.ndarray
+    moved: np.ndarray
+    moves: np.ndarray
+
+
+class _Always(NamedTuple):
+    """Errors that always act a little: inverse of their H (B, B), mean amplitudes (B,), sums with others (B, C), moves (Q, B)."""
+
+    inner: np.ndarray
+    amplitude: np.ndarray
+    cross: np.ndarray
+    moves: np.ndarray
+
+
+def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
+    """All sets of at most ``most`` errors, those of the prior's scales each; beside them generic ones always act a little."""
+    basis, triangle = np.linalg.qr(at.jacobian)
+    columns = [np.zeros((at.data.size, 0)), *(e.columns * (e.most / QUANTILE) for e in errors)]
+    places = np.cumsum([0, *(c.shape[1] for c in columns)])[1:]
+    little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
+    stacked = np.hstack([*columns, *little])
+    beside = stacked - basis @ (basis.T @ stacked)
+    rest = at.data - basis @ (basis.T @ at.data)
+    inverse = np.linalg.solve(triangle.T, at.rows.T).T
+    sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked))
+    count = int(places[-1]) if errors else 0
+    noise = at.student * np.linalg.norm(inverse, axis=1)
+    every = _sets(errors, places, most)
+    variance = min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
+    for _ in range(_ROUNDS):
+        own, always = _split(sums, count, variance)
+        found = [_weighed(own, batch, variance) for batch in every]
+        # The most probable set says how large the noise is.
+        k = max(range(len(found)), key=lambda j: found[j].log.max())
+        i = int(np.argmax(found[k].log))
+        full = np.zeros(count)
+        full[every[k].index[i]] = found[k].amplitude[i]
+        left = rest - beside @ np.r_[full, always.amplitude - always.inner @ (always.cross @ full) / variance]
+        used = found[k].used[i] + len(always.inner) - np.trace(always.inner)
+        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
+        before, variance = variance, min(max(at.floor, seen), at.ceiling)
+        if abs(variance - before) < 1e-3 * before:
+            break
+    top = max(float(f.log.max()) for f in found)
+    kept = [np.exp(f.log - top) > _LEAST for f in found]
+    parts = [
+        (np.exp(f.log[k] - top), batch.members[k], *_moments(own, always, batch, k, variance))
+        for f, batch, k in zip(found, every, kept, strict=True)
+        if k.any()
+    ]
+    weights, members, means, covered, doubt = (np.concatenate(part) for part in zip(*parts, strict=True))
+    type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
+    return Mixture(
+        weights / weights.sum(), members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every)
+    )
+
+
+def _prior(every: list[_Batch]) -> np.ndarray:
+    chance, members = np.exp(np.concatenate([b.prior for b in every])), np.concatenate([b.members for b in every])
+    return chance @ members / chance.sum()
+
+
+def _split(sums: _Sums, count: int, variance: float) -> tuple[_Sums, _Always]:
+    """Sums of the first columns with what the others, which always act, take up."""
+    gram, push, moved, moves = sums
+    inner = np.linalg.inv(gram[count:, count:] / variance + np.eye(push.size - count))
+    cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
+    own = _Sums(
+        gram[:count, :count] - cross.T @ inner @ cross / variance, push[:count] - cross.T @ amplitude,
+        moved - moves[:, count:] @ amplitude, moves[:, :count] - moves[:, count:] @ inner @ cross / variance,
+    )  # fmt: skip
+    return own, _Always(inner, amplitude, cross, moves[:, count:])
+
+
+def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
+    """How many times the variance of a mean grows where neighbours correlate by c, (1 + c)/(1 - c); 1 where chance explains c."""
+    pairs, size = sum(float(left[r[1:]] @ left[r[:-1]]) for r in series), sum(float(left[r] @ left[r]) for r in series)
+    count, kept = sum(r.size for r in series), pairs / size if size > 0.0 else 0.0
+    return (1.0 + kept) / (1.0 - kept) if count and kept > QUANTILE / np.sqrt(count) else 1.0
+
+
+class _Batch(NamedTuple):
+    """Sets with as many columns each: (M, K) columns and their scales, (M, E) acting errors, (M,) logarithm of the prior."""
+
+    index: np.ndarray
+    scale: np.ndarray
+    members: np.ndarray
+    prior: np.ndarray
+
+
+class _Found(NamedTuple):
+    """Of a batch: log weight (M,), amplitudes (M, K), columns used (M,)."""
+
+    log: np.ndarray
+    amplitude: np.ndarray
+    used: np.ndarray
+
+
+def _sets(errors: Sequence[Error], places: np.ndarray, most: int) -> list[_Batch]:
+    kinds = [e.kind or f"#{k}" for k, e in enumerate(errors)]
+    share = [1.0 / kinds.count(kind) for kind in kinds]
+    odds = np.log(ACTS / (1.0 - ACTS))
+    rows: dict[int, list[tuple]] = {}
+    for count in range(most + 1):
+        for chosen in combinations(range(len(errors)), count):
+            if len({kinds[k] for k in chosen}) < count:
+                continue
+            index = np.concatenate([np.zeros(0, int), *(np.arange(places[k], places[k + 1]) for k in chosen)])
+            sizes = [places[k + 1] - places[k] for k in chosen]
+            member = np.isin(np.arange(len(errors)), chosen)
+            for scales in product(SCALES, repeat=count):
+                prior = count * odds + sum(np.log(SCALES[s]) for s in scales) + sum(np.log(share[k]) for k in chosen)
+                rows.setdefault(index.size, []).append((index, np.repeat(scales, sizes), member, prior))
+    return [
+        _Batch(np.stack(i).astype(int), np.stack(s).astype(float), np.stack(m), np.array(p))
+        for i, s, m, p in (zip(*own, strict=True) for own in rows.values())
+    ]
+
+
+def _inverse(at: _Sums, index: np.ndarray, scale: np.ndarray, variance: float) -> np.ndarray:
+    """H^-1 of every set, (M, K, K)."""
+    gram = at.gram[index[:, :, None], index[:, None, :]] * (scale[:, :, None] * scale[:, None, :] / variance)
+    return np.linalg.inv(gram + np.eye(index.shape[1]))
+
+
+def _weighed(at: _Sums, sets: _Batch, variance: float) -> _Found:
+    inner, push = _inverse(at, sets.index, sets.scale, variance), at.push[sets.index] * sets.scale
+    amplitude = (inner @ push[..., None])[..., 0] / variance
+    log = 0.5 * (np.sum(amplitude * push, axis=1) / variance + np.linalg.slogdet(inner)[1]) + sets.prior
+    return _Found(log, amplitude * sets.scale, inner.shape[1] - np.trace(inner, axis1=1, axis2=2))
+
+
+def _moments(
+    at: _Sums, always: _Always, sets: _Batch, kept: np.ndarray, variance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of some sets of a batch, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
+    index, scale = sets.index[kept], sets.scale[kept]
+    inner = _inverse(at, index, scale, variance)
+    way = at.moves.T[index] * scale[..., None]
+    pull = inner @ way
+    mean = at.moved - np.einsum("miq,mi->mq", pull, at.push[index] * scale / variance)
+    covered = np.sum(way * pull, axis=1) + np.sum(always.moves.T * (always.inner @ always.moves.T), axis=0)
+    shared = np.moveaxis(always.cross[:, index], 0, 1) * (scale[:, None, :] / variance) @ pull
+    rest = always.inner @ (always.moves.T - shared)
+    return mean, covered, np.sum(pull**2, axis=1) + np.sum(rest**2, axis=1)
+
+
+def _quantile(means: np.ndarray, spread: np.ndarray, weights: np.ndarray, q: float) -> float:
+    low, high = float(np.min(means - 8.0 * spread)), float(np.max(means + 8.0 * spread))
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (
+            (middle, high) if weights @ ndtr((middle - means) / np.maximum(spread, 1e-300)) < q else (low, middle)
+        )
+    return 0.5 * (low + high)
