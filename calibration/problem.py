@@ -314,7 +314,8 @@ class Problem:
         parts = {"experiments": Experiment, "free": Free}
         listed = {key: given.all_of(f"{where}: {key}", getattr(self, key), kind) for key, kind in parts.items()}
         scene = of_numbers(self.scene)
-        listed["experiments"] = tuple(map(_turned, listed["experiments"]))
+        if any(attitudes.attitudes(c.observes for c in e.channels) for e in listed["experiments"]):
+            listed["experiments"] = tuple(map(_turned, listed["experiments"]))
         # <contact>.clearance and clearance_<contact> are one parameter.
         listed["free"] = tuple(replace(f, name=scene.canonical(f.name)) for f in listed["free"])
         names = [seen.feature for e in listed["experiments"] for seen in e.features]
