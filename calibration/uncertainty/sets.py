@@ -18,6 +18,7 @@ from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 # Chance that an error acts, before the record is looked at; shares of its prior, with their chances, if it does.
@@ -278,10 +279,7 @@ def _moments(
 
 
 def _quantile(means: np.ndarray, spread: np.ndarray, weights: np.ndarray, q: float) -> float:
-    low, high = float(np.min(means - 8.0 * spread)), float(np.max(means + 8.0 * spread))
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high) if weights @ ndtr((middle - means) / np.maximum(spread, 1e-300)) < q else (low, middle)
-        )
-    return 0.5 * (low + high)
+    wide = np.maximum(spread, 1e-300)
+    low, high = float(np.min(means - 8.0 * wide)), float(np.max(means + 8.0 * wide))
+    beyond = lambda x: float(weights @ ndtr((x - means) / wide)) - q  # noqa: E731
+    return float(brentq(beyond, low, high, xtol=1e-12 * (high - low))) if high > low else low  # pyright: ignore[reportArgumentType]
