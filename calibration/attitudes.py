@@ -82,7 +82,11 @@ def _check_spin(times: np.ndarray, q: np.ndarray, spin: np.ndarray, body: str, w
     pairs = (after, before), (before * inverse, after * inverse)
     mean, steps = 0.5 * (spin[:, 1:] + spin[:, :-1]), np.diff(times)
     misses = [mean - np.asarray(rotation(*map(jnp.asarray, pair))) / steps for pair in pairs]
-    world, own, size = (float(np.sqrt(np.nanmean(np.square(x)))) for x in (*misses, mean))
+    seen = np.isfinite(misses).all(axis=(0, 1))
+    if not seen.any():
+        # Without two readings in a row nothing is known of a rate.
+        return
+    world, own, size = (float(np.sqrt(np.mean(np.square(x[:, seen])))) for x in (*misses, mean))
     if world > _APART * own and world > _SHARE * size:
         said = f"misses the attitude's rate by {world:.2g} rad/s in the world's axes, by {own:.2g} rad/s in the body's"
         raise InputError(f"{where}: observe '{body}.spin.x'", said, f"write '{body}.spin.x in {body}', y and z alike")

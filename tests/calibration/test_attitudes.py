@@ -102,3 +102,10 @@ def test_spin_in_the_bodys_axes_is_told_from_the_worlds():
     problem(quaternions, [Channel(n, x, 0.1) for n, x in zip(SPIN, world, strict=True)])
     with pytest.raises(bj.InputError, match=r"write 'body[.]spin[.]x in body'"):
         problem(quaternions, [Channel(n, x, 0.1) for n, x in zip(SPIN, own, strict=True)])
+
+
+def test_spin_without_two_readings_in_a_row_is_taken():
+    quaternions, world = record()
+    world = np.where(np.arange(41) % 2, np.nan, world)
+    kept = problem(quaternions, [Channel(n, x, 0.1) for n, x in zip(SPIN, world, strict=True)])
+    assert len(kept.experiments[0].channels) == 6
