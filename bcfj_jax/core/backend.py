@@ -38,3 +38,17 @@ def set_up() -> None:
 def own_flags(flags: str) -> str:
     """What of XLA's options the user has set: all but ours."""
     return flags.replace(f"{_EXTRA}{_OPTIONS}", "").strip()
+
+
+def on_cpu() -> bool:
+    """Whether a CPU computes. Starts JAX's device."""
+    import jax
+
+    return jax.default_backend() == "cpu"
+
+
+def memory() -> int:
+    """What JAX may take of the first device's own memory [bytes]; 0 where it does not say, as of a CPU."""
+    import jax
+
+    return int((jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", 0))

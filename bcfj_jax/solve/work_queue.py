@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core import backend
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve.batched_jvp import changes
@@ -155,14 +156,22 @@ class _Queue(NamedTuple):
         """Places at the beginning of runs; of none beyond the count."""
         return jax.vmap(self.load)(jnp.where(runs < self.count, runs, self.ends.size))
 
+    def written(self, states: Array, before: _Place, values: Array) -> Array:
+        """All states with the samples of a round; rows written too far are written again."""
+        if not backend.on_cpu():
+            # One kernel for all places.
+            return states.at[before.run[:, None], before.sample[:, None] + jnp.arange(self.read)].set(values)
+        # One by one, in place: a scatter would copy all states in every round.
+        for i in range(self.places):
+            at = (before.run[i], before.sample[i], *[0] * len(self.shape))
+            states = jax.lax.dynamic_update_slice(states, values[i][None], at)
+        return states
+
     def round(self, carry: tuple) -> tuple:
         """A step of every place; those whose runs have ended take the next ones."""
         waiting, before, outcome, states, rounds = carry
         after, values, code = jax.vmap(self.advance)(before)
-        # One by one, in place: a scatter would copy all states in every round. Rows written too far are written again.
-        for i in range(self.places):
-            at = (before.run[i], before.sample[i], *[0] * len(self.shape))
-            states = jax.lax.dynamic_update_slice(states, values[i][None], at)
+        states = self.written(states, before, values)
         ended = code != _GOING_ON
 
         def hand_over(now: tuple) -> tuple:
@@ -170,6 +179,9 @@ class _Queue(NamedTuple):
             at = jnp.where(ended, place.run, self.ends.size)
             news = _Outcome(code, place.time, place.accepted, place.rejected)
             outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
+            if self.places >= self.ends.size:
+                # No run waits. What goes on in a place without one is not read.
+                return waiting, place._replace(run=jnp.where(ended, self.ends.size, place.run)), outcome
             fresh = self.filled(waiting + jnp.cumsum(ended) - 1)
             place = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, place)
             return waiting + jnp.sum(ended), place, outcome
@@ -231,7 +243,10 @@ def shifted(params: Params, names: Sequence[str], shares: Array) -> dict[str, Ar
 
 
 def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
-    """N runs of a model without a history, each searched for from the one before it, as ``integrate_queue`` gives them. Pure."""
+    """N runs of a model without a history, as ``integrate_queue`` gives them. Pure.
+
+    On a CPU each is searched for from the one before it, on an accelerator all side by side.
+    """
 
     def one(near: Any, run: tuple) -> tuple:
         values, end = run
@@ -239,7 +254,7 @@ def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -
         return near, solution
 
     near = jax.tree.map(jnp.asarray, model.origin(grid.size))
-    if not jax.tree.leaves(near):
-        # Closed forms: nothing to search for.
-        return jax.vmap(lambda values, end: model.instants(values, end * grid)[0])(dict(params), ends)
+    if not (jax.tree.leaves(near) and backend.on_cpu()):
+        # Closed forms have nothing to search for; an accelerator searches all runs side by side.
+        return jax.vmap(lambda values, end: model.instants(values, end * grid, near)[0])(dict(params), ends)
     return jax.lax.scan(one, near, (dict(params), ends))[1]

@@ -134,7 +134,7 @@ def test_a_worker_with_another_version_is_refused(here):
     Path("study.toml").write_text(STUDY)
     store = api.prepare(specification.load(Path("study.toml")), here / "out")
     with pytest.raises(RuntimeError, match="another version"):
-        compute_block((store.folder / "run.toml").read_text(), 0, "0" * 32)
+        compute_block((store.folder / "run.toml").read_text(), store.blocks.size, 0, "0" * 32)
 
 
 @pytest.mark.slow

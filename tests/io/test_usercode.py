@@ -280,11 +280,11 @@ def test_a_block_computed_on_another_machine_has_the_code_sent_to_it():
     study, name = Path("out/run.toml").read_text(), store.blocks.names[0]
     usercode.forget()
     Path("my.py").unlink()
-    found = compute_block(study, 0, name, files)
+    found = compute_block(study, store.blocks.size, 0, name, files)
     assert set(found) == {f"{name}.parquet"}
     usercode.forget()
     with pytest.raises(InputError, match=r"no gap 'bump'.*--code FILE"):
-        compute_block(study, 1, store.blocks.names[0], ())
+        compute_block(study, store.blocks.size, 1, store.blocks.names[0], ())
 
 
 @pytest.mark.slow

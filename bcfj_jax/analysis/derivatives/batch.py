@@ -18,6 +18,7 @@ from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
+from bcfj_jax.core import backend
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Solution
@@ -27,8 +28,12 @@ from bcfj_jax.solve.simulation import readings
 
 # Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
 _PLACES = 32
+# On an accelerator: beyond, a step costs as much a run.
+MANY = 8192
 # Samples that are read at once.
 _SAMPLES = 64
+# Runs that are read at once: on a CPU, on an accelerator.
+_AT_ONCE = {True: 1, False: 64}
 
 
 class Runs(NamedTuple):
@@ -130,7 +135,12 @@ def one_of(params: dict) -> dict:
 
 def places() -> int:
     """Runs under way at one time."""
-    return _PLACES if jax.default_backend() == "cpu" else 1024
+    return _PLACES if backend.on_cpu() else MANY
+
+
+def _at_once(count: int) -> int | None:
+    few = min(_AT_ONCE[backend.on_cpu()], count)
+    return few if few > 1 else None
 
 
 def jacobians(
@@ -228,7 +238,7 @@ def jacobians(
         runs = jnp.arange(ends.size), params, ends
         # Those beyond the count cost nothing.
         nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(landed, (one_of(params), ends[0])))
-        if jax.default_backend() == "cpu":
+        if backend.on_cpu():
             found = jax.lax.map(lambda x: jax.lax.cond(x[0] < count, landed, lambda _: nothing, x[1:]), runs)
         else:
             found = jax.vmap(landed)(runs[1:])
@@ -236,10 +246,10 @@ def jacobians(
     elif scene.traits.history:
         width = min(places(), ends.size)
         solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
-        value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states))
+        value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states), batch_size=_at_once(ends.size))
     else:
         near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
-        if jax.tree.leaves(near):
+        if jax.tree.leaves(near) and backend.on_cpu():
             found = jax.lax.scan(instants, near, (params, ends))[1]
         else:
             found = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.studies import local, specification
-from bcfj_jax.analysis.studies.block import Blocks
+from bcfj_jax.analysis.studies.block import Blocks, block_size
 from bcfj_jax.analysis.studies.block import compute as run_points
 from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.analysis.studies.store import Store, facts_of, merge, write_parquet
-from bcfj_jax.core import presented
+from bcfj_jax.analysis.studies.store import ENVIRONMENT, Store, facts_of, merge, opened, write_parquet
+from bcfj_jax.core import backend, presented
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
@@ -29,7 +29,7 @@ from bcfj_jax.io.units import format_si
 if TYPE_CHECKING:
     import pyarrow as pa
 
-RESULTS, STATE, RUN, ENVIRONMENT = "results.parquet", "study.json", "run.toml", "environment.json"
+RESULTS, STATE, RUN = "results.parquet", "study.json", "run.toml"
 # What a study's folder will hold; the page and the picture are the command's.
 _WRITES = (RUN, ENVIRONMENT, RESULTS, STATE, "blocks", "report.html", "report.json", "study.png")
 # How long to wait for another run of the study that begins the folder [s].
@@ -150,9 +150,10 @@ def prepare(found: Study, folder: Path) -> Store:
                 raise InputError(f"--out {folder}", "holds another study", remedy)
             usercode.same_as(_code(folder), f"--out {folder}: the study there")
         else:
-            outputs.write_json(folder / ENVIRONMENT, outputs.environment(seed=found.design.seed))
+            known = outputs.environment(seed=found.design.seed) | {"block_size": block_size(found)}
+            outputs.write_json(folder / ENVIRONMENT, known)
             outputs.write_toml(said, found.resolved, "the study as it was run: every default, SI")
-    return Store(folder, Blocks(found))
+    return opened(folder, found)
 
 
 def _code(folder: Path) -> list[dict[str, str]]:
@@ -180,7 +181,8 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
 
         cluster.run(store, scheduler, lambda done: progress(done, total))
         return
-    count = min(workers or default_workers(), total)
+    # One process has an accelerator: others would find no memory left there.
+    count = min(workers or default_workers(), total) if backend.on_cpu() else 1
     if count == 1 or workers is None:
         with local.written():
             local.in_threads(store, count, lambda done: progress(done, total))
@@ -190,9 +192,7 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
 
 def default_workers() -> int:
     """One a core; one in all where an accelerator does the work."""
-    import jax
-
-    return cores() if jax.default_backend() == "cpu" else 1
+    return cores() if backend.on_cpu() else 1
 
 
 def finish(store: Store) -> Result:
@@ -237,7 +237,7 @@ def estimate(study: Study, workers: int | None) -> str:
     middle = time.perf_counter()
     table = run_points(study, at, blocks.size)
     each = (time.perf_counter() - middle) / len(at)
-    team = workers or default_workers()
+    team = (workers or default_workers()) if backend.on_cpu() else 1
     histories = table.force.nbytes / len(at) if study.histories else 0.0
     disk = study.count * (8.0 * (len(study.names) + len(study.columns) + 1) + histories)
     rows = [

@@ -28,6 +28,7 @@ from bcfj_jax.analysis.engine import differentiated, planned, simulated
 from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.core import backend
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.io.outputs import channels
@@ -36,8 +37,8 @@ from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
 
 _OF_FORCE = ("peak", "mean", "impulse")
-# Points whose histories are in memory at once while features are taken.
-_AT_ONCE = 8
+# Points whose histories are in memory at once while features are taken: on a CPU, on an accelerator.
+_AT_ONCE = {True: 8, False: 256}
 
 
 class Points(NamedTuple):
@@ -80,12 +81,21 @@ def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safe
     points = Points(study.params(values), ends, given.times / given.times[-1])
     if study.steady:
         return _of_steady(study, points, how, size)
-    single = any(event(f.kind) for f in study.features)
-    if study.derivatives and not single and derivatives.possible(scene, how):
-        return _with_derivatives(study, points, how, size)
-    if study.derivatives or single or given.solver is not None or given.resolved_peaks or scene.traits.open:
+    if not together(study):
         return _one_by_one(study, points, safety)
+    if study.derivatives:
+        return _with_derivatives(study, points, how, size)
     return run(scene, points, study.features, Plan(how.tolerance, given.max_steps), size, study.histories)
+
+
+def together(study: Study) -> bool:
+    """Whether all points of a batch are one program, in which no point is taken by itself."""
+    given, scene = study.given, study.given.scene
+    if study.steady or any(event(f.kind) for f in study.features):
+        return False
+    if study.derivatives:
+        return derivatives.possible(scene, planned(given, 1.0))
+    return given.solver is None and not given.resolved_peaks and not scene.traits.open
 
 
 def has_history(scene: AbstractModel) -> bool:
@@ -95,7 +105,7 @@ def has_history(scene: AbstractModel) -> bool:
 
 def places() -> int:
     """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
-    return 32 if jax.default_backend() == "cpu" else 1024
+    return 32 if backend.on_cpu() else derivatives.MANY
 
 
 class _Static(NamedTuple):
@@ -182,7 +192,9 @@ def _part(static: _Static, params: dict, ends: Array, how: Plan, count: Array) -
         solution, rounds = integrate_queue(scene, params, ends, jnp.asarray(grid), how, count, min(places(), ends.size))
     else:
         solution = equilibria(scene, params, ends, jnp.asarray(grid))
-    features, *read = jax.lax.map(look, (params, ends, solution.states), batch_size=min(_AT_ONCE, ends.size))
+    features, *read = jax.lax.map(
+        look, (params, ends, solution.states), batch_size=min(_AT_ONCE[backend.on_cpu()], ends.size)
+    )
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
 
 

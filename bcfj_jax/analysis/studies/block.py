@@ -9,15 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.engine import refusal, said
-from bcfj_jax.analysis.studies.batch import has_history, of_study
+from bcfj_jax.analysis.studies.batch import has_history, of_study, together
 from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.core import backend
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import ORDERED, check_order, check_value
@@ -28,6 +29,9 @@ from bcfj_jax.solve.plan import Plan, plan
 # Points of a block: of the motion of a large model, of all else. Enough to fill the places of a batch several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.
 _OF_MOTION, _OTHERS, _FEWEST, _NUMBERS = 64, 512, 4, 2**24
+# The same on an accelerator, where a batch takes hardly longer than a point until some thousands are in it (docs/howto/gpu.md);
+# and which part of its memory [bytes] a number of state may take.
+_MANY_OF_MOTION, _MANY, _SHARE = 16_384, 65_536, 1 / 48
 # A run that failed is tried once more with steps of so much less error.
 SAFER = 0.1
 
@@ -59,18 +63,13 @@ class Table(NamedTuple):
 class Blocks:
     """A study cut into blocks.
 
-    Costly points come first, so that no worker begins a long block when all others are done.
+    Costly points come first, so that no worker begins a long block when all others are done. ``size``: of a block, where the
+    study was begun with one; else what suits the device (``block_size``).
     """
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, size: int | None = None) -> None:
         self.study = study
-        scene = study.given.scene
-        large = scene.traits.large
-        few = _OF_MOTION if large and has_history(scene) else _OTHERS
-        # Tangents are as many numbers again for each parameter; contacts' readings stay until features are taken.
-        held = _NUMBERS // ((64 if large else 4) * len(study.given.times) * (1 + 2 * len(study.derivatives)))
-        # Four blocks at least, so that there is work for several.
-        self.size = max(_FEWEST, min(few, held, -(-study.count // 4)))
+        self.size = size or block_size(study)
 
     def __len__(self) -> int:
         return -(-self.study.count // self.size)
@@ -102,6 +101,30 @@ class Blocks:
         return tuple(found)
 
 
+def fitting(study: Study, accelerated: bool | None = None) -> int:
+    """Points that are run at once: by memory, and so many that more would be no faster.
+
+    ``accelerated``: whether on an accelerator; None for where this process computes. Points that are taken one by one gain
+    nothing there.
+    """
+    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
+    scene = study.given.scene
+    large = scene.traits.large
+    few, numbers = (_OF_MOTION if large and has_history(scene) else _OTHERS), _NUMBERS
+    if many:
+        few = _MANY_OF_MOTION if large else _MANY
+        numbers = max(_NUMBERS, int(_SHARE * backend.memory()))
+    # Tangents are as many numbers again for each parameter; contacts' readings stay until features are taken.
+    held = numbers // ((64 if large else 4) * len(study.given.times) * (1 + 2 * len(study.derivatives)))
+    return max(_FEWEST, min(few, held))
+
+
+def block_size(study: Study, accelerated: bool | None = None) -> int:
+    """Points of a block of a study: on a CPU four blocks at least, so that there is work for several."""
+    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
+    return max(_FEWEST, min(fitting(study, accelerated), study.count if many else -(-study.count // 4)))
+
+
 def predicted_cost(study: Study) -> np.ndarray:
     """(N,) of each point in units of its own: the time simulated over a contact's time; 1 where all cost alike."""
     scene = study.given.scene
@@ -122,6 +145,22 @@ def _steps(scene: AbstractModel, params: dict, ends: Array, how: Plan) -> Array:
 
 
 def compute(study: Study, at: np.ndarray, size: int) -> Table:
+    """Run a block's points by their numbers, up to ``size``; in parts where this device takes fewer at once."""
+    size = min(size, fitting(study))
+    parts = [_together(study, at[k : k + size], size) for k in range(0, len(at), size)]
+    if len(parts) == 1:
+        return parts[0]
+
+    def joined(name: str) -> Any:
+        each = [getattr(part, name) for part in parts]
+        if isinstance(each[0], np.ndarray):
+            return np.concatenate(each)
+        return sum(each) if name == "rounds" else [x for part in each for x in part]
+
+    return Table(*map(joined, Table._fields))
+
+
+def _together(study: Study, at: np.ndarray, size: int) -> Table:
     """Run points by their numbers, up to the program's size; those that fail once more, with safer settings."""
     values, last, scene = study.points[at], study.ends[at], study.given.scene
     reasons, rounds = _refusals(study, values, size), 0

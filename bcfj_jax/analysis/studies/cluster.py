@@ -27,7 +27,7 @@ _PAUSE_S = 1.0
 
 
 @functools.lru_cache(maxsize=4)
-def _blocks(study: str, code: Files) -> Any:
+def _blocks(study: str, size: int, code: Files) -> Any:
     import tomllib
 
     from bcfj_jax.core.compile_cache import open_cache
@@ -39,16 +39,16 @@ def _blocks(study: str, code: Files) -> Any:
     from bcfj_jax.analysis.studies.block import Blocks
     from bcfj_jax.analysis.studies.specification import from_table
 
-    return Blocks(from_table(tomllib.loads(study)))
+    return Blocks(from_table(tomllib.loads(study)), size)
 
 
-def compute_block(study: str, block: int, name: str, code: Files = ()) -> dict[str, bytes]:
-    """On a worker: the files of a block, by their names in ``blocks/``; ``study``: what ``run.toml`` says.
+def compute_block(study: str, size: int, block: int, name: str, code: Files = ()) -> dict[str, bytes]:
+    """On a worker: the files of a block, by their names in ``blocks/``; ``study``: ``run.toml``; ``size``: of a block.
 
     Raises:
         RuntimeError: if the block is called otherwise here: then this is another version of the code.
     """
-    blocks = _blocks(study, code)
+    blocks = _blocks(study, size, code)
     from bcfj_jax.analysis.studies.block import compute
     from bcfj_jax.analysis.studies.store import Store
 
@@ -74,7 +74,7 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
     distributed = library("distributed", "bcfj study", "cluster")
     from bcfj_jax.io import usercode
 
-    study = (store.folder / "run.toml").read_text(encoding="utf-8")
+    study, size = (store.folder / "run.toml").read_text(encoding="utf-8"), store.blocks.size
     code = tuple((str(one.path), one.text) for one in usercode.used())
     seen = time.monotonic()
     away = (OSError, TimeoutError, distributed.CancelledError, distributed.comm.CommClosedError)
@@ -85,7 +85,8 @@ def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
                 seen = time.monotonic()
                 names = store.blocks.names
                 asked = {
-                    client.submit(compute_block, study, k, names[k], code, key=f"bcfj-{names[k]}"): k for k in missing
+                    client.submit(compute_block, study, size, k, names[k], code, key=f"bcfj-{names[k]}"): k
+                    for k in missing
                 }
                 for future in distributed.as_completed(asked, loop=client.loop):
                     check()

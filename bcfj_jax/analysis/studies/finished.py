@@ -10,9 +10,8 @@ import numpy as np
 
 from bcfj_jax.analysis.studies import specification
 from bcfj_jax.analysis.studies.api import RESULTS, RUN, Result, finish
-from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.analysis.studies.store import Store, print_fault, read_whole
+from bcfj_jax.analysis.studies.store import opened, print_fault, read_whole
 from bcfj_jax.core.errors import InputError, nearest
 
 T = TypeVar("T")
@@ -67,7 +66,7 @@ def _table(folder: Path, study: Study) -> Any:
     table, fault = read_whole(path)
     if table is not None:
         return table
-    store = Store(folder, Blocks(study))
+    store = opened(folder, study)
     missing = sum(not store.finished(k) for k in range(len(store.blocks)))
     if missing:
         raise InputError(str(path), f"{fault}, and {missing} of {len(store.blocks)} blocks are missing", remedy)

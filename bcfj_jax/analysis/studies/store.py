@@ -1,6 +1,7 @@
 """A study's folder: one file a finished block, whole or not there at all; what is missing is what is left to do.
 
     run.toml            the study with every default
+    environment.json    versions, device, and how many points a block has
     study.json          what ran and what is left, for people and scripts
     blocks/NAME.parquet a block's table; NAME is a digest of all that its content follows from
     blocks/NAME.zarr    its forces, where they are kept
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
-from bcfj_jax.analysis.studies.block import Blocks, Table
+from bcfj_jax.analysis.studies.block import Blocks, Table, block_size
 from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.errors import InputError
@@ -35,6 +36,7 @@ from bcfj_jax.io.folder import inside
 if TYPE_CHECKING:
     import pyarrow as pa
 
+ENVIRONMENT = "environment.json"
 _FACTS = b"bcfj"
 
 
@@ -259,6 +261,21 @@ def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
         _remove(path)
         os.replace(temporary, path)
         return {(name := file.relative_to(temporary).as_posix()): _digest(path / name) for file in files}
+
+
+def opened(folder: Path, study: Study) -> Store:
+    """A folder's store, in blocks of the size that the study was begun with, wherever that was.
+
+    One that does not say its size, as older ones, has what suits a CPU. ``InputError`` for one that says none.
+    """
+    path = folder / ENVIRONMENT
+    try:
+        size = json.loads(path.read_bytes()).get("block_size") if path.exists() else None
+        if not (size is None or (type(size) is int and size > 0)):
+            raise ValueError(size)
+    except (ValueError, AttributeError, RecursionError):
+        raise InputError(str(path), "is damaged", "name another folder") from None
+    return Store(folder, Blocks(study, size or block_size(study, accelerated=False)))
 
 
 def merge(store: Store) -> pa.Table:

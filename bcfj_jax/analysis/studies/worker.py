@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from bcfj_jax.analysis.studies.block import Blocks, compute
+from bcfj_jax.analysis.studies.block import compute
 from bcfj_jax.analysis.studies.specification import load
-from bcfj_jax.analysis.studies.store import Store
+from bcfj_jax.analysis.studies.store import Store, opened
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import usercode
 from bcfj_jax.io.stop import check, heeded
@@ -82,7 +82,7 @@ def main() -> int:
     try:
         usercode.from_arguments(sys.argv)
         with heeded():
-            work(Store(folder, Blocks(load(folder / "run.toml"))))
+            work(opened(folder, load(folder / "run.toml")))
     except InputError as error:
         sys.stderr.write(f"error: {error}\n")
         return BAD_INPUT
