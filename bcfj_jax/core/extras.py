@@ -13,6 +13,7 @@ EXTRAS = {
     "uq": "posteriors by NUTS (bcfj calibrate --intervals posterior)",
     "study": "studies (bcfj study): tables on disk, sampling, global sensitivity",
     "cluster": "studies by a Dask cluster (bcfj study run --scheduler)",
+    "cuda": "an NVIDIA GPU with CUDA 13, on which large studies run",
     "table": "results as tables and labelled arrays: to_pandas(), to_xarray()",
     "animation": "movies of a run in MP4 (bcfj simulate --animate mp4)",
     "petab": "PEtab 2 tables, in and out",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
 
-from bcfj_jax.core import programs
+from bcfj_jax.core import backend, programs
 from bcfj_jax.core.extras import EXTRAS
 from bcfj_jax.core.threads import cores
 from bcfj_jax.io import report
@@ -104,7 +104,15 @@ def _devices() -> list[Finding]:
     listed = ", ".join(f"{d.platform}:{d.id} {d.device_kind}" for d in devices)
     wide = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
     numbers = (GOOD, "64-bit numbers", "on") if wide else (BAD, "64-bit numbers", "off", "unset JAX_ENABLE_X64")
-    return [Finding(GOOD, "devices", listed), Finding(*numbers)]
+    return [Finding(GOOD, "devices", listed), Finding(*numbers), Finding(GOOD, "studies", _of_studies())]
+
+
+def _of_studies() -> str:
+    """What a study would use."""
+    if backend.on_cpu():
+        return f"on the CPU, {cores()} threads"
+    size = f", {backend.memory() / 2**30:.0f} GiB of its memory" if backend.memory() else ""
+    return f"in one process on the accelerator{size}; JAX_PLATFORMS=cpu takes the CPU"
 
 
 def _cache() -> Finding:
@@ -128,7 +136,8 @@ def _extras() -> list[Finding]:
     found = []
     for extra, purpose in EXTRAS.items():
         parts = [one for one in _requirements() if one.marker and one.marker.evaluate({"extra": extra})]
-        names = [one.name for one in parts if one.name != _PACKAGE]
+        # JAX itself is there; what its own extra brings is a plugin.
+        names = ["jax-cuda13-plugin" if one.name == "jax" else one.name for one in parts if one.name != _PACKAGE]
         missing = [name for name in names if _installed(name) is None]
         if missing:
             remedy = f'pip install "bcfj-jax[{extra}]"'

@@ -64,7 +64,7 @@ PARTS: tuple[tuple[str, int, int, int, str], ...] = (
 
 
 def in_batch(what: str, lanes: int) -> dict[str, Any]:
-    """Seconds of the first call and of the best of the next ones, and a sum and a largest value of lane 0. In a process of its own."""
+    """Seconds of the first call and of the best of the next ones, sums and largest values of lane 0; in a process of its own."""
     import jax
     import jax.numpy as jnp
 
