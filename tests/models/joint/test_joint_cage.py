@@ -72,12 +72,17 @@ def test_without_the_new_options_nothing_has_changed(name):
     def look(y, c):
         structure, args = Arrowhead(), (scene, c)
         solved = structure.solve(structure.factor(t, y, args, 1e-4), right)
-        return system.field(t, y, args), solved, {k: r.force for k, r in scene.observe(t, y, c).items()}
+        jacobian = jax.jacfwd(lambda y: system.field(t, y, args))(y)
+        return system.field(t, y, args), solved, jacobian, {k: r.force for k, r in scene.observe(t, y, c).items()}
 
-    field, solved, forces = jax.device_get(look(y, constants(scene, params)))
-    found = {"field": field, "solved": solved, **forces}
-    known = {"field": BEFORE[name]["field"], "solved": BEFORE[name]["solved"], **BEFORE[name]["readings"]}
+    field, solved, jacobian, forces = jax.device_get(look(y, constants(scene, params)))
+    # Another order of the same operations moves the solution by 4e-10 of its size: it is judged by what it leaves.
+    matrix = np.eye(y.size) / 1e-4 - jacobian
+    assert np.all(np.abs(matrix @ solved - right) <= 1e-12 * (np.abs(matrix) @ np.abs(solved) + np.abs(right)))
+    found = {"field": field, **forces}
+    known = {"field": BEFORE[name]["field"], **BEFORE[name]["readings"]}
     assert set(found) == set(known)
+    assert np.abs(solved - BEFORE[name]["solved"]).max() <= 1e-9 * np.abs(solved).max()
     for what, values in known.items():
         size = np.abs(values).max()
         assert size > 0.0 and np.abs(found[what] - np.asarray(values)).max() <= 1e-10 * size, what
