@@ -65,7 +65,7 @@ def archard(times: ArrayLike, normal: ArrayLike, slip: ArrayLike, coefficient: A
         coefficient, hardness: k [-], H of the softer body [Pa].
     """
     rubbed = jnp.trapezoid(jnp.abs(jnp.asarray(normal)) * jnp.abs(jnp.asarray(slip)), jnp.asarray(times), axis=0)
-    return jnp.divide(0.5 * jnp.asarray(yield_stress), shear * jnp.asarray(pressure))
+    return jnp.multiply(coefficient / jnp.asarray(hardness), rubbed)
 
 
 def wear_volume(
