@@ -191,3 +191,40 @@ def doctor() -> int:
     result(examination.content(found))
     typer.echo(examination.text(found))
     return DONE if examination.healthy(found) else FAILED
+
+
+@verb(app, example="bcfj export impact --to mujoco --out drop")
+def export(
+    what: Annotated[
+        str,
+        typer.Argument(metavar="FIT|SCENE", help="A calibration's folder or fit.json, a scene file or a scene's name."),
+    ],
+    to: Annotated[str, typer.Option(help="mujoco, adams, exudyn, modelica or chrono.")],
+    contact: Annotated[str, typer.Option(help="Of several contacts; by default the first.")] = "",
+    mass: Annotated[
+        str, typer.Option(help='Effective mass of the drop, where the scene does not say it: "2 kg".')
+    ] = "",
+    speed: Annotated[str, typer.Option(help='Speed of the drop, likewise: "1.5 m/s".')] = "",
+    out: Annotated[Path | None, typer.Option(help="Folder for the file, by default this one.")] = None,
+    code: Code = None,
+) -> int:
+    """Write a contact in another simulator's terms: a file that runs there, what is lost, the drop with either law."""
+    ready(code, what)
+    from bcfj_jax.analysis import export as leaving
+    from bcfj_jax.io.outputs import create
+    from bcfj_jax.io.report import text
+
+    found = leaving.export(leaving.source(what, contact, mass, speed), to)
+    path = (out or Path(".")) / found.name
+    create(path, found.text)
+    shown = leaving.tables(found)
+    typer.echo("\n\n".join(text(rows) for rows in shown))
+    off = (
+        ""
+        if found.same
+        else f"; peak or rebound differ by more than {100 * leaving.AGREES:g} %: this law cannot say it"
+    )
+    typer.echo(f"\nwrote {path}{off}")
+    keys = "before", "after", "terms"
+    result({"file": str(path), "same": found.same, **{k: getattr(found, k) for k in keys}, "rows": shown[1]})
+    return DONE

@@ -17,6 +17,7 @@ EXTRAS = {
     "table": "results as tables and labelled arrays: to_pandas(), to_xarray()",
     "animation": "movies of a run in MP4 (bcfj simulate --animate mp4)",
     "petab": "PEtab 2 tables, in and out",
+    "life": "rainflow counting of loads (bcfj_jax.analysis.life)",
 }
 
 
