@@ -163,6 +163,7 @@ CATALOGUE: dict[str, Quantity] = {
 # The first must not be more than the second, in every contact that reads both, and why.
 _ORDERED = (
     ("friction_dynamic", "friction_static", "sliding does not hold more than break-away"),
+    ("sliding", "breakaway", "sliding does not hold more than break-away"),
     ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
 )
 # Their names.
