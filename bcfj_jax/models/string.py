@@ -36,7 +36,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.inside import Tracer
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
-from bcfj_jax.mechanism.model import AbstractModel, ModelTraits, Params, Reading, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
 from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.options import (
@@ -229,6 +229,21 @@ class StringModel(AbstractModel):
         _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, params, self.count, where)
         self.joint.check({name: np.asarray(value)[0] for name, value in self.joints(params).items()}, where)
 
+    def chain(self, params: Params) -> Chain:
+        """The hole's axis from the drive (0, 0) downwards, a joint at each corner, and what each hands down."""
+        found, radius = loads(params, self.count), float(params["hole_radius"])
+        bend = float(found.bend[0])
+        turn = bend * (0.5 + np.arange(-1, self.count + 1))
+        corners = radius * np.stack([1.0 - np.cos(turn), -np.sin(turn)], -1)
+        named = {
+            "torque": ("N m", found.torque),
+            "axial force": ("N", found.axial),
+            "force of the wall": ("N", found.wall),
+        }
+        pushed = np.asarray(found.wall)[:, None] * np.stack([np.cos(turn[1:-1]), np.sin(turn[1:-1])], -1)
+        each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
+        return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
+
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: by joint what it hands down and its greatest contact forces, and which is loaded most."""
         found = loads(params, self.count)
@@ -326,8 +341,7 @@ _KEYS = [_FIRST] + [
 ]
 string_of_keys.__signature__ = inspect.Signature(_KEYS)
 string_of_keys.__annotations__ = {x.name: x.annotation for x in _KEYS}
-_ABOVE, _, _ = (
-    (string_of_keys.__doc__ or "").replace("Args:\n", "Args:\n    n: number of joints.\n", 1).partition("    fidelity:")
-)
-string_of_keys.__doc__ = f"""{_ABOVE}    fidelity: one of kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic: equilibrium
-        at each instant, without friction."""
+_WORDS = (inspect.getdoc(string_of_keys) or "").replace("Args:", "Args:\n    n: number of joints.", 1)
+string_of_keys.__doc__ = f"""{_WORDS.partition("    fidelity:")[0]}    fidelity: one of
+        kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic: equilibrium at each
+        instant, without friction."""

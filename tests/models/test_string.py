@@ -44,7 +44,7 @@ def test_each_of_several_is_the_joint_under_its_own_load():
 
 def test_drag_is_the_capstan_formula():
     # A string that is fed and does not turn rubs along itself alone.
-    params, found = told(drive_speed=0.0)
+    _, found = told(drive_speed=0.0)
     angle = 10 * float(found.bend[0])
     assert float(found.hook_load) == pytest.approx(20e3 * math.exp(0.25 * angle), rel=1e-12)
     assert float(found.drive_torque) == pytest.approx(1800.0, rel=1e-12)
@@ -123,3 +123,24 @@ def test_derivative_of_the_greatest_torque_by_wall_friction():
     top = lambda mu: loads(params | {"wall_friction": mu}, 10).drive_torque  # noqa: E731
     angle = 10 * float(loads(params, 10).bend[0])
     assert float(jax.grad(top)(0.25)) == pytest.approx(0.05 * 20e3 * angle, rel=1e-9)
+
+
+def test_the_summary_tells_what_each_joint_bears_and_which_most():
+    scene = bj.scenes.string(n=3, fidelity="kinematic")
+    params = scene.parameters()
+    run = bj.simulate(scene, params, TIMES)
+    told = scene.whole(params, run)[0]["string"]
+    assert told["most_loaded"] == 1
+    assert len(told["torque"]) == len(told["peaks"]["seat_ball"]) == 3
+    assert told["peaks"]["seat_ball"][0] == pytest.approx(np.abs(run.force["seat_ball"][:, :6, 0]).max())
+
+
+def test_the_picture_has_every_joint_on_the_hole_and_walls_that_push_inwards():
+    scene = bj.scenes.string(n=6, fidelity="kinematic")
+    chain = scene.chain(scene.parameters())
+    middle = chain.corners[0] + np.array(
+        [math.cos(0.5 * told(6)[1].bend[0]), -math.sin(0.5 * float(told(6)[1].bend[0]))]
+    )
+    assert np.allclose(np.hypot(*(chain.corners - middle).T), 1.0)
+    assert np.all(np.sum(chain.pushes * (middle - chain.corners[1:-1]), 1) > 0.0)
+    assert np.allclose(np.hypot(*chain.pushes.T), chain.loads["force of the wall"][1])
