@@ -51,7 +51,7 @@ def hold_out(problem: Problem, at: Optimum) -> tuple[dict[str, dict[str, float]]
     """
     model, best, quality = at.model, at.end, at.spread
     held = tuple(with_noise(e, at.noise) for e in problem.experiments if e.hold_out)
-    other = build(problem, held)
+    other = build(problem, held).at_depth(model.log_depth)
     shared = sum(s.experiment is None for s in model.coordinates)
     own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
     point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared)

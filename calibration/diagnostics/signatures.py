@@ -13,6 +13,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.model import Model
@@ -34,7 +35,7 @@ class Motion(NamedTuple):
         depth, rate, force: (T,) [m], [m/s], [N].
         elastic: (T,) the force without its damping.
         deepest: (T,) largest depth since the contact began [m].
-        flow: (T, 2, 2) the motion's fundamental matrix; None where it is not of one mass.
+        moves: (T - 1, 2, 2) from one instant's small change to the next one's; None where the motion is not of one mass.
         tangent: (T, 2) k [N/m] and c [N s/m].
         mass: [kg].
     """
@@ -45,7 +46,7 @@ class Motion(NamedTuple):
     force: np.ndarray
     elastic: np.ndarray
     deepest: np.ndarray
-    flow: np.ndarray | None
+    moves: np.ndarray | None
     tangent: np.ndarray
     mass: float
 
@@ -57,12 +58,18 @@ class Motion(NamedTuple):
 
     def reply(self, force: np.ndarray) -> np.ndarray:
         """Change of the force for a force (T,) beside it [N]."""
-        if self.flow is None:
+        if self.moves is None:
             return force
-        # Variation of constants: x = X integral of X^-1 (0, -f/m).
-        push = np.linalg.inv(self.flow)[:, :, 1] * (-force / self.mass)[:, None]
-        steps = 0.5 * (push[1:] + push[:-1]) * np.diff(self.times)[:, None]
-        moved = np.einsum("tij,tj->ti", self.flow, np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]))
+        # x' = A x + (0, -f/m) from rest, by the trapezoidal rule, all instants as one banded system: a product of moves
+        # over many contacts has no inverse.
+        push, half, count = -force / self.mass, 0.5 * np.diff(self.times), self.times.size
+        right, bands = np.zeros((count, 2)), np.zeros((4, count, 2))
+        right[1:] = half[:, None] * self.moves[:, :, 1] * push[:-1, None]
+        right[1:, 1] += half * push[1:]
+        bands[0] = 1.0
+        for row, column in np.ndindex(2, 2):
+            bands[2 + row - column, :-1, column] = -self.moves[:, row, column]
+        moved = solve_banded((3, 0), bands.reshape(4, -1), right.ravel(), check_finite=False).reshape(count, 2)
         return force + np.sum(self.tangent * moved, axis=1)
 
 
@@ -154,8 +161,8 @@ def _motion(model: Model, experiment: int, params: dict[str, float], name: str, 
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         deepest[a:b] = np.maximum.accumulate(depth[a:b])
     mass = _one_mass(times, rate, force)
-    flow = _flow(times, tangent / mass) if mass else None
-    return Motion(times, depth, rate, force, force * np.exp(-damping * rate), deepest, flow, tangent, mass)
+    moves = _moves(times, tangent / mass) if mass else None
+    return Motion(times, depth, rate, force, force * np.exp(-damping * rate), deepest, moves, tangent, mass)
 
 
 def _one_mass(times: np.ndarray, rate: np.ndarray, force: np.ndarray) -> float:
@@ -169,18 +176,13 @@ def _one_mass(times: np.ndarray, rate: np.ndarray, force: np.ndarray) -> float:
     return float(-1.0 / slopes[1]) if good else 0.0
 
 
-def _flow(times: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Fundamental matrix (T, 2, 2) of x'' = -(k x + c x')/m by the implicit midpoint rule."""
+def _moves(times: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """(T - 1, 2, 2) of x'' = -(k x + c x')/m over each step, by the implicit midpoint rule."""
     step, (k, c) = np.diff(times), (0.5 * (tangent[1:] + tangent[:-1])).T
     system = np.zeros((step.size, 2, 2))
     system[:, 0, 1], system[:, 1, 0], system[:, 1, 1] = 1.0, -k, -c
     half = 0.5 * step[:, None, None] * system
-    moves = np.linalg.solve(np.eye(2) - half, np.eye(2) + half)
-    flow = np.empty((times.size, 2, 2))
-    flow[0] = np.eye(2)
-    for n, move in enumerate(moves):
-        flow[n + 1] = move @ flow[n]
-    return flow
+    return np.linalg.solve(np.eye(2) - half, np.eye(2) + half)
 
 
 def weight(model: Model, series: list[Series], point: np.ndarray, gravity: float) -> np.ndarray:
@@ -200,7 +202,7 @@ def weight(model: Model, series: list[Series], point: np.ndarray, gravity: float
         if felt and i not in known:
             known[i] = _motion(model, int(i), table[i], felt, s.clock - offset)
         motion = known.get(i) if felt else None
-        if motion is None or motion.flow is None:
+        if motion is None or motion.moves is None:
             continue
         push = np.full(motion.times.size, -motion.mass * gravity)
         change = np.where(motion.depth > 0.0, motion.reply(push) - push, 0.0)

@@ -268,5 +268,7 @@ def test_clean_bounces_are_identified_and_their_noise_is_the_integrators(count):
     assert found.verdict == "identified", found.reasons
     for name, true in trap.TRUTH.items():
         low, high = found.parameters[name].ci95
+        assert low < true < high
+        low, high = found.parameters[name].intervals["noise"]
         assert low < true < high and high - low < 0.01 * true
     assert any("is the integrator's" in note for note in found.notes)

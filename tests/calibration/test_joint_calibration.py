@@ -48,7 +48,7 @@ def test_equilibria_identify_stiffness_contact_angle_and_clearance(clean):
         found = fit(noisy(clean, 0.003, seed), seed=seed, starts=4)
         assert found.verdict == "identified", found.reasons
         for f in FREE:
-            low, high = np.log(found.parameters[f.name].ci95 or (np.nan, np.nan))
+            low, high = np.log(found.parameters[f.name].intervals["noise"] or (np.nan, np.nan))
             # Two half-widths are 3.9 deviations: one in 10^4 misses. No interval is so wide that it is of no use.
             assert abs(np.log(TRUTH[f.name]) - 0.5 * (low + high)) < high - low
             assert high - low < 0.8

@@ -219,12 +219,13 @@ def test_fit_states_profiles_as_the_kind_of_its_intervals(profiled_fit):
     found = profiled_fit.evidence.profiles
     assert found.keys() == {"stiffness", "exponent", "reference_force"}
     for name, p in profiled_fit.parameters.items():
-        assert p.interval_kind == "profile" and p.ci95 == found[name].interval
+        noise = p.intervals["noise"]
+        assert p.interval_kind == "profile" and noise == found[name].interval
         # Noise of 1 %: nearly linear, so the covariance is right to a few hundredths of its half-width, and no better.
-        half = (p.ci95[1] - p.ci95[0]) / 2
-        assert p.ci95 == pytest.approx(found[name].quadratic, abs=0.05 * half)
-        assert p.ci95 != pytest.approx(found[name].quadratic, abs=1e-6 * half)
-    assert profiled_fit.reference.ci95 == found["reference_force"].interval
+        half = (noise[1] - noise[0]) / 2
+        assert noise == pytest.approx(found[name].quadratic, abs=0.05 * half)
+        assert noise != pytest.approx(found[name].quadratic, abs=1e-6 * half)
+    assert profiled_fit.reference.noise == found["reference_force"].interval
 
 
 @pytest.mark.slow
@@ -234,7 +235,8 @@ def test_bent_interval_gives_way_to_its_profile(profiled_fit):
     known = Estimates(profiled_fit.parameters, profiled_fit.reference, before)
     (parameters, reference, tests), evidence = intervals.revised("covariance", at, known, 4, 0)
     assert evidence.profiles.keys() == {"exponent"}
-    assert parameters["exponent"].ci95 == pytest.approx(profiled_fit.parameters["exponent"].ci95, rel=1e-6)
+    noise = profiled_fit.parameters["exponent"].intervals["noise"]
+    assert parameters["exponent"].ci95 == pytest.approx(noise, rel=1e-6)
     assert parameters["stiffness"] is profiled_fit.parameters["stiffness"] and reference is profiled_fit.reference
     assert [(t.name, t.passed) for t in tests] == [("interval of stiffness", True), ("exponent determined", True)]
 

@@ -398,4 +398,6 @@ def test_a_record_identifies_its_coefficients(law, tmp_path, monkeypatch):
     assert found.verdict == "identified", found.reasons
     for name in CASES[law]:
         low, high = found.parameters[name].ci95
-        assert low - (high - low) < values[name] < high + (high - low) and high - low < 0.3 * values[name], name
+        assert low - (high - low) < values[name] < high + (high - low), name
+        low, high = found.parameters[name].intervals["noise"]
+        assert high - low < 0.3 * values[name], name
