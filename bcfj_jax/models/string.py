@@ -132,6 +132,21 @@ class StringModel(AbstractModel):
         return self.joint.contacts
 
     @property
+    def spin(self) -> bool:
+        """The joint's."""
+        return self.joint.spin
+
+    @property
+    def window_ends(self) -> bool:
+        """The joint's."""
+        return self.joint.window_ends
+
+    @property
+    def bands(self) -> bool:
+        """The joint's."""
+        return self.joint.bands
+
+    @property
     def traits(self) -> ModelTraits:
         """Each instant is solved for itself."""
         return self.joint.traits
@@ -342,6 +357,6 @@ _KEYS = [_FIRST] + [
 string_of_keys.__signature__ = inspect.Signature(_KEYS)
 string_of_keys.__annotations__ = {x.name: x.annotation for x in _KEYS}
 _WORDS = (inspect.getdoc(string_of_keys) or "").replace("Args:", "Args:\n    n: number of joints.", 1)
-string_of_keys.__doc__ = f"""{_WORDS.partition("    fidelity:")[0]}    fidelity: one of
+string_of_keys.__doc__ = f"""{_WORDS.partition("    drive:")[0]}    fidelity: one of
         kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic: equilibrium at each
         instant, without friction."""
