@@ -126,6 +126,19 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("stick_ratio", "1", "torque of a bit that sticks over that of one that turns fast"),
         _positive("stick_speed", "rad/s", "speed of the head at which half of the torque's excess is gone"),
         _positive("stick_width", "rad/s", "speed of the head below which the torque fades: the width of its sign"),
+        # a string of such joints in a hole
+        _positive("hole_radius", "m", "radius of the curve of the hole's axis"),
+        _positive("segment_length", "m", "distance of neighbouring joints"),
+        _positive("segment_radius", "m", "radius of a segment, where it rubs on the hole"),
+        _not_negative("segment_bore", "m", "radius of a segment's bore"),
+        _not_negative("hole_clearance", "m", "radius of the hole less that of a segment"),
+        Quantity("bend_limit", "rad", "the most that a joint bends", 0.0, 1.5, open_low=True),
+        _not_negative("bit_torque", "N m", "resisting torque at the bit"),
+        _not_negative("weight_on_bit", "N", "axial force at the bit, pressing the string together"),
+        _positive("drive_torque", "N m", "the most that the drive turns with"),
+        _not_negative("wall_friction", "1", "friction coefficient of segments on the hole's wall"),
+        _not_negative("feed_speed", "m/s", "speed of the string along the hole"),
+        _positive("segment_modulus", "Pa", "Young's modulus of a segment"),
         Quantity("joint_angle", "rad", "deflection: 180 degrees less the included angle", 0.0, 1.5),
         _positive("seat_radius", "m", "radius of the seat's hollow sphere"),
         _positive("head_radius", "m", "radius of the head's sphere"),
@@ -163,6 +176,7 @@ CATALOGUE: dict[str, Quantity] = {
 # The first must not be more than the second, in every contact that reads both, and why.
 _ORDERED = (
     ("friction_dynamic", "friction_static", "sliding does not hold more than break-away"),
+    ("sliding", "breakaway", "sliding does not hold more than break-away"),
     ("bottoming_width", "bottoming_penetration", "the backing does not push before the layer is touched"),
 )
 # Their names.

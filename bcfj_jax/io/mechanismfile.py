@@ -3,7 +3,7 @@
     [scene]          kind = "mechanism"; law, elastic, friction, smoothing: of every contact that does not say its own
     [[body]]         name, joint, parent, at, axis, tilt = [axis, angle], center, mass, inertia, start, drive, members
     [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, values
-    [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | a function of one's own; name, ...
+    [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | joint_friction | one's own; name, ...
     [quantity.NAME]  unit, lower, upper, default, meaning: a parameter that places and coefficients may name
     [[read]]         of, frame: readings to keep
 
@@ -353,7 +353,7 @@ class _Builder:
             own = _checked(keys.OwnTable, table, place)
             return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), _plain(own)
         entry: Any = _checked(keys.LOAD_TABLES[kind], table, place)
-        turns = kind == "joint_spring" and self._joint(entry.body) == "hinge"
+        turns = kind in ("joint_spring", "joint_friction") and self._joint(entry.body) == "hinge"
         given = self._numbers(entry, f"{place} ", turns)
         del given["kind"]
         if "direction" in given:

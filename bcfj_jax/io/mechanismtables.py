@@ -31,7 +31,7 @@ Torque = Annotated[Any, In("N m")]
 Stiffness = Annotated[Any, In("N/m")]
 Damping = Annotated[Any, In("N s/m")]
 # What stands in place of these units where a joint turns.
-TURNED = {"m": "rad", "m/s": "rad/s", "N/m": "N m/rad", "N s/m": "N m s/rad"}
+TURNED = {"m": "rad", "m/s": "rad/s", "N/m": "N m/rad", "N": "N m", "N s/m": "N m s/rad"}
 
 
 class SceneTable(tables.Table):
@@ -137,5 +137,14 @@ LOAD_TABLES = {
     "bush": _load("bush", **_NAMED, **_BETWEEN, **(_SPRING | _BUSH)),
     "joint_spring": _load(
         "joint_spring", **_NAMED, body=(str, ...), **_SPRING, rest=(Length, 0), drive=(DriveTable | None, None)
+    ),
+    "joint_friction": _load(
+        "joint_friction",
+        **_NAMED,
+        body=(str, ...),
+        sliding=(Force, ...),
+        speed=(Speed, ...),
+        breakaway=(Force, None),
+        friction=(str, "coulomb"),
     ),
 }

@@ -20,7 +20,7 @@ from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, refuse_impossible
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.loads import JointSpring, checked
+from bcfj_jax.mechanism.loads import CoordinateLoad, checked
 from bcfj_jax.mechanism.scales import expected
 from bcfj_jax.mechanism.sizes import Params
 
@@ -114,7 +114,7 @@ def _check_loads(scene: Dynamics, where: str) -> None:
         for body in load.touches:
             if body not in known:
                 raise InputError(f"{where} load '{load.name}'", f"no body '{body}'", nearest(body, known))
-        if isinstance(load, JointSpring):
+        if isinstance(load, CoordinateLoad):
             free = len(scene.body(load.body).rates) if load.body != GROUND else 0
             if free != 1:
                 found = f"'{load.body}' has {free} free coordinates"

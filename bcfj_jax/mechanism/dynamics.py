@@ -35,7 +35,7 @@ from bcfj_jax.mechanism import alike, arrays, equations, sizes
 from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Own, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
-from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring, Moving, checked_action, kept, quantities
+from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
 from bcfj_jax.mechanism.model import (
     AbstractModel,
     Params,
@@ -46,6 +46,7 @@ from bcfj_jax.mechanism.model import (
 _OF_LOADS = (
     "size", "ramp", "amplitude", "frequency", "reversal", "reversal_ramp",
     "stiffness", "damping", "rest", "free_length", "turning_damping", "at",
+    "sliding", "breakaway", "speed",
 )  # fmt: skip
 _OF_DRIVES = ("speed", "over", "start", "first")
 
@@ -135,8 +136,8 @@ class Dynamics(AbstractModel):
         for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
             found |= {name: x for name, x in part.items() if found.get(name, (None, None))[1] is None}
         for load in self.loads:
-            turns = isinstance(load, JointSpring) and self.body(load.body).joint == "hinge"
-            found |= load.parameters(turns) if isinstance(load, JointSpring) else load.parameters()
+            turns = isinstance(load, CoordinateLoad) and self.body(load.body).joint == "hinge"
+            found |= load.parameters(turns) if isinstance(load, CoordinateLoad) else load.parameters()
         found |= {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.own}
         for name in self._named():
             if name not in found and name in CATALOGUE:
@@ -341,7 +342,7 @@ class Dynamics(AbstractModel):
                     found.wrench(own[which], force, moment)
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
-        if isinstance(load, JointSpring):
+        if isinstance(load, CoordinateLoad):
             found.push(*self.sprung(load, t, now, p))
             return
         try:
@@ -360,8 +361,8 @@ class Dynamics(AbstractModel):
             self._loaded(found, load, t, now, p)
         return flat(found.forces, self._members)
 
-    def sprung(self, load: JointSpring, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
-        """Which velocity a spring in a joint acts on, and its force [N, N m]."""
+    def sprung(self, load: CoordinateLoad, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
+        """Which velocity a load on a joint acts on, and its force [N, N m]."""
         j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
         i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
         return j, load.on_coordinate(t, now.q[i], now.v[j], p)

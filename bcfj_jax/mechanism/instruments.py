@@ -31,7 +31,7 @@ from bcfj_jax.mechanism import alike, equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
-from bcfj_jax.mechanism.loads import AbstractLoad, JointSpring
+from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, JointFriction
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 
@@ -125,8 +125,13 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
         assert b.drive is not None
         speed = b.drive.motion(t, b.name, p)[1]
         given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._free) + k, rates) * speed)
+    friction: Number = jnp.zeros(())
     for load in m.loads:
-        given[load.name] = jnp.asarray(_power(m, load, t, now, p))
+        power = jnp.asarray(_power(m, load, t, now, p))
+        if isinstance(load, JointFriction):
+            friction = friction - power
+        else:
+            given[load.name] = power
     kinetic: Number = 0.0
     for b in m.ordered:
         part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
@@ -136,7 +141,6 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
         if inertia is not None:
             turning = dot(part.spin, equations.inertial(inertia, part.axes, part.spin))
             kinetic = plus(kinetic, jnp.sum(0.5 * jnp.asarray(turning)))
-    friction: Number = jnp.zeros(())
     damping: Number = jnp.zeros(())
     elastic: Number = jnp.zeros(())
     for c in m.bundles:
@@ -156,7 +160,7 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
 
 
 def _power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
-    if isinstance(load, JointSpring):
+    if isinstance(load, CoordinateLoad):
         j, force = m.sprung(load, t, now, p)
         return force * now.v[j]
     power: Number = 0.0

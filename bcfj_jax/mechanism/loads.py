@@ -10,10 +10,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.friction import AbstractFriction, make_friction
+from bcfj_jax.contact.part import checked as checked_part
 from bcfj_jax.contact.part import complete
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -317,7 +320,31 @@ class Bush(_BetweenPoints):
         return [Action(first, pull, a, drag), Action(second, negative(pull), b, negative(drag))]
 
 
-class JointSpring(AbstractLoad):
+class CoordinateLoad(AbstractLoad):
+    """A load on the coordinate of a slide or hinge; ``body``: whose joint."""
+
+    body: eqx.AbstractVar[str]
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        """The body."""
+        return (self.body,)
+
+    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
+        """None: it acts on a coordinate (``on_coordinate``)."""
+        del t, bodies, p
+        return []
+
+    @abstractmethod
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
+        """Force or torque on the coordinate [N, N m]."""
+
+    @abstractmethod
+    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
+        """Its parameters with their defaults; ``turns``: whether the coordinate is an angle."""
+
+
+class JointSpring(CoordinateLoad):
     """A spring and damper on the coordinate of a slide or hinge:  -k (q - q0) - c (dq/dt - dq0/dt)  on it.
 
     Attributes:
@@ -331,16 +358,6 @@ class JointSpring(AbstractLoad):
     damping: Size = sizes.field("joint spring damping", default=0.0)
     rest: Size = sizes.field("joint spring rest", default=0.0)
     drive: Drive | None = None
-
-    @property
-    def touches(self) -> tuple[str, ...]:
-        """The body."""
-        return (self.body,)
-
-    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """None: it acts on a coordinate (``on_coordinate``)."""
-        del t, bodies, p
-        return []
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """Those of its drive."""
@@ -364,6 +381,68 @@ class JointSpring(AbstractLoad):
         if self.drive is not None:
             return found | self.drive.needs(self.name, turns)
         return found | _stated(self.rest, self.name, "rest", "rad" if turns else "m")
+
+
+class JointFriction(CoordinateLoad):
+    """Dry friction in a slide or hinge:  -m(w^2) w  on its coordinate, w its rate, m a friction law's mobility.
+
+    The law is a contact's, its coefficients being torques [N m] or forces [N] in place of ratios to a normal force: mu_d is
+    ``sliding``, mu_s ``breakaway``, v_t ``speed``. Laws creep below ``speed``: a joint that holds a load q turns at about
+    q v_t/sliding (Coulomb).
+
+    Attributes:
+        body: whose joint; sliding: torque or force of fast motion; speed: transition speed [rad/s, m/s].
+        breakaway: the highest torque or force, of laws with a static coefficient; None: ``sliding``.
+        friction: a name of ``contact.friction.FRICTION`` without a state of its own, or a law.
+    """
+
+    timeless: ClassVar[bool] = True
+    name: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    sliding: Size = sizes.field("joint friction sliding")
+    speed: Size = sizes.field("joint friction speed")
+    breakaway: Size = sizes.field("joint friction breakaway", default=None)
+    friction: str | AbstractFriction = eqx.field(static=True, default="coulomb")
+
+    def __check_init__(self):
+        where, law, of_these = f"load '{self.name}' friction", self._law, ("static", "dynamic", "speed")
+        if law.bristles or law.lags or not set(law.needs) <= {f"friction_{key}" for key in of_these}:
+            found = f"{type(law).__name__} has a state or coefficients that a joint has not"
+            raise InputError(where, found, "give coulomb, step or brown_mcphee")
+        if self.sliding is None or self.speed is None:
+            raise InputError(f"load '{self.name}'", "sliding or speed is missing", "give both")
+
+    @property
+    def _law(self) -> AbstractFriction:
+        where = f"load '{self.name}' friction"
+        given = make_friction(self.friction) if isinstance(self.friction, str) else self.friction
+        return checked_part(where, given, AbstractFriction, "friction law", "give a name")
+
+    @property
+    def damps(self) -> bool:
+        """Always."""
+        return True
+
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
+        """-m(w^2) w."""
+        del t, position
+        sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
+        held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
+        told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
+        rate = jnp.asarray(rate)
+        return -self._law.coefficient(rate, {name: jnp.asarray(x) for name, x in told.items()})
+
+    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
+        """``sliding``, ``breakaway`` and ``speed``, none of them negative."""
+        units = {"sliding": "N m" if turns else "N", "breakaway": "N m" if turns else "N"}
+        found: dict[str, tuple[Quantity, float | None]] = {}
+        for key, of in (units | {"speed": "rad/s" if turns else "m/s"}).items():
+            stated = {} if getattr(self, key) is None else _stated(getattr(self, key), self.name, key, of)
+            found |= {
+                name: (quantity._replace(low=0.0, open_low=key == "speed"), default)
+                for name, (quantity, default) in stated.items()
+            }
+        return found
 
 
 class Load(AbstractLoad):
@@ -501,6 +580,7 @@ def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action
 
 LOADS: dict[str, type[AbstractLoad]] = {
     "gravity": Gravity, "force": Force, "torque": Torque, "spring": Spring, "bush": Bush, "joint_spring": JointSpring,
+    "joint_friction": JointFriction,
 }  # fmt: skip
 
 

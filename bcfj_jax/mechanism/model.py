@@ -31,6 +31,7 @@ from bcfj_jax.mechanism.moments import Approaches as Approaches
 from bcfj_jax.mechanism.moments import Arrow as Arrow
 from bcfj_jax.mechanism.moments import Bodies as Bodies
 from bcfj_jax.mechanism.moments import BodyMotion as BodyMotion
+from bcfj_jax.mechanism.moments import Chain as Chain
 from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.moments import Flows as Flows
@@ -497,6 +498,11 @@ class AbstractModel(eqx.Module):
         """
         del params, run
         return {}, {}
+
+    def chain(self, params: Params) -> Chain | None:
+        """What its links bear, of a model that is a row of them."""
+        del params
+        return None
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """By contact with a round clearance, where its inner body's centre is in it, of a run with its trajectory."""

@@ -155,6 +155,23 @@ class Flows(NamedTuple):
     stored: dict[str, Array]
 
 
+class Chain(NamedTuple):
+    """Links in a row and what they bear, for a picture.
+
+    Attributes:
+        link: what one is called; links are counted from 1.
+        corners: (n + 2, 2) both ends and the links between them [m].
+        pushes: (n, 2) forces on the links [N], and what they are.
+        loads: by name unit and values (n,).
+    """
+
+    link: str
+    corners: np.ndarray
+    pushes: np.ndarray
+    pushed: str
+    loads: dict[str, tuple[str, np.ndarray]]
+
+
 class Account(NamedTuple):
     """A quantity in one state that changes at a known rate, () or of a body's members (k,).
 

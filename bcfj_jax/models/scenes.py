@@ -25,6 +25,9 @@ from bcfj_jax.models.joint.options import JointMaterials as JointMaterials
 from bcfj_jax.models.oblique_impact import oblique_impact
 from bcfj_jax.models.slider_crank import slider_crank
 from bcfj_jax.models.slider_guide import slider_guide
+from bcfj_jax.models.string import DEFAULTS as STRING_NUMBERS
+from bcfj_jax.models.string import string as string
+from bcfj_jax.models.string import string_of_keys
 
 SCENES: dict[str, Callable[..., AbstractModel]] = {
     "impact": impact,
@@ -36,6 +39,7 @@ SCENES: dict[str, Callable[..., AbstractModel]] = {
     "slider_guide": slider_guide,
     "four_bar": four_bar,
     "joint": joint_of_keys,
+    "string": string_of_keys,
 }
 
 # Scenes of two free bodies: [scene.spheres] in a scene file may give their stiffness, exponent and mass.
@@ -54,6 +58,9 @@ SOURCES: dict[str, Sources] = {
     "impact": Sources(steel_ball.SOURCES),
     "bounce": Sources(steel_ball.SOURCES),
     "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
+    "string": Sources(
+        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS).items()}, joint_numbers.LEGEND
+    ),
 }
 
 

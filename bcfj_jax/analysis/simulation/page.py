@@ -25,13 +25,14 @@ from bcfj_jax.solve.simulation import Run
 
 FORCES, LOOPS, READINGS = "forces.png", "force_penetration.png", "readings.png"
 AROUND, ORBITS, STATE = "loads_around_axis.png", "clearance_circle.png", "contact_states.png"
+CHAIN = "loads_along.png"
 ORDERS = "order_spectrum.png"
 # Of a contact in the summary: how often it was in contact between two samples alone.
 BETWEEN = "between_samples"
 # Features that a table of several contacts leaves to the table of each.
 _ASIDE = tuple(name for name, kind in features.KINDS.items() if kind.aside)
 # Of the models that have what they show.
-VIEWS = (AROUND, ORBITS, STATE, ORDERS)
+VIEWS = (CHAIN, AROUND, ORBITS, STATE, ORDERS)
 
 
 def turning(scene: AbstractModel, params: Params) -> Turning | None:
@@ -66,6 +67,8 @@ def drawn(
         period = contacts.get(f"{name}_1" if name in many else name, {}).get("period")
         if period is not None and math.isfinite(period):
             cycles[name] = float(period)
+    if (chain := scene.chain(params)) is not None and good:
+        found.append(views.chain(chain, folder / CHAIN))
     if many and good:
         found.append(views.around(run, folder / AROUND, drive))
     if run.force:

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.page import Picture, brief, percent
+from bcfj_jax.io.page import Picture, brief, percent, span
 from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, over_time, panels, sheet
-from bcfj_jax.mechanism.model import Orbit
+from bcfj_jax.mechanism.model import Chain, Orbit
 from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.simulation import Run
 
@@ -144,6 +144,37 @@ def orbits(run: Run, found: Mapping[str, Orbit], path: Path, turning: Turning | 
             said.append(f"{orbit.what}: at most {brief(most, 'm')} from the middle{aside}, clearance {clearance}{past}")
     shows = f"Path of the inner body's centre in its clearance circle. {'; '.join(said)}."
     return Picture(path.name, "Path in the clearance circle", shows)
+
+
+def chain(found: Chain, path: Path) -> Picture:
+    """The row of links in its place with the forces on it, and beside it what each link bears."""
+    said, each = [], np.arange(1, len(found.pushes) + 1)
+    with panels(1 + len(found.loads), 2, path, 4.3, 3.6) as (place, *axes):
+        x, y = found.corners.T
+        place.plot(x, y, "-", color=COLOURS[5], linewidth=2.0)
+        place.plot(x[1:-1], y[1:-1], "o", color=COLOURS[0], markersize=4)
+        most = float(np.hypot(*found.pushes.T).max(initial=0.0))
+        if most > 0.0:
+            reach = 0.25 * max(np.ptp(x), np.ptp(y)) / most
+            place.quiver(
+                x[1:-1],
+                y[1:-1],
+                *(reach * found.pushes.T),
+                angles="xy",
+                scale_units="xy",
+                scale=1.0,
+                color=COLOURS[1],
+                width=5e-3,
+            )
+        place.set(title=f"{found.pushed}, at most {brief(most, 'N')}", xlabel="x [m]", ylabel="z [m]", aspect="equal")
+        place.margins(0.25)
+        for axis, (name, (unit, values)) in zip(axes, found.loads.items(), strict=True):
+            scale, prefix = engineering(values, unit)
+            axis.plot(each, values * scale, "o-", color=COLOURS[0], markersize=4)
+            axis.set(title=name, xlabel=f"{found.link}, from the drive", ylabel=label(name, unit, prefix))
+            highest = int(np.argmax(np.abs(values)))
+            said.append(f"{name} {span(values, unit)}, highest at {found.link} {highest + 1}")
+    return Picture(path.name, f"Loads by {found.link}", f"From the drive on. {'; '.join(said)}.")
 
 
 def states(run: Run, path: Path, turning: Turning | None) -> Picture:

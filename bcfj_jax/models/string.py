@@ -1,0 +1,362 @@
+"""``string``: upper connection, n ball-cage joints and lower connection in a curved hole, in quasi-static coupling.
+
+The string is solved from bit to drive in closed form; then every joint is the scene ``joint`` without inertia under its own
+torque and axial load. Joints exchange no dynamics: what one does over a turn does not reach the next.
+
+Geometry (physics sheet 5.5). Segments are chords of a circle of radius R, the hole's axis, so that joints bend by
+beta = 2 asin(L/2R) each. A straight cylinder of radius d and length L passes where L <= 4 sqrt(C (R + d)), C its clearance.
+
+Soft string. Below the lowest joint the axial force is W and the torque T. In the angle theta from there the hole bears
+dN = F dtheta, of which friction mu takes the share a along the string and b = sqrt(1 - a^2) around it,
+a = v/sqrt(v^2 + (w d)^2) of a string that is fed at v and turns at w:
+
+    F = W exp(mu a theta),    N = (F - W)/(mu a),    torque = T + mu b d N
+
+Joint i, counted from the drive, has n - i joints below it: theta = (n - i) beta. The drive stands above all, theta = n beta.
+Left out: weight, bending and twist of segments, the moments 2 T tan(beta/2) by which the bends turn the torque (told as
+``side_force``), buckling into helices; friction's shares are those of a string that slides everywhere.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.core import limits
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
+from bcfj_jax.core.status import OK
+from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
+from bcfj_jax.models.joint.build import structure
+from bcfj_jax.models.joint.model import JointModel
+from bcfj_jax.models.joint.options import (
+    JointCage,
+    JointDrive,
+    JointGeometry,
+    JointLoads,
+    JointMaterials,
+    JointOptions,
+    keyed,
+    with_keys,
+)
+from bcfj_jax.models.joint.scene import OF_A_BALL
+
+WHERE = "scene 'string'"
+# What a joint is told by the string, and not by the user.
+_TOLD = ("joint_angle", "load_torque", "axial_load")
+LEVELS = ("kinematic", "quasistatic")
+DEFAULTS: dict[str, tuple[float, str]] = {
+    "hole_radius": (1.0, "paper: 1 m; usual 1 to 4 m"),
+    "segment_length": (0.3987, "derived: chord of joints bent by 23 degrees (paper) at 1 m"),
+    "segment_radius": (0.05, "GUESS: fits a hole of 120 mm"),
+    "segment_bore": (0.02, "GUESS"),
+    "hole_clearance": (0.01, "GUESS: segments of 0.41 m pass"),
+    "bend_limit": (math.radians(35.0), "GUESS: half of the paper's swing of 70 degrees"),
+    "bit_torque": (1800.0, "paper: resisting torque 1.8 kN m"),
+    "weight_on_bit": (20e3, "GUESS"),
+    "drive_torque": (6000.0, "GUESS"),
+    "wall_friction": (0.25, "GUESS: 0.2 to 0.3 in water-based mud"),
+    "feed_speed": (1e-3, "GUESS: 3.6 m an hour"),
+    "segment_modulus": (207e9, "paper: steel"),
+}
+
+
+class Loads(NamedTuple):
+    """What the string bears, by joint from the drive to the bit, (n,), and at the drive.
+
+    Attributes:
+        bend: of every joint [rad]; torque [N m] and axial force [N]: what each joint hands down.
+        wall: force of the hole on the string over the joint's bend [N]; side: 2 T tan(beta/2)/L, shear between segments [N].
+        drive_torque, hook_load: torque of the drive [N m], force that feeds the string [N].
+        around, along: friction of the wall by joint, torque [N m] and force [N].
+    """
+
+    bend: Array
+    torque: Array
+    axial: Array
+    wall: Array
+    side: Array
+    drive_torque: Array
+    hook_load: Array
+    around: Array
+    along: Array
+
+
+def loads(params: Params, count: int) -> Loads:
+    """The string's statics (module docstring), differentiable in every parameter."""
+    p = params
+    bend = 2.0 * jnp.arcsin(0.5 * p["segment_length"] / p["hole_radius"])
+    rim = p["drive_speed"] * p["segment_radius"]
+    # A string that neither turns nor is fed is taken as turning.
+    fast = jnp.sqrt(p["feed_speed"] ** 2 + rim**2 + 1e-30)
+    along, around = p["wall_friction"] * p["feed_speed"] / fast, p["wall_friction"] * jnp.abs(rim) / fast
+    below = bend * jnp.arange(count, -1, -1)
+    grown = along * below
+    small = grown < 1e-8
+    share = jnp.where(small, 1.0 + 0.5 * grown, jnp.expm1(grown) / jnp.where(small, 1.0, grown))
+    axial = p["weight_on_bit"] * jnp.exp(grown)
+    borne = p["weight_on_bit"] * below * share
+    torque = p["bit_torque"] + around * p["segment_radius"] * borne
+    wall = borne[:-1] - borne[1:]
+    side = 2.0 * torque[1:] * jnp.tan(0.5 * bend) / p["segment_length"]
+    return Loads(
+        jnp.broadcast_to(bend, (count,)), torque[1:], axial[1:], wall, side, torque[0], axial[0],
+        torque[:-1] - torque[1:], axial[:-1] - axial[1:],
+    )  # fmt: skip
+
+
+class StringModel(AbstractModel):
+    """n joints in a hole as a model; made by ``string``.
+
+    Every contact of the joint is one of the string, with the members of joint 1 (at the drive) first.
+    """
+
+    joint: JointModel = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+    kind: str = eqx.field(static=True, default="string")
+    samples: int = eqx.field(static=True, default=301)
+
+    @property
+    def contacts(self) -> tuple[Any, ...]:
+        """The joint's."""
+        return self.joint.contacts
+
+    @property
+    def spin(self) -> bool:
+        """The joint's."""
+        return self.joint.spin
+
+    @property
+    def window_ends(self) -> bool:
+        """The joint's."""
+        return self.joint.window_ends
+
+    @property
+    def bands(self) -> bool:
+        """The joint's."""
+        return self.joint.bands
+
+    @property
+    def traits(self) -> ModelTraits:
+        """Each instant is solved for itself."""
+        return self.joint.traits
+
+    @property
+    def title(self) -> str:
+        """How many joints."""
+        return f"string of {self.count} joint{'s' if self.count > 1 else ''}, {self.joint.fidelity}"
+
+    @property
+    def members(self) -> dict[str, int]:
+        """Of the balls of all joints; of pilots the joints, where there are several."""
+        one = self.count if self.count > 1 else 0
+        return {c.name: self.count * self.joint.balls if c.name in OF_A_BALL else one for c in self.contacts}
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """The string's, then the joint's without what the string tells each."""
+        own = {name: CATALOGUE[name] for name in DEFAULTS}
+        return own | {name: x for name, x in self.joint.quantities.items() if name not in _TOLD}
+
+    @property
+    def defaults(self) -> tuple[tuple[str, float], ...]:
+        """As ``quantities``."""
+        own = tuple((name, value) for name, (value, _) in DEFAULTS.items())
+        return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
+
+    def horizon(self, params: Params) -> Array:
+        """A turn after the load has risen."""
+        speed = jnp.maximum(jnp.abs(params["drive_speed"]), 1e-3)
+        return params["load_ramp"] + 2.0 * jnp.pi / speed
+
+    def joints(self, params: Params) -> Params:
+        """Parameters of the joints, each (n,)."""
+        found = loads(params, self.count)
+        told = {"joint_angle": found.bend, "load_torque": found.torque, "axial_load": found.axial}
+        shared = {name: value for name, value in params.items() if name not in DEFAULTS}
+        return told | {name: jnp.broadcast_to(value, (self.count,)) for name, value in shared.items()}
+
+    def prepare(self, params: Params) -> Any:
+        """Of all joints."""
+        return jax.vmap(self.joint.prepare)(self.joints(params))
+
+    def initial_state(self, params: Params) -> Array:
+        """Of all joints, one after the other."""
+        return jax.vmap(self.joint.initial_state)(self.joints(params)).reshape(-1)
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """None: nothing is integrated."""
+        del t, prepared
+        return jnp.zeros_like(y)
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """Of all joints."""
+        return jax.vmap(lambda p: self.joint.error_scale(p, end))(self.joints(params)).reshape(-1)
+
+    def tolerance(self, force_error: float) -> float:
+        """The joint's."""
+        return self.joint.tolerance(force_error)
+
+    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
+        """Joint after joint by one program: compilation does not grow with their number."""
+
+        def one(p: Params) -> Solution:
+            return self.joint.instants(p, times, None, rates)[0]
+
+        found = jax.lax.map(one, self.joints(params))
+        states = jnp.moveaxis(found.states, 0, 1).reshape(times.shape[0], -1)
+        worst = jnp.argmax(found.code != OK)
+        status, end = found.code[worst], jnp.min(found.end)
+        return Solution(states, status, end, jnp.sum(found.accepted), jnp.sum(found.rejected)), near
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """Of all joints side by side."""
+        found = jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared)
+        if self.count == 1:
+            return jax.tree.map(lambda x: x[0], found)
+        of_a_ball = lambda name, x: x.reshape(-1, *x.shape[2:]) if name in OF_A_BALL else x  # noqa: E731
+        return {name: jax.tree.map(lambda x, name=name: of_a_ball(name, x), reading) for name, reading in found.items()}
+
+    def settled_from(self, params: Params) -> float:
+        """When the load has risen."""
+        return float(params["load_ramp"])
+
+    @property
+    def settled_when(self) -> str:
+        """As ``settled_from``."""
+        return "the load has risen"
+
+    def check(self, params: Params, where: str = "") -> None:
+        """Refuse a string that does not pass, bend or turn, with the number that would do; then joints as joints are."""
+        where = where or WHERE
+        if any(isinstance(x, Tracer) or np.ndim(x) for x in params.values()):
+            return
+        _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, params, self.count, where)
+        self.joint.check({name: np.asarray(value)[0] for name, value in self.joints(params).items()}, where)
+
+    def chain(self, params: Params) -> Chain:
+        """The hole's axis from the drive (0, 0) downwards, a joint at each corner, and what each hands down."""
+        found, radius = loads(params, self.count), float(params["hole_radius"])
+        bend = float(found.bend[0])
+        turn = bend * (0.5 + np.arange(-1, self.count + 1))
+        corners = radius * np.stack([1.0 - np.cos(turn), -np.sin(turn)], -1)
+        named = {
+            "torque": ("N m", found.torque),
+            "axial force": ("N", found.axial),
+            "force of the wall": ("N", found.wall),
+        }
+        pushed = np.asarray(found.wall)[:, None] * np.stack([np.cos(turn[1:-1]), np.sin(turn[1:-1])], -1)
+        each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
+        return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
+
+    def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+        """``string``: by joint what it hands down and its greatest contact forces, and which is loaded most."""
+        found = loads(params, self.count)
+        peaks = {}
+        for contact in self.contacts:
+            force = np.abs(np.asarray(run.force[contact.name])[..., 0]).reshape(len(run.times), self.count, -1)
+            peaks[contact.name] = np.nanmax(force, axis=(0, 2)).tolist()
+        most = int(np.argmax(np.asarray(found.torque))) + 1
+        entry = {name: np.asarray(value).tolist() for name, value in found._asdict().items()}
+        why = f"joint {most} hands down the torque of the bit and of all wall friction below it"
+        return {"string": entry | {"peaks": peaks, "most_loaded": most, "why": why}}, {}
+
+
+def _check(v: dict[str, float], params: Params, count: int, where: str) -> None:
+    half, radius, length = 0.5 * v["segment_length"], v["hole_radius"], v["segment_length"]
+    least = half / math.sin(0.5 * v["bend_limit"])
+    if radius < least:
+        found = f"{radius:g} m: segments of {length:g} m ask joints to bend by more than {math.degrees(v['bend_limit']):.3g} deg"
+        remedy = f"give at least {least:.4g} m, or a segment_length of at most {2.0 * radius * half / least:.4g} m"
+        raise InputError(f"{where} hole_radius", found, remedy)
+    longest = 4.0 * math.sqrt(v["hole_clearance"] * (radius + v["segment_radius"]))
+    if length > longest:
+        wide = length**2 / (16.0 * (radius + v["segment_radius"]))
+        found = f"{length:g} m does not pass the bend"
+        remedy = f"give at most {longest:.4g} m, or a hole_clearance of at least {wide:.4g} m"
+        raise InputError(f"{where} segment_length", found, remedy)
+    if v["segment_bore"] >= v["segment_radius"]:
+        found = f"{v['segment_bore']:g} m"
+        raise InputError(f"{where} segment_bore", found, f"give less than segment_radius, {v['segment_radius']:g} m")
+    told = loads(params, count)
+    needed, pushed = float(told.drive_torque), float(told.hook_load)
+    if needed > v["drive_torque"]:
+        most = v["bit_torque"] - (needed - v["drive_torque"])
+        found = f"{v['bit_torque']:g} N m at the bit takes {needed:.5g} N m at the drive, which has {v['drive_torque']:g} N m"
+        raise InputError(
+            f"{where} bit_torque", found, f"give at most {most:.5g} N m, or a drive_torque of {needed:.5g} N m"
+        )
+    bears = buckling_force(v)
+    if pushed > bears:
+        most = v["weight_on_bit"] * bears / pushed
+        found = f"{v['weight_on_bit']:g} N: the highest segment bears {pushed:.4g} N and buckles at {bears:.4g} N"
+        raise InputError(f"{where} weight_on_bit", found, f"give at most {most:.4g} N")
+
+
+def buckling_force(params: Any) -> Any:
+    """Euler's force of a segment between two joints, pi^2 E I/L^2 [N], I = pi/4 (d^4 - b^4)."""
+    area = 0.25 * math.pi * (params["segment_radius"] ** 4 - params["segment_bore"] ** 4)
+    return math.pi**2 * params["segment_modulus"] * area / params["segment_length"] ** 2
+
+
+def _made(n: int, options: JointOptions) -> StringModel:
+    count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
+    if options.fidelity not in LEVELS:
+        found = f"'{options.fidelity}': joints of a string exchange no dynamics"
+        raise InputError(f"{WHERE} fidelity", found, f"give {' or '.join(LEVELS)}")
+    return StringModel(JointModel(**structure(options)), count)
+
+
+def string(
+    n: int = 5,
+    geometry: JointGeometry | None = None,
+    cage: JointCage | None = None,
+    materials: JointMaterials | None = None,
+    fidelity: str = "quasistatic",
+) -> StringModel:
+    """``n`` equal ball-cage joints with rigid segments in a curved hole, from drive to bit (module docstring).
+
+    Args:
+        n: number of joints.
+        geometry, cage, materials: of every joint, as ``joint``.
+        fidelity: one of kinematic, quasistatic: of the joints.
+
+    Raises:
+        InputError: as ``joint``.
+    """
+    given = {"geometry": geometry, "cage": cage, "materials": materials}
+    options = JointOptions(fidelity=fidelity, **{key: group for key, group in given.items() if group is not None})
+    return _made(n, options)
+
+
+@keyed
+def string_of_keys(n: int = 5, **given: Any) -> StringModel:
+    """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
+    given = {"fidelity": "quasistatic"} | given
+    return _made(n, with_keys(JointOptions(), given, WHERE))
+
+
+# ``n`` before the joint's keys, without those of drive and loads over time, which a string has not.
+_FIRST = inspect.Parameter("n", inspect.Parameter.KEYWORD_ONLY, default=5, annotation=int)
+_LEFT_OUT = {x.name for group in (JointDrive, JointLoads) for x in dataclasses.fields(group)}
+_KEYS = [_FIRST] + [
+    x.replace(default="quasistatic") if x.name == "fidelity" else x
+    for x in inspect.signature(string_of_keys).parameters.values()
+    if x.name not in _LEFT_OUT
+]
+string_of_keys.__signature__ = inspect.Signature(_KEYS)
+string_of_keys.__annotations__ = {x.name: x.annotation for x in _KEYS}
+_WORDS = (inspect.getdoc(string_of_keys) or "").replace("Args:", "Args:\n    n: number of joints.", 1)
+string_of_keys.__doc__ = f"""{_WORDS.partition("    drive:")[0]}    fidelity: one of
+        kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic: equilibrium at each
+        instant, without friction."""

@@ -1,0 +1,146 @@
+"""The string of joints: against one joint, closed forms, balances, and what is refused."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.models.string import buckling_force, loads
+
+TIMES = np.linspace(0.0, 0.65, 14)
+
+
+def told(count=10, **more):
+    scene = bj.scenes.string(n=count, fidelity="kinematic")
+    params = scene.parameters(more)
+    return params, loads(params, count)
+
+
+@pytest.mark.parametrize("fidelity", ["kinematic", "quasistatic"])
+def test_one_joint_is_the_joint(fidelity):
+    string, joint = bj.scenes.string(n=1, fidelity=fidelity), bj.scenes.joint(fidelity=fidelity)
+    params = string.parameters()
+    angle = 2.0 * math.asin(0.5 * float(params["segment_length"]) / float(params["hole_radius"]))
+    alone = joint.parameters(joint_angle=angle, load_torque=1800.0, axial_load=20e3)
+    found, right = bj.simulate(string, params, TIMES), bj.simulate(joint, alone, TIMES)
+    assert found.status == right.status == "ok"
+    for name, force in right.force.items():
+        assert np.allclose(found.force[name], force, atol=1e-9 * max(1.0, np.abs(force).max()))
+
+
+def test_each_of_several_is_the_joint_under_its_own_load():
+    string, joint = bj.scenes.string(n=3), bj.scenes.joint(fidelity="quasistatic")
+    params = string.parameters()
+    found, run = loads(params, 3), bj.simulate(string, params, TIMES)
+    for i in range(3):
+        own = {"joint_angle": found.bend[i], "load_torque": found.torque[i], "axial_load": found.axial[i]}
+        right = bj.simulate(joint, joint.parameters(own), TIMES)
+        for name, force in right.force.items():
+            mine = run.force[name].reshape(len(TIMES), 3, -1, 3)[:, i].reshape(force.shape)
+            assert np.allclose(mine, force, atol=1e-6 * max(1.0, np.abs(force).max())), name
+
+
+def test_drag_is_the_capstan_formula():
+    # A string that is fed and does not turn rubs along itself alone.
+    _, found = told(drive_speed=0.0)
+    angle = 10 * float(found.bend[0])
+    assert float(found.hook_load) == pytest.approx(20e3 * math.exp(0.25 * angle), rel=1e-12)
+    assert float(found.drive_torque) == pytest.approx(1800.0, rel=1e-12)
+    # One that turns and is hardly fed rubs around: F stays, and T = mu d W theta is added.
+    _, found = told(feed_speed=0.0)
+    assert float(found.hook_load) == pytest.approx(20e3, rel=1e-12)
+    assert float(found.drive_torque) == pytest.approx(1800.0 + 0.25 * 0.05 * 20e3 * angle, rel=1e-9)
+
+
+def test_torque_force_and_power_balance_along_the_string():
+    params, found = told(feed_speed=0.2)
+    speed, feed = float(params["drive_speed"]), 0.2
+    around, along = float(found.around.sum()), float(found.along.sum())
+    assert float(found.drive_torque) == pytest.approx(1800.0 + around, rel=1e-12)
+    assert float(found.hook_load) == pytest.approx(20e3 + along, rel=1e-12)
+    given = float(found.drive_torque) * speed + float(found.hook_load) * feed
+    slip = math.hypot(feed, 0.05 * speed)
+    taken = 1800.0 * speed + 20e3 * feed + 0.25 * slip * float(found.wall.sum())
+    assert given == pytest.approx(taken, rel=1e-9)
+
+
+def test_a_straight_string_bears_nothing_sideways():
+    _, found = told(hole_radius=1e9)
+    assert np.allclose(found.wall, 0.0, atol=1e-3)
+    assert np.allclose(found.side, 0.0, atol=1e-3)
+    assert np.allclose(found.torque, 1800.0)
+    _, found = told(weight_on_bit=0.0, bit_torque=0.0)
+    assert not np.asarray(found.wall).any()
+    assert not np.asarray(found.torque).any()
+
+
+def test_the_joint_at_the_drive_is_loaded_most():
+    _, found = told()
+    assert np.all(np.diff(found.torque) < 0)
+    assert np.all(np.diff(found.axial) < 0)
+
+
+def test_euler():
+    # pi^2 E I/L^2 of a rod of 20 mm and 2 m: I = 7.854e-9 m^4, 4.011 kN.
+    rod = {"segment_radius": 0.01, "segment_bore": 0.0, "segment_modulus": 207e9, "segment_length": 2.0}
+    assert float(buckling_force(rod)) == pytest.approx(math.pi**2 * 207e9 * 7.853981634e-9 / 4.0, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("more", "key"),
+    [
+        ({"hole_radius": 0.5}, "hole_radius"),
+        ({"hole_clearance": 0.005}, "segment_length"),
+        ({"bit_torque": 5900.0}, "bit_torque"),
+        ({"segment_bore": 0.06}, "segment_bore"),
+        ({"weight_on_bit": 20e3, "segment_modulus": 1e8, "segment_bore": 0.049}, "weight_on_bit"),
+    ],
+)
+def test_what_is_refused_is_told_with_the_number_that_would_do(more, key):
+    scene = bj.scenes.string(n=10, fidelity="kinematic")
+    with pytest.raises(bj.InputError, match=key) as refused:
+        bj.simulate(scene, scene.parameters(more), TIMES)
+    if key in ("segment_bore",):
+        return
+    said = str(refused.value)
+    number = float(said.split("give at least ")[-1].split("give at most ")[-1].split()[0])
+    mended = more | {key: number * (1.0 + 2e-3 if "at least" in said.split("or ")[0] else 1.0 - 2e-3)}
+    # The default segments ask for 10 mm of clearance in a hole that is wide enough for the joints.
+    if key == "hole_radius":
+        mended |= {"hole_clearance": 0.05}
+    scene.check(scene.parameters(mended))
+
+
+def test_a_string_has_no_motion_of_its_own():
+    with pytest.raises(bj.InputError, match="exchange no dynamics"):
+        bj.scenes.string(fidelity="dynamic")
+
+
+def test_derivative_of_the_greatest_torque_by_wall_friction():
+    params, _ = told(feed_speed=0.0)
+    top = lambda mu: loads(params | {"wall_friction": mu}, 10).drive_torque  # noqa: E731
+    angle = 10 * float(loads(params, 10).bend[0])
+    assert float(jax.grad(top)(0.25)) == pytest.approx(0.05 * 20e3 * angle, rel=1e-9)
+
+
+def test_the_summary_tells_what_each_joint_bears_and_which_most():
+    scene = bj.scenes.string(n=3, fidelity="kinematic")
+    params = scene.parameters()
+    run = bj.simulate(scene, params, TIMES)
+    told = scene.whole(params, run)[0]["string"]
+    assert told["most_loaded"] == 1
+    assert len(told["torque"]) == len(told["peaks"]["seat_ball"]) == 3
+    assert told["peaks"]["seat_ball"][0] == pytest.approx(np.abs(run.force["seat_ball"][:, :6, 0]).max())
+
+
+def test_the_picture_has_every_joint_on_the_hole_and_walls_that_push_inwards():
+    scene = bj.scenes.string(n=6, fidelity="kinematic")
+    chain = scene.chain(scene.parameters())
+    middle = chain.corners[0] + np.array(
+        [math.cos(0.5 * told(6)[1].bend[0]), -math.sin(0.5 * float(told(6)[1].bend[0]))]
+    )
+    assert np.allclose(np.hypot(*(chain.corners - middle).T), 1.0)
+    assert np.all(np.sum(chain.pushes * (middle - chain.corners[1:-1]), 1) > 0.0)
+    assert np.allclose(np.hypot(*chain.pushes.T), chain.loads["force of the wall"][1])
