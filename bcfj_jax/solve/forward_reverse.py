@@ -222,7 +222,7 @@ def forward_and_reverse(
     """
 
     def function(x: X) -> Y:
-        leaves, structure = jax.tree.flatten(x)
+        leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, x))
         # Of the shapes alone, which do not vary between devices.
         shapes = jax.tree.unflatten(structure, _shapes(leaves))
         out = jax.eval_shape(forward if value is None else value, shapes)

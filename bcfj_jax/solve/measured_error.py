@@ -96,7 +96,8 @@ def measured(
     pressed = {
         name: _pressed(force[name][late]) & _pressed(finer[name][late]) for name in rates[0].keys() & force.keys()
     }
-    parts, parts_at = parted(times, *({name: x[late] for name, x in side.items()} for side in rates), pressed)
+    moves, others = ({name: x[late] for name, x in side.items()} for side in rates)
+    parts, parts_at = parted(times, moves, others, pressed)
     rms, peaks, impulse = {}, {}, {}
     first, differs = float("nan"), ""
     for name in force:
