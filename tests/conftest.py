@@ -48,6 +48,8 @@ gc.set_threshold(100_000, 20, 20)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))
 _KEPT_FROM = 0.2
+# Bytes of a worker from which it forgets what is compiled.
+_LARGE = 5 * 2**30
 jax.config.update("jax_persistent_cache_min_compile_time_secs", _KEPT_FROM)
 
 # Deterministic on CI and here; compiling inside an example is slow, which is no failure.
@@ -65,6 +67,16 @@ LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py"
 def pytest_collection_modifyitems(items):
     """Long files first."""
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bounded_memory():
+    """Programs of earlier files go where a worker has grown large: two that keep all of the slow tier's need over 24 GB."""
+    yield
+    statistics = Path("/proc/self/statm")
+    if statistics.exists() and int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > _LARGE:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(autouse=True)

@@ -244,8 +244,10 @@ def examples() -> dict[str, list[str]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", examples())
-def test_examples_of_the_help_run(verb, folder):
+def test_examples_of_the_help_run(verb, folder, monkeypatch):
     """In order, as printed, in a folder that holds the examples."""
+    # Commands in the tests' own process keep no programs, and ``doctor`` is to know it.
+    monkeypatch.setenv("BCFJ_CACHE", "off")
     from typer.testing import CliRunner
 
     from bcfj_jax.cli import app

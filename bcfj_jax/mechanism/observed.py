@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.channels import Channel, channel, is_reading, needs_bodies, read
-from bcfj_jax.mechanism.model import AbstractModel, Coarser, Params, Reading
+from bcfj_jax.mechanism.model import AbstractModel, Bodies, Coarser, Params, Reading
 
 
 class Shown(NamedTuple):
@@ -50,9 +50,7 @@ class Observed(AbstractModel):
     check, require, period, coordinates, neutral, envelope, settled_from = map(
         _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
     )
-    recurs, pitch, pitch_before, turned, bodies_at = map(
-        _of, ("recurs", "pitch", "pitch_before", "turned", "bodies_at")
-    )
+    recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
     choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
     coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
         _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")
@@ -84,6 +82,10 @@ class Observed(AbstractModel):
             for name, x, zero in ((name, x, jnp.zeros_like(x)) for name, x in values.items())
         }
         return {**found, **shown}
+
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """The model's; a reading has none."""
+        return self.inner.bodies_at(params, contact, deepest) if contact in self.inner.members else Bodies()
 
     def full(self) -> AbstractModel:
         """The model's, with the same readings."""

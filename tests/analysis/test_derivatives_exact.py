@@ -188,5 +188,8 @@ def test_second_derivatives():
     found = jax.jit(jax.jacfwd(jax.jacfwd(peak)))(1e10)
     # d2F/dK2 = F (1/(n+1)) (1/(n+1) - 1) / K^2. The interpolation's second derivative costs most of the 1e-3.
     assert float(found) == pytest.approx(PEAK * 0.4 * -0.6 / 1e20, rel=1e-3, abs=0.0)
-    with pytest.raises(RuntimeError, match="mode='forward'"):
-        jax.jit(jax.jacfwd(jax.jacfwd(lambda logs: logarithmic_peak(logs, "auto"))))(jnp.log(jnp.array([1e10, 0.02])))
+    # The logarithm of the peak has constant slopes; "auto" makes tangents of tangents too.
+    bent = jax.jit(jax.jacfwd(jax.jacfwd(lambda logs: logarithmic_peak(logs, "auto"))))(
+        jnp.log(jnp.array([1e10, 0.02]))
+    )
+    assert np.abs(np.asarray(bent)).max() < 1e-3
