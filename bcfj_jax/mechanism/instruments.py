@@ -31,7 +31,7 @@ from bcfj_jax.mechanism import alike, equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
-from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, JointFriction
+from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 
@@ -128,7 +128,7 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     friction: Number = jnp.zeros(())
     for load in m.loads:
         power = jnp.asarray(_power(m, load, t, now, p))
-        if isinstance(load, JointFriction):
+        if isinstance(load, CoordinateLoad) and load.dry:
             friction = friction - power
         else:
             given[load.name] = power

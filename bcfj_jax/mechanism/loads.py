@@ -123,7 +123,7 @@ class Pull(bj.loads.AbstractLoad):
     @property
     def damps(self) -> bool:
         """Whether it may oppose a velocity."""
-        return any(not _none(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
+        return any(not sizes.nothing(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
 
 
 class Gravity(AbstractLoad):
@@ -260,7 +260,7 @@ class _BetweenPoints(AbstractLoad):
         """Sizes and places."""
         found: dict[str, tuple[Quantity, float | None]] = {}
         for key, one in self.units.items():
-            found |= _stated(getattr(self, key), self.name, key, one)
+            found |= sizes.stated(getattr(self, key), self.name, key, one)
         return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
 
 
@@ -321,8 +321,9 @@ class Bush(_BetweenPoints):
 
 
 class CoordinateLoad(AbstractLoad):
-    """A load on the coordinate of a slide or hinge; ``body``: whose joint."""
+    """A load on the coordinate of a slide or hinge; ``body``: whose joint; ``dry``: whether its power is friction's."""
 
+    dry: ClassVar[bool] = False
     body: eqx.AbstractVar[str]
 
     @property
@@ -376,11 +377,11 @@ class JointSpring(CoordinateLoad):
 
     def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
         """Stiffness, damping and rest, or those of its drive; ``turns``: whether the coordinate is an angle."""
-        found = _stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
-        found |= _stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
+        found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
+        found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
         if self.drive is not None:
             return found | self.drive.needs(self.name, turns)
-        return found | _stated(self.rest, self.name, "rest", "rad" if turns else "m")
+        return found | sizes.stated(self.rest, self.name, "rest", "rad" if turns else "m")
 
 
 class JointFriction(CoordinateLoad):
@@ -397,6 +398,7 @@ class JointFriction(CoordinateLoad):
     """
 
     timeless: ClassVar[bool] = True
+    dry: ClassVar[bool] = True
     name: str = eqx.field(static=True)
     body: str = eqx.field(static=True)
     sliding: Size = sizes.field("joint friction sliding")
@@ -405,10 +407,10 @@ class JointFriction(CoordinateLoad):
     friction: str | AbstractFriction = eqx.field(static=True, default="coulomb")
 
     def __check_init__(self):
-        where, law, of_these = f"load '{self.name}' friction", self._law, ("static", "dynamic", "speed")
-        if law.bristles or law.lags or not set(law.needs) <= {f"friction_{key}" for key in of_these}:
+        law, known = self._law, {"friction_static", "friction_dynamic", "friction_speed"}
+        if law.bristles or law.lags or not set(law.needs) <= known:
             found = f"{type(law).__name__} has a state or coefficients that a joint has not"
-            raise InputError(where, found, "give coulomb, step or brown_mcphee")
+            raise InputError(f"load '{self.name}' friction", found, "give coulomb, step or brown_mcphee")
         if self.sliding is None or self.speed is None:
             raise InputError(f"load '{self.name}'", "sliding or speed is missing", "give both")
 
@@ -429,19 +431,16 @@ class JointFriction(CoordinateLoad):
         sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
         held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
         told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
-        rate = jnp.asarray(rate)
-        return -self._law.coefficient(rate, {name: jnp.asarray(x) for name, x in told.items()})
+        return -self._law.coefficient(jnp.asarray(rate), {name: jnp.asarray(x) for name, x in told.items()})
 
     def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
         """``sliding``, ``breakaway`` and ``speed``, none of them negative."""
-        units = {"sliding": "N m" if turns else "N", "breakaway": "N m" if turns else "N"}
+        force, speed = ("N m", "rad/s") if turns else ("N", "m/s")
         found: dict[str, tuple[Quantity, float | None]] = {}
-        for key, of in (units | {"speed": "rad/s" if turns else "m/s"}).items():
-            stated = {} if getattr(self, key) is None else _stated(getattr(self, key), self.name, key, of)
-            found |= {
-                name: (quantity._replace(low=0.0, open_low=key == "speed"), default)
-                for name, (quantity, default) in stated.items()
-            }
+        for key, of in (("sliding", force), ("breakaway", force), ("speed", speed)):
+            if (size := getattr(self, key)) is not None:
+                for name, (quantity, default) in sizes.stated(size, self.name, key, of).items():
+                    found[name] = quantity._replace(low=0.0, open_low=key == "speed"), default
         return found
 
 
@@ -592,15 +591,5 @@ def _point(at: Place, name: str, key: str, p: Params) -> Vector:
 def _of_point(at: Place, name: str, key: str) -> dict[str, tuple[Quantity, float | None]]:
     found: dict[str, tuple[Quantity, float | None]] = {}
     for letter, size in zip("xyz", at, strict=True):
-        found |= _stated(size, name, f"{key}_{letter}", "m")
+        found |= sizes.stated(size, name, f"{key}_{letter}", "m")
     return found
-
-
-def _none(size: Size) -> bool:
-    return isinstance(size, (int, float)) and size == 0
-
-
-def _stated(size: Size, name: str, key: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
-    if _none(size):
-        return {}
-    return sizes.own(size, name, key, unit, f"{key.replace('_', ' ')} of {name}")

@@ -62,7 +62,7 @@ def field(where: str, **more: Any) -> Any:
 
 def length(size: Size, part: str, key: str, p: Params) -> Any:
     """Value of a size of which a literal zero is no parameter."""
-    return 0.0 if _nothing(size) else value(size, part, key, p)
+    return 0.0 if nothing(size) else value(size, part, key, p)
 
 
 def value(size: Size, part: str, key: str, p: Params) -> Any:
@@ -77,7 +77,8 @@ def value(size: Size, part: str, key: str, p: Params) -> Any:
     return p[f"{part}.{key}"]
 
 
-def _nothing(size: Size) -> bool:
+def nothing(size: Size) -> bool:
+    """Whether a size is the number 0, which is no parameter."""
     return isinstance(size, (int, float)) and not isinstance(size, bool) and size == 0
 
 
@@ -93,6 +94,11 @@ def own(size: Size, part: str, key: str, unit: str, meaning: str) -> dict[str, t
         shared = CATALOGUE.get(key) or Quantity(key, unit, f"{meaning.split(' of ')[0]}, of every part without its own")
         return {key: (shared, None), name: (quantity, None)}
     return {name: (quantity, float(size))}
+
+
+def stated(size: Size, part: str, key: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
+    """``own`` under its own name; nothing of a 0."""
+    return {} if nothing(size) else own(size, part, key, unit, f"{key.replace('_', ' ')} of {part}")
 
 
 def axis(direction: Any, where: str) -> Any:

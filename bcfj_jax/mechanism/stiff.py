@@ -30,7 +30,7 @@ from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.checks import asked
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.loads import JointFriction
+from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.scales import expected
 from bcfj_jax.mechanism.sizes import Params
 
@@ -99,7 +99,7 @@ def _rates(scene: Dynamics, params: Params) -> tuple[Array, Array, Array]:
         # Not ``jacfwd``, whose primitives NumPy is not told of (``core.host``).
         # At rest, where dry friction in joints is steepest.
         places = sum(k or 1 for *_, k in scene._placed)
-        dry = any(isinstance(load, JointFriction) for load in scene.loads)
+        dry = any(isinstance(load, CoordinateLoad) and load.dry for load in scene.loads)
         at = y * (np.arange(y.size) < places) if dry else y
         along = lambda way: jax.jvp(lambda y: scene.motion(t, y, params), (at,), (way,))[1]  # noqa: E731
         jacobian = jax.vmap(along, out_axes=1)(jnp.eye(y.size))
