@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_numpy import by_numpy
-from hypothesis import assume, given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from mechanisms import GAPS, JOINTS, mechanism, poses
 
@@ -154,7 +154,14 @@ def test_power_is_balanced(joints, touching, seed):
 @settings(max_examples=60)
 @given(joints=TREES, touching=TOUCHING, seed=SEEDS)
 def test_power_of_many_is_balanced(joints, touching, seed):
-    check_power(joints, touching, seed)
+    try:
+        check_power(joints, touching, seed)
+    except NothingTouches:
+        reject()
+
+
+class NothingTouches(Exception):
+    """A drive has parted what touches at the start."""
 
 
 def check_power(joints, touching, seed):
@@ -176,8 +183,8 @@ def check_power(joints, touching, seed):
 
     gain, flows, depths = by_numpy(balance)(t, y)
     assert all(c.name for c in scene.contacts)
-    # A drive can have parted what touches at the start: hypothesis tries another machine, a chosen one fails.
-    assume(not depths or max(depths) > 0.0)
+    if depths and max(depths) <= 0.0:
+        raise NothingTouches
     powers = [float(x) for x in (*flows.given.values(), *flows.taken.values())]
     given_, taken = sum(map(float, flows.given.values())), sum(map(float, flows.taken.values()))
     assert float(gain) == pytest.approx(given_ - taken, abs=1e-9 * (1.0 + np.abs(powers).sum()))

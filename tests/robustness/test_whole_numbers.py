@@ -104,7 +104,7 @@ def _taking():
 
 TAKING = dict(_taking())
 # Scenes are run below; what follows the drive of a mechanism needs a run of many turns, and takes its numbers by the same words.
-ELSEWHERE = {"scenes.chain", "nonlinear.bifurcation", "nonlinear.impact_bifurcation",
+ELSEWHERE = {"scenes.chain", "scenes.string", "nonlinear.bifurcation", "nonlinear.impact_bifurcation",
              "nonlinear.scene_exponent", "nonlinear.stroboscopic"}  # fmt: skip
 
 
@@ -124,6 +124,7 @@ def test_scenes_take_them_too():
     assert joints[0] == joints[1]
     assert bj.scenes.chain(np.uint8(4)) == bj.scenes.chain(4)
     assert hash(bj.scenes.chain(np.int64(4))) == hash(bj.scenes.chain(4))
+    assert bj.scenes.string(np.int16(2)) == bj.scenes.string(2)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +134,7 @@ def test_scenes_take_them_too():
         lambda: _design(starts=10**9),
         lambda: _design(samples=10**9),
         lambda: bj.scenes.chain(10**9),
+        lambda: bj.scenes.string(10**9),
         lambda: bj.scenes.joint(bj.scenes.JointGeometry(balls=10**9)),
         lambda: bj.Body("b", "particle", members=10**9),
         lambda: bj.Mechanism("m", (bj.Body("b", "slide", mass=1.0),), samples=10**9),
