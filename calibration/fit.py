@@ -233,14 +233,15 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
     found = _with_filters(problem, found)
     at = found.optimum
     with stage("errors that residuals do not show"):
-        errors = systematic.every(problem, at)
-        allowed = quote.quoted(at, errors, bound=bound)
+        anew = partial(systematic.every, problem)
+        errors = anew(at)
+        allowed = quote.quoted(at, errors, None, bound, anew)
         conditional, known = found.conditional, allowed
         if conditional:
             free = np.array(
                 [bool(conditional.parameters[n].ci95) if n in conditional.parameters else True for n in at.labels]
             )
-            known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound)
+            known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound, anew)
             force, own = conditional.reference, conditional.parameters
             own = {n: _quoted(at, n, p, known) if n in at.labels else p for n, p in own.items()}
             conditional = replace(conditional, parameters=own, reference=force and _force_quoted(at, force, known))

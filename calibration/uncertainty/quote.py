@@ -1,11 +1,12 @@
 """The interval to quote: a fit's estimates with errors of which few act (``uncertainty.sets``), and what each error costs.
 
-About the optimum; where errors move an estimate far, half of the answer comes from the fit linearised about where they lead.
+Signatures and Jacobian hold about one point. Where errors lead an estimate so far that this counts, both are made anew about the
+point where they lead, until that stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,10 +24,17 @@ from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, mixtu
 KIND = "errors"
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
-# A mean move by so many half widths of the noise, and by such a share, is far.
-_FAR, _LEAST = 3.0, 0.02
+# A mean move whose square is such a share of the interval's half width is far, both as shares of the estimate: to second
+# order that is what a line about the point where it began is off by.
+_FAR = 0.05
+# Points that are tried; where the last still moves, the last two count alike.
+_POINTS = 4
 # The chance from which on a record is said to show an error, and the share of the prior's chance below which it rules it out.
 SHOWN, OUT = 0.95, 0.2
+
+
+# Errors about a point.
+Anew = Callable[[Optimum], Sequence[Error]]
 
 
 class Line(NamedTuple):
@@ -104,26 +112,29 @@ def moving(at: Optimum) -> Moving:
     return Moving((*at.labels, REFERENCE), z, slopes, (*log, True))
 
 
-def quoted(at: Optimum, errors: Sequence[Error], free: np.ndarray | None = None, bound: bool = False) -> Quoted:
+def quoted(
+    at: Optimum, errors: Sequence[Error], free: np.ndarray | None = None, bound: bool = False, anew: Anew | None = None
+) -> Quoted:
     """The intervals of an optimum whose covariance is known.
 
     Args:
+        errors: about the optimum.
         free: (P,) coordinates that are not held; all where None.
         bound: every error at its limit at once in place of few that act: a bound, no interval of 95 %.
+        anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
     """
     how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
-    lin, errors = _linear(at, errors, how.slopes, free)
-    found = mixture(lin, errors)
-    known = _lines(lin, errors, found, how)
+    begin = _around(at, *_linear(at, errors, how.slopes, free), free)
+    last, found = _led(begin, free, None if bound else anew)
+    known = _lines(last.lin, last.errors, found, how)
     if bound:
         half = [
-            QUANTILE * lin.student * np.sqrt(found.variance) * np.linalg.norm(row)
+            QUANTILE * last.lin.student * np.sqrt(found.variance) * np.linalg.norm(row)
             + sum(line.moves[name] for line in known)
-            for name, row in zip(how.names, _rows(lin), strict=True)
+            for name, row in zip(how.names, _rows(last.lin), strict=True)
         ]
         ends = np.array([[-h, h] for h in half])
     else:
-        found = _about_the_answer(at, lin, errors, found, free)
         ends = found.ends()
     combined, type_a, type_b = found.combined()
     factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
@@ -131,6 +142,65 @@ def quoted(at: Optimum, errors: Sequence[Error], free: np.ndarray | None = None,
         how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
     )
     return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns}, known)
+
+
+class _Around(NamedTuple):
+    """The fit made linear about a point: its errors there, and the sets' moves of what is quoted and of coordinates from it."""
+
+    at: Optimum
+    lin: Linear
+    errors: list[Error]
+    moves: Mixture
+    steps: np.ndarray
+
+    @property
+    def far(self) -> bool:
+        """Whether errors lead further than a line reaches."""
+        how, ends = moving(self.at), self.moves.ends()
+        size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
+        mean = np.abs(self.moves.weights @ self.moves.means)
+        return bool(np.any(mean**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size))
+
+    def beyond(self, origin: np.ndarray) -> Mixture:
+        """Moves from another point, whose coordinates are ``origin``."""
+        return self.moves.moved(moving(self.at).z - origin)
+
+
+def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray) -> _Around:
+    found = mixture(lin._replace(rows=np.vstack([lin.rows, np.eye(int(free.sum()))])), errors)
+    count = lin.rows.shape[0]
+    return _Around(at, lin, errors, found.first(count), found.weights @ found.means[:, count:])
+
+
+def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
+    """The last point that errors lead to, and the moves from the first."""
+    origin, points, model = moving(begin.at).z, [begin], begin.at.model
+    fixed = anew is None or model.loss != "linear" or budget(model.scene).rough
+    while not fixed and points[-1].far:
+        if len(points) == _POINTS:
+            return points[-1], points[-1].beyond(origin).pooled(points[-2].beyond(origin))
+        following = _following(points[-1], free, anew)
+        if following is None:
+            break
+        points.append(following)
+    return points[-1], points[-1].beyond(origin)
+
+
+def _following(here: _Around, free: np.ndarray, anew: Anew) -> _Around | None:
+    """The fit about the point where errors lead; None where the model does not run there or knows other errors."""
+    point = np.array(here.at.end.point, dtype=float)
+    point[free] += here.steps
+    point = np.clip(point, 1e-9, 1.0 - 1e-9)
+    one = evaluation(here.at.model)(point[None])
+    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
+    if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+        return None
+    there = replace(here.at, end=replace(here.at.end, point=point, residuals=residuals, jacobian=jacobian))
+    errors = list(anew(there))
+    if [e.name for e in errors] != [e.name for e in here.errors]:
+        return None
+    rows = moving(there).slopes[:, free]
+    return _around(there, here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows), errors, free)
 
 
 def _linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
@@ -158,31 +228,6 @@ def _linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.n
 def _rows(lin: Linear) -> np.ndarray:
     """(K, P) moves of what is quoted with an orthonormal basis of the Jacobian."""
     return np.linalg.solve(np.linalg.qr(lin.jacobian)[1].T, lin.rows.T).T
-
-
-def _about_the_answer(at: Optimum, lin: Linear, errors: list[Error], found: Mixture, free: np.ndarray) -> Mixture:
-    """Pooled with the mixture about the point where errors lead, where that is far and the model runs there."""
-    count = lin.rows.shape[0]
-    halves = QUANTILE * np.linalg.norm(_rows(lin), axis=1)
-    away = np.abs(found.weights @ found.means)
-    if (
-        budget(at.model.scene).rough
-        or at.model.loss != "linear"
-        or not np.any(away > np.maximum(_FAR * halves, _LEAST))
-    ):
-        return found
-    steps = mixture(lin._replace(rows=np.vstack([lin.rows, np.eye(int(free.sum()))])), errors)
-    point = np.array(at.end.point, dtype=float)
-    point[free] += steps.weights @ steps.means[:, count:]
-    point = np.clip(point, 1e-9, 1.0 - 1e-9)
-    one = evaluation(at.model)(point[None])
-    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
-    if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
-        return found
-    there = replace(at, end=replace(at.end, point=point, residuals=residuals, jacobian=jacobian))
-    how = moving(there)
-    again = mixture(lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=how.slopes[:, free]), errors)
-    return found.pooled(again.moved(how.z - moving(at).z))
 
 
 def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> list[Line]:

@@ -114,8 +114,12 @@ class Mixture(NamedTuple):
         """About another point, (Q,) away."""
         return self._replace(means=self.means + by)
 
+    def first(self, count: int) -> Mixture:
+        """Of the first rows alone."""
+        return self._replace(**{n: getattr(self, n)[:, :count] for n in ("means", "type_a", "type_b")})
+
     def pooled(self, other: Mixture) -> Mixture:
-        """Half of each: one fit, linear about two points."""
+        """Half of each: one fit, linear about two points; errors are the same."""
         both = (np.concatenate([getattr(self, n), getattr(other, n)]) for n in self._fields[:5])
         weights, members, means, type_a, type_b = both
         return Mixture(0.5 * weights, members, means, type_a, type_b, max(self.variance, other.variance), self.prior)

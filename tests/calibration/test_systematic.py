@@ -154,9 +154,8 @@ class Model:
         return -5.0 + 10.0 * np.asarray(point)
 
 
-def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass(monkeypatch):
+def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass():
     """Its amplitude and the upper end of its interval, by least squares with a reading 0 of the amplitude."""
-    monkeypatch.setattr(quote, "_about_the_answer", lambda at, lin, errors, found, free: found)
     rng = np.random.default_rng(1)
     jacobian, signature = rng.standard_normal((60, 2)), rng.standard_normal((60, 1)) + 1.0
     readings = 3.0 * signature[:, 0] + rng.standard_normal(60)
