@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -19,7 +19,7 @@ from bcfj_jax.mechanism.channels import ATTITUDE, quantity_of, unit_of
 from bcfj_jax.mechanism.channels import channel as reading
 from bcfj_jax.mechanism.model import AbstractModel, of_numbers
 from bcfj_jax.mechanism.observed import observing
-from calibration import attitudes, given
+from calibration import attitudes, given, instrument
 from calibration.filters import Filter
 from calibration.solver_budget import budget
 
@@ -128,6 +128,7 @@ class Channel:
         correlation: time [s] over which the noise remembers itself, exp(-dt/correlation) between samples; 0 for
             white noise; None: to be estimated, likewise.
         jitter: deviation of the clock from sample to sample [s].
+        instrument: what is stated of the sensor's errors, as texts or ``instrument.Limit``.
     """
 
     observes: str
@@ -136,6 +137,7 @@ class Channel:
     relative: float = 0.0
     correlation: float | None = 0.0
     jitter: float = 0.0
+    instrument: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         remedy = 'name a reading of the scene, such as "contact.normal"'
@@ -146,6 +148,8 @@ class Channel:
             value = getattr(self, name)
             if value is not None or name in ("relative", "jitter"):
                 changed[name] = given.plain(where, name, unit, value)
+        said = given.table(f"{where} instrument", self.instrument)
+        changed["instrument"] = instrument.stated(said, self.observes, {}, f"{where} instrument")
         given.fill(self, changed)
 
     def deviation(self, readings: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -4,28 +4,27 @@ scene = "impact.toml"            a scene file (relative to this one) or a built-
 [[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
                                  observe, noise (of a sample as recorded, or as resampled) and its correlation time; hold_out =
                                  true, or the runs to hold out: ["run 5"];
-                                 parameters (known for it alone; "0.55 kg +- 2 %" says how well); features,
-                                 feature_noise and span (``stated``); events = true fits times, peaks and impulses of
-                                 the record's contacts in place of its samples (``impacts.trains``);
-                                 saturation = "10 kN" (or of each channel, as noise) drops samples at or beyond it;
-                                 resample = "10 kHz" brings the record down to that rate; align = "onset" puts time 0
-                                 where the first channel first exceeds a tenth of its peak; window = [from, to] keeps
-                                 those times (after aligning); separator, decimal, encoding and header say how a text
-                                 is written where it is not to be found (``data.textfile``); file may be a pattern,
-                                 "run*.csv", each a run; runs_by names the column that numbers runs; contacts =
-                                 "each" makes every contact of a run a record (``events.apart``); sensitivity =
-                                 "10 mV/N" and full_scale = "500 N" say what volts, charges and shares stand for
+                                 parameters (known for it alone; "0.55 kg +- 2 %" says how well); features, feature_noise and
+                                 span (``stated``); events = true fits times, peaks and impulses of the record's contacts in
+                                 place of its samples (``impacts.trains``); saturation = "10 kN" (or of each channel, as noise)
+                                 drops samples at or beyond it; resample = "10 kHz" brings the record down to that rate; align =
+                                 "onset" puts time 0 where the first channel first exceeds a tenth of its peak; window = [from,
+                                 to] keeps those times (after aligning); separator, decimal, encoding and header say how a text
+                                 is written where it is not to be found (``data.textfile``); file may be a pattern, "run*.csv",
+                                 each a run; runs_by names the column that numbers runs; contacts = "each" makes every contact
+                                 of a run a record (``events.apart``); sensitivity = "10 mV/N" and full_scale = "500 N" say
+                                 what volts, charges and shares stand for
 loss = "linear"                  what a residual costs, as in ``Problem``
 accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
 sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
                                  (``impacts.sensor``), unless the file says what they are; "exact" holds them at 0
 filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   the low-pass between sensor and record
                                  (``filters``); without a cutoff it is free within bounds that the records give. "none";
-                                 "unknown", the default of a free sensor: the fit asks whether a record tells one from the law
-[free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free];
-                                 each = true gives every experiment its own, false none. Without
-                                 bounds a nuisance has those that each record gives. bounds = { NAME = [from, to] } in
-                                 [[experiment]]: of these records alone
+                                 "unknown", the default of a free sensor: the fit asks whether a record tells one
+[free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free]; each = true gives every
+                                 experiment its own, false none. Without bounds a nuisance has those that each record gives.
+                                 bounds = { NAME = [from, to] } in [[experiment]]: of these records alone
+[instrument]                     what is stated of sensors' errors (``instrument``); in [[experiment]], of its records
 [[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
 """
 
@@ -48,7 +47,7 @@ from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import format_si, quantity, toleranced
 from bcfj_jax.mechanism.channels import channel, unit_of
 from bcfj_jax.models import scenes
-from calibration import given
+from calibration import given, instrument
 from calibration.filters import HIGHEST, Filter
 from calibration.impacts import plausible, sensor, stated, trains
 from calibration.impacts.events import contacts
@@ -106,6 +105,7 @@ class _Experiment(tables.Table):
     runs_by: str | None = None
     contacts: Literal["first", "each"] = "first"
     bounds: dict[str, list[Any]] = {}
+    instrument: dict[str, Any] = {}
 
     @property
     def held(self) -> bool:
@@ -153,6 +153,7 @@ class _File(tables.Table):
     scene: str
     experiment: list[_Experiment] = pydantic.Field(min_length=1)
     free: dict[str, FreeTable]
+    instrument: dict[str, Any] = {}
     loss: str = "linear"
     accuracy: float | None = pydantic.Field(None, ge=1e-9, le=0.5)
     adequate: Any = None
@@ -188,6 +189,7 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
     known = {**base.scene.quantities, **nuisances(o for entry in file.experiment for o in entry.observe)}
     one = base.scene.canonical
     for k, entry in enumerate(file.experiment):
+        entry.instrument.update(instrument.merged(file.instrument, entry.instrument))
         if entry.held and (_STRUCK in known or "approach_speed" not in known):
             found = f'{_STRUCK} = "{_HELD}", where the scene '
             found += "has that mass" if _STRUCK in known else "has no body that strikes"
@@ -553,7 +555,8 @@ def _experiment(
                 raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")
             features += trains.observations(observes, times, reading.values, sigma, relative)
             continue
-        channels.append(Channel(observes, reading.values, sigma, relative, memory, jitter))
+        said = instrument.stated(entry.instrument, observes, entry.observe, f"{where} instrument")
+        channels.append(Channel(observes, reading.values, sigma, relative, memory, jitter, said))
     return Experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
         times=times if channels else np.zeros(0),

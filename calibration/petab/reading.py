@@ -17,6 +17,7 @@ from bcfj_jax.core.extras import library
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.channels import is_reading
 from calibration.filters import Filter
+from calibration.instrument import Limit
 from calibration.problem import (
     ADEQUATE,
     NUISANCES,
@@ -237,7 +238,11 @@ class _Reader:
                 raise InputError(where, f"'{o}' was measured twice at one time", "average what was repeated")
             read[np.searchsorted(times, [m.time for m in measured])] = [m.measurement for m in measured]
             memory = self.extension.get("correlation", {}).get(label, {}).get(reads[o], 0.0)
-            channels.append(Channel(reads[o], read, sigma, relative, None if memory == "estimate" else memory))
+            known = self.extension.get("instrument", {}).get(label, {}).get(reads[o], {})
+            said = {key: Limit(*value) for key, value in known.items()}
+            channels.append(
+                Channel(reads[o], read, sigma, relative, None if memory == "estimate" else memory, instrument=said)
+            )
         if len(spans) > 1:
             raise InputError(where, "features at several times", "give all the time that they were taken over")
         name, span = self.titles.get(label, label or "measurements"), next(iter(spans), None)

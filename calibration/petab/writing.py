@@ -170,6 +170,11 @@ def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[st
         "adequate": float(problem.adequate),
         "tolerances": _floats(problem.tolerances),
         "tolerances_of": {f"e{k}": own for k, e in enumerate(experiments, 1) if (own := _floats(e.tolerances))},
+        "instrument": {
+            f"e{k}": {c.observes: dict(c.instrument) for c in e.channels}
+            for k, e in enumerate(experiments, 1)
+            if any(c.instrument for c in e.channels)
+        },
         "doubts": [list(doubt) for doubt in problem.doubts],
         "scale": {f.name: f.scale for f in problem.free if f.scale},
         "start": {f.name: float(f.start) for f in problem.free if f.start is not None},

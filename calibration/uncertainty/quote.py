@@ -58,13 +58,15 @@ class Line(NamedTuple):
     @property
     def limit(self) -> str:
         """The amplitude in words; of a resonance the frequency."""
-        if self.error == "resonance":
+        if self.error.startswith("resonance"):
             return f"{1.0 / (2.0 * np.pi * np.sqrt(self.amplitude)):.2g} oscillations in a contact's duration"
         return f"{100 * self.amplitude:.2g} % {self.unit}"
 
     @property
     def says(self) -> str:
-        """What the record says of it."""
+        """What the record says of it; of an instrument's statement, that it is one."""
+        if self.prior >= 1.0:
+            return "stated"
         return "acts" if self.chance >= SHOWN else "ruled out" if self.chance <= OUT * self.prior else "open"
 
 
@@ -175,8 +177,9 @@ def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray) -> 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
     """The last point that errors lead to, and the moves from the first."""
     origin, points, model = moving(begin.at).z, [begin], begin.at.model
-    fixed = anew is None or model.loss != "linear" or budget(model.scene).rough
-    while not fixed and points[-1].far:
+    if anew is not None and (model.loss != "linear" or budget(model.scene).rough):
+        anew = None
+    while anew is not None and points[-1].far:
         if len(points) == _POINTS:
             return points[-1], points[-1].beyond(origin).pooled(points[-2].beyond(origin))
         following = _following(points[-1], free, anew)
@@ -249,12 +252,12 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         size = error.most
         if columns.shape[1] == 1:
             size *= (abs(float(mean[0])) + QUANTILE * float(np.sqrt(covariance[0, 0]))) / QUANTILE
-        apart = found.without(k).ends()
+        stated = error.floor >= 1.0
+        apart = (mixture(lin, [e for e in errors if e is not error]) if stated else found.without(k)).ends()
         cost = (ends[:, 1] - ends[:, 0]) / np.maximum(apart[:, 1] - apart[:, 0], 1e-300)
+        chance = (1.0, 1.0) if stated else (float(chances[k]), float(found.prior[k]))
         by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]
-        lines.append(
-            Line(error.name, size, error.unit, by_name[0], float(chances[k]), float(found.prior[k]), by_name[1])
-        )
+        lines.append(Line(error.name, size, error.unit, by_name[0], *chance, by_name[1]))
     return lines
 
 

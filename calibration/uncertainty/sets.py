@@ -39,7 +39,7 @@ class Error(NamedTuple):
         unit, most: of its amplitude, and the size that it has with 95 % if it acts.
         columns: (N, K) a unit of it, in deviations of the noise; several have independent amplitudes.
         kind: errors of one kind exclude each other; alone where empty.
-        floor: share of its prior with which it always acts.
+        floor: share of its prior with which it always acts; what acts in full is of no set.
     """
 
     name: str
@@ -238,8 +238,9 @@ def _sets(errors: Sequence[Error], places: np.ndarray, most: int) -> list[_Batch
     share = [1.0 / kinds.count(kind) for kind in kinds]
     odds = np.log(ACTS / (1.0 - ACTS))
     rows: dict[int, list[tuple]] = {}
+    free = [k for k, e in enumerate(errors) if e.floor < 1.0]
     for count in range(most + 1):
-        for chosen in combinations(range(len(errors)), count):
+        for chosen in combinations(free, count):
             if len({kinds[k] for k in chosen}) < count:
                 continue
             index = np.concatenate([np.zeros(0, int), *(np.arange(places[k], places[k + 1]) for k in chosen)])

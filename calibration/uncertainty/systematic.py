@@ -1,15 +1,16 @@
 """Errors that may act: of the sensor, its clock, what was held fixed, the law; each with a signature and a prior.
 
 A signature is an error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that
-the error has with 95 % if it acts: what is called large for such a sensor, or the tolerance that is stated of a value. What one
-record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as large. Three generic
-groups stand for what nobody listed: waves in time, waves of the force by depth, a clock that bends; of these a tenth acts
-always. What estimates they leave: ``uncertainty.sets``.
+the error has with 95 % if it acts: what is called large for such a sensor, or the tolerance that is stated of a value. What is
+stated of an instrument (``calibration.instrument``) takes the place of a prior; it acts always, in full, once a channel. What
+one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as large. Three
+generic groups stand for what nobody listed: waves in time, waves of the force by depth, a clock that bends; of these a tenth
+acts always. What estimates they leave: ``uncertainty.sets``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,7 @@ from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import weight
 from calibration.forward.model import Model, evaluation, predictions
 from calibration.forward.runs import contacts
+from calibration.instrument import Limit
 from calibration.problem import OFFSETS, Problem
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
@@ -30,11 +32,12 @@ from calibration.uncertainty.sets import QUANTILE, Error
 
 
 class _Sensor(NamedTuple):
-    """An error of a sensor: its unit, the amplitude that is called large, and the nuisance that fits it."""
+    """An error of a sensor: its unit, the amplitude that is called large, the nuisance that fits it, and what states it."""
 
     unit: str
     most: float
     nuisance: str
+    key: str
 
 
 # Of itself.
@@ -42,13 +45,13 @@ GAIN = 0.01
 # Its amplitude is 1/w^2.
 _RESONANCE = "resonance"
 _SENSOR = {
-    "gain": _Sensor("of itself", GAIN, "gain"),
-    "bend of the gain": _Sensor("of the peak, at the peak", 0.05, "gain_bend"),
-    "lag": _Sensor("of a contact's duration", 0.1, "bandwidth"),
-    _RESONANCE: _Sensor("of a contact's duration squared", 0.01, "resonance"),
-    "drift": _Sensor("of the peak, over the record", 0.05, "drift"),
-    "rest": _Sensor("of the peak", 0.02, "force_offset"),
-    "clock": _Sensor("of the time between samples", 0.5, "time_offset"),
+    "gain": _Sensor("of itself", GAIN, "gain", "gain"),
+    "bend of the gain": _Sensor("of the peak, at the peak", 0.05, "gain_bend", "nonlinearity"),
+    "lag": _Sensor("of a contact's duration", 0.1, "bandwidth", "bandwidth"),
+    _RESONANCE: _Sensor("of a contact's duration squared", 0.01, "resonance", "resonance"),
+    "drift": _Sensor("of the peak, over the record", 0.05, "drift", "drift"),
+    "rest": _Sensor("of the peak", 0.02, "force_offset", "zero"),
+    "clock": _Sensor("of the time between samples", 0.5, "time_offset", "clock"),
 }
 # Step of a fixed value as a share of its tolerance, which is this share of it where none is stated.
 _STEP, _SHARE = 1e-2, 0.01
@@ -78,8 +81,9 @@ def every(problem: Problem, at: Optimum) -> list[Error]:
     law = law_errors.signatures(model, best.point, deepest, peak, longest)
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
     readings = predictions(model, best.point)
+    known = _instruments(at)
     found = [
-        *of_sensor(model, readings, at.series, stated),
+        *of_sensor(model, readings, at.series, stated, known),
         *of_law(law),
         *of_fixed(model, best, _tolerances(problem, at), stated, at.series),
         *of_weight(model, best, at.series),
@@ -88,7 +92,9 @@ def every(problem: Problem, at: Optimum) -> list[Error]:
     if budget(model.scene).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
         return found
     scene = signatures.scene_of(model, at.series, readings, best.point)
-    return [*found, *of_shape(model, scene, stated), *generic(scene)]
+    slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value * scene.contact) for _, own in known if "bandwidth" in own]
+    slowest = max(slow) if len(slow) == len(known) else np.inf
+    return [*found, *of_shape(model, scene, stated, slowest), *generic(scene)]
 
 
 def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
@@ -100,22 +106,95 @@ def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
     }
 
 
-def of_sensor(model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str]) -> list[Error]:
+# Of each series the channel that it is of, and what is stated of its instrument.
+_Known = Sequence[tuple[str, Mapping[str, Limit]]]
+
+
+def _instruments(at: Optimum) -> _Known:
+    found = []
+    for s in at.series:
+        i, j, _ = np.unravel_index(s.rows[0], at.model.data.values.shape)
+        name = at.model.channels[j]
+        own = {c.observes: c.instrument for c in at.experiments[int(i)].channels}
+        found.append((name, own.get(name, {})))
+    return found
+
+
+def of_sensor(
+    model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str], known: _Known = ()
+) -> list[Error]:
     """Errors of the sensor, but for what is fitted and what is ``stated`` of every record.
 
     Args:
         readings: (E, C, T) that the model predicts, SI.
         stated: names of nuisances.
+        known: of each series.
     """
     taken = {axis.name for axis in model.coordinates} | stated
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
-    found = _signatures(model, readings, series)
-    kinds = {"lag": "lag"}
-    return [
-        Error(name, own.unit, own.most, _own(name, found[name], series), kinds.get(name, ""), _THERE.get(name, 0.0))
-        for name, own in _SENSOR.items()
-        if np.any(found[name]) and own.nuisance not in taken
-    ]
+    found, known = _signatures(model, readings, series), known or [("", {}) for _ in series]
+    errors = []
+    for name, own in _SENSOR.items():
+        rest = [s for s, (_, said) in zip(series, known, strict=True) if own.key not in said]
+        signature = sum((_part(found[name], s) for s in rest), np.zeros_like(found[name]))
+        if own.nuisance not in taken and np.any(signature):
+            kind = "lag" if name == "lag" else ""
+            errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), kind, _THERE.get(name, 0.0)))
+        if own.nuisance not in taken and len(rest) < len(series):
+            errors += _as_stated(name, own, found[name], readings, series, known)
+    return [*errors, *_steps(readings, series, known, found["gain"].size)]
+
+
+def _part(column: np.ndarray, s: Series) -> np.ndarray:
+    part = np.zeros_like(column)
+    part[s.rows] = column[s.rows]
+    return part
+
+
+def _as_stated(
+    name: str, own: _Sensor, signature: np.ndarray, readings: np.ndarray, series: list[Series], known: _Known
+) -> list[Error]:
+    """An error of which instruments say how large it is: no two channels share it."""
+    flat, sizes = readings.reshape(-1), {}
+    for k, (s, (_, said)) in enumerate(zip(series, known, strict=True)):
+        if own.key in said and np.any(signature[s.rows]):
+            sizes[k] = _amplitude(own.key, said[own.key], s, flat[s.rows])
+    most, columns = max(sizes.values(), default=0.0), []
+    if not most:
+        return []
+    for channel in dict.fromkeys(known[k][0] for k in sizes):
+        of = [k for k in sizes if known[k][0] == channel]
+        column = sum((_part(signature, series[k]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
+        columns.append(_own(name, column, [series[k] for k in of]))
+    return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
+
+
+def _amplitude(key: str, limit: Limit, s: Series, seen: np.ndarray) -> float:
+    """A stated size in the unit of an error's amplitude."""
+    peak, duration, step = _scales(s, seen)
+    late = 1.0 / (2.0 * np.pi * limit.value * duration) if key in ("bandwidth", "resonance") else 0.0
+    plain = limit.value if limit.share else limit.value / max(peak, 1e-300)
+    return {"bandwidth": late, "resonance": late**2, "clock": limit.value / step}.get(key, plain)
+
+
+def _scales(s: Series, seen: np.ndarray) -> tuple[float, float, float]:
+    """Peak of a series, duration of a contact, time between samples."""
+    duration = s.longest if np.isfinite(s.longest) and s.longest > 0.0 else float(np.ptp(s.clock))
+    return float(np.max(np.abs(seen))), duration, float(np.median(np.diff(s.clock)))
+
+
+def _steps(readings: np.ndarray, series: list[Series], known: _Known, size: int) -> list[Error]:
+    """Rounding to steps of q by its first harmonic, which has the variance q^2/12 and a phase that nobody knows."""
+    flat, columns = readings.reshape(-1), np.zeros((size, 2))
+    for s, (_, said) in zip(series, known, strict=True):
+        if "resolution" in said and s.rows.size > 3:
+            seen, limit = flat[s.rows], said["resolution"]
+            step = limit.value * (float(np.max(np.abs(seen))) if limit.share else 1.0)
+            for k, f in enumerate((np.sin, np.cos)):
+                columns[s.rows, k] = (
+                    s.white(QUANTILE * step / np.sqrt(12.0) * f(2.0 * np.pi * seen / step)) if step else 0.0
+                )
+    return [Error("resolution, as stated", "of its step", 1.0, columns, floor=1.0)] if columns.any() else []
 
 
 def _own(name: str, signature: np.ndarray, series: list[Series]) -> np.ndarray:
@@ -181,17 +260,20 @@ def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:
     return [Error(name, "of the peak", _LAW, signature[:, None], kind) for kind, name, signature in every]
 
 
-def of_shape(model: Model, scene: signatures.Scene, stated: frozenset[str]) -> list[Error]:
-    """Finite delays and low-passes without delay, which the slope of a reading is not; losses of another power of the rate."""
+def of_shape(model: Model, scene: signatures.Scene, stated: frozenset[str], slowest: float = np.inf) -> list[Error]:
+    """Finite delays and low-passes without delay, which the slope of a reading is not; losses of another power of the rate.
+
+    Delays and widths are no longer than ``slowest``, of a contact, which a stated bandwidth lets pass.
+    """
     found, taken = (
         [],
         {axis.name for axis in model.coordinates} | stated | ({"bandwidth"} if model.data.passed else set()),
     )
     if "bandwidth" not in taken:
-        for share in _LAGS:
+        for share in (x for x in _LAGS if x <= slowest):
             column = signatures.first_order(scene, 1.0 / (2.0 * np.pi * share * scene.contact))
             found.append(Error(f"lag of {share:.0%} of a contact", "of itself", QUANTILE, column, "lag"))
-        for share in _WIDTHS:
+        for share in (x for x in _WIDTHS if x <= slowest):
             smooth = [_smoothed(s, x, share * scene.contact) - x for s, x in zip(scene.series, scene.read, strict=True)]
             column = signatures.of_readings(scene, smooth)
             found.append(
@@ -255,9 +337,7 @@ def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dic
         if s.rows.size < 4 or not s.touching.any():
             continue
         seen, clock = flat[s.rows], s.clock
-        peak = float(np.max(np.abs(seen)))
-        first = np.gradient(seen, clock)
-        duration = s.longest if np.isfinite(s.longest) and s.longest > 0.0 else float(np.ptp(clock))
+        (peak, duration, step), first = _scales(s, seen), np.gradient(seen, clock)
         errors = {
             "gain": seen,
             "bend of the gain": seen * np.abs(seen) / max(peak, 1e-300),
@@ -265,7 +345,7 @@ def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dic
             _RESONANCE: -(duration**2) * np.gradient(first, clock),
             "drift": peak * (clock - clock.mean()) / max(float(np.ptp(clock)), 1e-300),
             "rest": np.full(clock.size, peak),
-            "clock": -float(np.median(np.diff(clock))) * first,
+            "clock": -step * first,
         }
         for name, error in errors.items():
             found[name][s.rows] = s.white(error)
