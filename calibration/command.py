@@ -34,6 +34,7 @@ from calibration.search.starts import Interrupted
 from calibration.selection import agreement, apart, choice, diagnosis
 from calibration.selection.alternatives import Outcome, solve
 from calibration.selection.next_experiment import as_json as candidates_json
+from calibration.selection.next_experiment import said as candidates_said
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 from calibration.uncertainty import quote, unstated_filter
@@ -451,6 +452,10 @@ def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
     if outcome.gains:
         heading = "The next experiment: width of each interval after it, over that before (* shrinks most)"
         found.append((heading, candidates_table(outcome.gains)))
+        if said := candidates_said(outcome.gains):
+            found.append(
+                ("What would narrow the intervals to quote (now, and then)", [["candidate"], *([x] for x in said)])
+            )
     return found
 
 

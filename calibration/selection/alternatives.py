@@ -14,6 +14,8 @@ parameters = { approach_speed = "2 m/s" }         what it sets; where each exper
 observe = { "contact.normal" = "1 %" }            what it reads and its noise: of the predicted peak, or a force
 end = "0.4 s"                                     from start (0 s by default) to end
 samples = 200
+runs = 3                                          as many of them
+instrument = { gain = "0.2 %" }                   what would be known of the sensors; with or without an experiment
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.units import quantity
 from bcfj_jax.mechanism.channels import unit_of
+from calibration import instrument
 from calibration.fit import Fit, fit, with_errors
 from calibration.problem import NUISANCES, Problem, nuisances, units_of
 from calibration.problemfile import FreeTable, free_of, options_of
@@ -49,10 +52,12 @@ class _Model(tables.Table):
 class _Candidate(tables.Table):
     name: str
     parameters: dict[str, Any] = {}
-    observe: dict[str, Any] = pydantic.Field(min_length=1)
+    observe: dict[str, Any] = {}
     start: Any = 0.0
-    end: Any
-    samples: int = pydantic.Field(ge=2, le=1_000_000)
+    end: Any = None
+    samples: int = pydantic.Field(0, ge=2, le=1_000_000)
+    runs: int = pydantic.Field(1, ge=1, le=100)
+    instrument: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -160,6 +165,14 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
 
 
 def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
+    for key in ("observe", "end", "samples"):
+        if not getattr(entry, key) and not (entry.instrument and not entry.observe):
+            raise InputError(f"{where} {key}", f"the key '{key}' is missing", "it must be given of an experiment")
+    observed = {c.observes: c for e in problem.experiments for c in e.channels}
+    for name in observed:
+        instrument.stated(entry.instrument, name, observed, f"{where} instrument")
+    if not entry.observe:
+        return Candidate(entry.name, np.zeros(0), {}, instrument=entry.instrument)
     fixed, quantities = {}, problem.quantities
     for name, value in ((problem.scene.canonical(name), value) for name, value in entry.parameters.items()):
         if name not in quantities:
@@ -177,4 +190,5 @@ def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
     first, last = (quantity(v, "s", f"{where} {key}") for key, v in (("start", entry.start), ("end", entry.end)))
     if not first < last:
         raise InputError(f"{where} end", f"{last:g} s is not after the start, {first:g} s", "give a later end")
-    return Candidate(entry.name, np.linspace(first, last, entry.samples), noise, fixed, share)
+    clock = np.linspace(first, last, entry.samples)
+    return Candidate(entry.name, clock, noise, fixed, share, entry.runs, entry.instrument)

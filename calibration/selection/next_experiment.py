@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -22,6 +22,7 @@ from calibration.fit import Fit
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
 from calibration.noise import noise_model
 from calibration.problem import Channel, Experiment, Problem
+from calibration.selection.narrowed import Half, narrowed
 
 _UNIFORM = 12.0  # information of a uniform density on [0, 1]
 
@@ -36,6 +37,8 @@ class Candidate:
         fixed: scene parameters (and nuisances) that make it: known, or where every experiment has its own to be found,
             the value it would have.
         share: whether ``noise`` is a share of the peak.
+        runs: how many of them.
+        instrument: what would be known of the sensors, as in a calibration file; without times and noise nothing else.
     """
 
     name: str
@@ -43,6 +46,13 @@ class Candidate:
     noise: dict[str, float]
     fixed: dict[str, float] = field(default_factory=dict)
     share: bool = False
+    runs: int = 1
+    instrument: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def made(self) -> bool:
+        """Whether it is an experiment, not knowledge alone."""
+        return bool(self.noise) or not self.instrument
 
 
 class Gain(NamedTuple):
@@ -52,7 +62,8 @@ class Gain(NamedTuple):
         information: D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of
             the covariances before and after.
         variance_left: A-optimality, the mean over parameters of the variance after over that before.
-        shrink: width of each parameter's interval after over that before, by name.
+        shrink: width of each parameter's interval after over that before, by name; by the noise alone.
+        quoted: half widths of the interval to quote, now and then (``narrowed``).
     """
 
     name: str
@@ -60,6 +71,7 @@ class Gain(NamedTuple):
     variance_left: float
     shrink: dict[str, float]
     failure: str = ""
+    quoted: dict[str, Half] = {}
 
     @property
     def best(self) -> str:
@@ -76,7 +88,18 @@ def next_experiment(problem: Problem, fit: Fit, candidates: Sequence[Candidate])
     Raises:
         InputError: for no candidate, an unknown parameter, channel or value, or no parameter that experiments share.
     """
-    return predicted(problem, {name: p.value for name, p in fit.parameters.items()}, candidates)
+    gains = predicted(problem, {name: p.value for name, p in fit.parameters.items()}, candidates)
+    by_name = {c.name: c for c in candidates}
+    return [gain if gain.failure else gain._replace(quoted=_quoted(problem, fit, by_name[gain.name])) for gain in gains]
+
+
+def _quoted(problem: Problem, fit: Fit, candidate: Candidate) -> dict[str, Half]:
+    each, free = {f.name for f in problem.free if f.per_experiment}, {f.name for f in problem.free}
+    known = {name: value for name, value in candidate.fixed.items() if name not in each}
+    if known.keys() & free:
+        return {}
+    planned = _planned(problem, candidate, known) if candidate.made else None
+    return narrowed(problem, fit, planned, candidate.runs, candidate.instrument)
 
 
 def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequence[Candidate]) -> list[Gain]:
@@ -111,6 +134,14 @@ def table(gains: Sequence[Gain]) -> list[list[str]]:
     return rows
 
 
+def said(gains: Sequence[Gain]) -> list[str]:
+    """What each candidate would make of the intervals to quote, in a sentence each."""
+    told = [
+        (g.name, [f"{name} {half.said}" for name, half in g.quoted.items() if half.said]) for g in gains if g.quoted
+    ]
+    return [f"{name}: {', '.join(parts) or 'no change'}" for name, parts in told]
+
+
 def as_json(gains: Sequence[Gain]) -> list[dict[str, object]]:
     """``next_experiment`` of fit.json: ranked, best first."""
     return [
@@ -121,6 +152,7 @@ def as_json(gains: Sequence[Gain]) -> list[dict[str, object]]:
             "interval_left": gain.shrink,
             "shrinks_most": gain.best or None,
             "failure": gain.failure or None,
+            "quoted": {name: half._asdict() for name, half in gain.quoted.items()},
         }
         for gain in gains
     ]
@@ -129,6 +161,8 @@ def as_json(gains: Sequence[Gain]) -> list[dict[str, object]]:
 def _gain(
     problem: Problem, model: Model, values: np.ndarray, candidate: Candidate, before: np.ndarray, names: list[str]
 ) -> Gain:
+    if not candidate.made:
+        return Gain(candidate.name, 0.0, 1.0, dict.fromkeys(names, 1.0))
     # Of a parameter that every experiment has to itself the candidate's is unknown, about the value it would have.
     each = {f.name for f in problem.free if f.per_experiment}
     known = {name: value for name, value in candidate.fixed.items() if name not in each}
@@ -153,6 +187,7 @@ def _gain(
     slopes, own = jacobian[:, mine], jacobian[:, theirs]
     seen = slopes.T @ slopes
     seen -= slopes.T @ own @ np.linalg.solve(own.T @ own + _UNIFORM * np.eye(len(theirs)), own.T @ slopes)
+    seen *= candidate.runs
     # Before J^T J + 12, with the candidate more: both at the same coordinates, whose boxes are the problem's.
     after = np.linalg.inv(before)
     places = [names.index(other.coordinates[k].name) for k in mine]

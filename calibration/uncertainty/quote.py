@@ -126,7 +126,7 @@ def quoted(
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
     """
     how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
-    begin = _around(at, *_linear(at, errors, how.slopes, free), free)
+    begin = _around(at, *linear(at, errors, how.slopes, free), free)
     last, found = _led(begin, free, None if bound else anew)
     known = _lines(last.lin, last.errors, found, how)
     if bound:
@@ -206,7 +206,7 @@ def _following(here: _Around, free: np.ndarray, anew: Anew) -> _Around | None:
     return _around(there, here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows), errors, free)
 
 
-def _linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
+def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
     """The fit as readings that are linear in coordinates and errors; least squares over these rows is a step of a robust loss."""
     best, spread, loss = at.end, at.spread, at.model.loss
     psi, bend = influence(loss, best.residuals)

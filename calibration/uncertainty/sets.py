@@ -77,7 +77,7 @@ class Mixture(NamedTuple):
     """Normal estimates by set of acting errors.
 
     Attributes:
-        weights: (M,), sum 1; members: (M, E) whether an error acts.
+        weights: (M,), sum 1; members: (M, E) with which share of its prior an error acts, 0 where not.
         means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
         variance: of the noise, in squares of its deviation.
         prior: (E,) that each error acts, before the record is looked at.
@@ -101,7 +101,7 @@ class Mixture(NamedTuple):
     @property
     def chances(self) -> np.ndarray:
         """(E,) that each error acts."""
-        return self.weights @ self.members
+        return self.weights @ (self.members > 0.0)
 
     def combined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Standard uncertainties (Q,): combined, Type A, Type B; what sets differ by is of Type B."""
@@ -126,7 +126,7 @@ class Mixture(NamedTuple):
 
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
-        kept = ~self.members[:, error]
+        kept = self.members[:, error] == 0.0
         weights = self.weights * kept
         return self._replace(weights=weights / max(weights.sum(), 1e-300)) if weights.sum() > 0 else self
 
@@ -193,7 +193,7 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
 
 
 def _prior(every: list[_Batch]) -> np.ndarray:
-    chance, members = np.exp(np.concatenate([b.prior for b in every])), np.concatenate([b.members for b in every])
+    chance, members = np.exp(np.concatenate([b.prior for b in every])), np.concatenate([b.members > 0.0 for b in every])
     return chance @ members / chance.sum()
 
 
@@ -217,7 +217,7 @@ def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
 
 
 class _Batch(NamedTuple):
-    """Sets with as many columns each: (M, K) columns and their scales, (M, E) acting errors, (M,) logarithm of the prior."""
+    """Sets with as many columns each: (M, K) columns and their scales, (M, E) by error, (M,) logarithm of the prior."""
 
     index: np.ndarray
     scale: np.ndarray
@@ -245,9 +245,10 @@ def _sets(errors: Sequence[Error], places: np.ndarray, most: int) -> list[_Batch
                 continue
             index = np.concatenate([np.zeros(0, int), *(np.arange(places[k], places[k + 1]) for k in chosen)])
             sizes = [places[k + 1] - places[k] for k in chosen]
-            member = np.isin(np.arange(len(errors)), chosen)
             for scales in product(SCALES, repeat=count):
                 prior = count * odds + sum(np.log(SCALES[s]) for s in scales) + sum(np.log(share[k]) for k in chosen)
+                member = np.zeros(len(errors))
+                member[list(chosen)] = scales
                 rows.setdefault(index.size, []).append((index, np.repeat(scales, sizes), member, prior))
     return [
         _Batch(np.stack(i).astype(int), np.stack(s).astype(float), np.stack(m), np.array(p))

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from bcfj_jax import InputError, scenes, simulate
-from calibration import Channel, Experiment, Fit, Free, Problem, fit, load
+from calibration import Candidate, Channel, Experiment, Fit, Free, Problem, fit, load, next_experiment
 from calibration.instrument import Limit, merged, stated
+from calibration.selection.alternatives import candidates
+from calibration.selection.next_experiment import said as told
 from calibration.uncertainty import quote, systematic
 from calibration.uncertainty.sets import QUANTILE, Error, Linear, mixture
 
@@ -164,3 +166,42 @@ def test_python_states_it_by_texts_too():
     plain = problem(gain="0.5 %, k = 2").experiments[0].channels[0]
     assert plain.instrument["gain"].value == pytest.approx(0.0025 * QUANTILE)
     assert replace(plain, jitter=1e-6).instrument == plain.instrument
+
+
+def test_what_would_narrow_it_is_what_does():
+    """Three runs at another speed are made and fitted: the interval is as wide as was foretold. A better gain changes little."""
+    plain = problem()
+    found = fit(plain, starts=4)
+    clock, sigma = 1.2 * TIMES, 2e-3 * float(np.max(plain.experiments[0].channels[0].values))
+    planned = Candidate("three more runs", clock, {"contact.normal": sigma}, {"approach_speed": 0.4}, runs=3)
+    better = Candidate("a better gain", np.zeros(0), {}, instrument={"gain": "0.2 %"})
+    gains = {gain.name: gain for gain in next_experiment(plain, found, [planned, better])}
+    force = simulate(SCENE, plain.params | {"approach_speed": 0.4}, clock, accuracy=1e-8).force["contact"][:, 0]
+    rng, more = np.random.default_rng(5), []
+    for k in range(3):
+        channel = Channel("contact.normal", force + sigma * rng.standard_normal(force.size), None)
+        more.append(Experiment(f"more {k}", clock, (channel,), fixed={"approach_speed": 0.4}))
+    after = fit(replace(plain, experiments=(*plain.experiments, *more)), starts=4)
+    for name, half in gains["three more runs"].quoted.items():
+        low, high = after.reference.ci95 if name == "reference force" else after.parameters[name].ci95
+        assert 0.5 * np.log(high / low) == pytest.approx(half.then, rel=0.3), name
+    assert gains["three more runs"].quoted["stiffness"].then < 0.8 * gains["three more runs"].quoted["stiffness"].now
+    assert all(half.then == pytest.approx(half.now, rel=0.1) for half in gains["a better gain"].quoted.values())
+    sentences = dict(text.split(": ", 1) for text in told(list(gains.values())))
+    assert sentences["a better gain"] == "no change" and " % to +- " in sentences["three more runs"]
+
+
+def test_a_file_asks_what_would_narrow_it(tmp_path):
+    plain = problem()
+    text = '[[candidate]]\nname = "a"\ninstrument = { gain = "0.2 %" }\n'
+    (tmp_path / "ask.toml").write_text(text)
+    (one,) = candidates(tmp_path / "ask.toml", plain)
+    assert not one.made and one.instrument == {"gain": "0.2 %"}
+    for wrong, message in (
+        ('name = "a"', "observe: the key 'observe' is missing"),
+        ('name = "a"\nobserve = { "contact.normal" = "1 %" }\nsamples = 9', "end: the key 'end' is missing"),
+        ('name = "a"\ninstrument = { gian = "1 %" }', "instrument.gian"),
+    ):
+        (tmp_path / "ask.toml").write_text(f"[[candidate]]\n{wrong}\n")
+        with pytest.raises(InputError, match=message):
+            candidates(tmp_path / "ask.toml", plain)

@@ -168,7 +168,7 @@ def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass():
     (line,) = found.lines
     assert line.says == "acts" and line.chance > 0.999 and line.cost["one"] == 1.0
     # Of three deviations of the prior the noise that the set leaves is 1 or so, and never below what was stated.
-    lin, errors = quote._linear(at, [Error("a", "", 2.0, signature)], np.diag([10.0, 10.0]), np.ones(2, bool))
+    lin, errors = quote.linear(at, [Error("a", "", 2.0, signature)], np.diag([10.0, 10.0]), np.ones(2, bool))
     variance = mixture(lin, errors).variance
     rows = np.block([[jacobian, signature], [np.zeros((1, 2)), np.array([[np.sqrt(variance) * QUANTILE / 2.0]])]])
     solution = np.linalg.lstsq(rows, np.r_[-left, 0.0])[0]
