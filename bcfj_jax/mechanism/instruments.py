@@ -207,11 +207,8 @@ class _Forces(equations.Equations):
 
 
 def _extent(x: Vector) -> Number:
-    """Of the sizes of its components."""
-    total: Number = 0.0
-    for component in x:
-        total = plus(total, abs(component))
-    return total
+    """Sum of the sizes of its components."""
+    return _sum([abs(component) for component in x])
 
 
 def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
