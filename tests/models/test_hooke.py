@@ -12,6 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from bcfj_jax import scenes, simulate
+from bcfj_jax.solve.simulation import reading_history
 
 SINGLE, DOUBLE = scenes.hooke(), scenes.hooke(double=True)
 # The load rises at once, so that a short run has all of it.
@@ -146,3 +147,51 @@ def test_forces_and_motion_are_those_of_an_independent_integration():
     assert np.sqrt(np.mean((ours - normals) ** 2)) < 1e-3 * peak
     place = SINGLE.coordinates()["output"][0]
     assert np.abs(run.trajectory[:, place] - states[:, 0]).max() < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [SINGLE, DOUBLE], ids=["single", "double"])
+def test_power_balance(scene):
+    params = scene.parameters(QUICK)
+    run = simulate(scene, params, np.linspace(0.0, END, 8001), accuracy=1e-3)
+    flows = jax.jit(jax.vmap(lambda t, y: scene.flows(t, y, params)))(jnp.asarray(run.times), jnp.asarray(run.trajectory))
+    work = {name: np.trapezoid(np.asarray(x), run.times) for name, x in (flows.given | flows.taken).items()}
+    given, taken = (sum(work[name] for name in side) for side in (flows.given, flows.taken))
+    stored = np.asarray(sum(flows.stored.values()))
+    assert work["input drive"] > 20.0 and work["friction"] > 0.0
+    assert stored[-1] - stored[0] == pytest.approx(given - taken, abs=1e-3 * work["input drive"])
+
+
+def test_turning_the_other_way_is_the_mirror_image():
+    """Across the plane of the shafts: the pin along y swaps its ends, the input's does not."""
+    params = SINGLE.parameters(QUICK)
+    other = SINGLE.parameters(QUICK | {"drive_speed": -params["drive_speed"], "load_torque": -params["load_torque"]})
+    state = np.asarray(SINGLE.initial_state(params))
+    # The cross's place and attitude, the output's angle; speeds: the cross is off its middle, pins touch both bores.
+    state = state + 1e-5 * np.random.default_rng(3).normal(size=state.size) * np.array([1.0] * 8 + [100.0] * 7)
+    state[:3] = [8e-6, 9e-6, 5e-6]
+    odd = np.array([1, -1, 1, 1, -1, 1, -1, -1, 1, -1, 1, -1, 1, -1, -1])
+    assert (SINGLE.coordinates()["cross.x"], SINGLE.coordinates()["output"]) == ((0, 8), (7, 14))
+    rates = [np.asarray(SINGLE.vector_field(jnp.asarray(1e-4), jnp.asarray(y), p)) for y, p in ((state, params), (state * odd, other))]
+    assert np.abs(rates[1] * odd - rates[0]).max() < 1e-9 * np.abs(rates[0]).max()
+    here, there = (SINGLE.observe(jnp.asarray(0.0), jnp.asarray(y), p) for y, p in ((state, params), (state * odd, other)))
+    for name, ends in (("input_pins", [0, 1]), ("output_pins", [1, 0])):
+        assert np.allclose(here[name].penetration, np.asarray(there[name].penetration)[ends], atol=1e-15)
+        assert np.asarray(here[name].force)[:, 0].max() > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["load_torque", "joint_angle", "stiffness"])
+def test_derivatives_are_those_of_differences(name):
+    params = SINGLE.parameters(QUICK)
+    times = np.linspace(0.0, 6e-3, 601)
+
+    def turn(x):
+        found = reading_history(SINGLE, params | {name: x}, times, ["output.angle"], accuracy=1e-4)["output.angle"]
+        return found[-1] - params["drive_speed"] * times[-1]
+
+    value = params[name]
+    _, slope = jax.jvp(turn, (value,), (jnp.ones(()),))
+    step = 1e-2 * value
+    found = (turn(value + step) - turn(value - step)) / (2.0 * step)
+    assert float(slope) == pytest.approx(float(found), rel=2e-2)
