@@ -26,6 +26,7 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.materials import Life
 from bcfj_jax.mechanism.moments import Account as Account
 from bcfj_jax.mechanism.moments import Approaches as Approaches
 from bcfj_jax.mechanism.moments import Arrow as Arrow
@@ -419,6 +420,19 @@ class AbstractModel(eqx.Module):
         """What a run (``solve.simulation.Run``) says against the model's own assumptions."""
         del params, run
         return []
+
+    @property
+    def life(self) -> Life:
+        """Numbers of its materials that are not those of steel (``materials``)."""
+        return ()
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """Greatest Hertz pressure of a contact under 1 N, p0/F^(1/3) [Pa/N^(1/3)]; None where no point contact is known. Pure.
+
+        ``modulus``: E* [Pa] where the model has none of its own.
+        """
+        del params, contact, modulus
+        return None
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """How large the bodies at a contact are that is so deep at most [m], as far as the model reads it. On the host."""

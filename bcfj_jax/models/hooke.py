@@ -136,7 +136,9 @@ def _bodies(double: bool, ideal: bool) -> list[Body]:
 
     def shaft(name: str, tilt: Any, motion: Any, speed: Any, **at: Any) -> list[Body]:
         led = {"drive": _led(double, motion)} if ideal else {"start": {"speed": speed}}
-        return [Body(name, "hinge", axis="x", tilt=("y", tilt), mass=1.0, inertia=JOINT["head_inertia"][0], **led, **at)]
+        return [
+            Body(name, "hinge", axis="x", tilt=("y", tilt), mass=1.0, inertia=JOINT["head_inertia"][0], **led, **at)
+        ]
 
     def yoke(name: str) -> list[Body]:
         return [Body(f"{name}_yoke", parent=name, mass=0.5, inertia=1e-4, **_ACROSS)]
@@ -178,7 +180,11 @@ def hooke(
     """
     between = {"input": ("input", "cross"), "output": ("output_yoke", "cross_arm")}
     if double:
-        between |= {"near": ("shaft_yoke", "cross_arm"), "far": ("shaft_yoke", "far_cross_arm"), "output": ("output", "far_cross")}
+        between |= {
+            "near": ("shaft_yoke", "cross_arm"),
+            "far": ("shaft_yoke", "far_cross_arm"),
+            "output": ("output", "far_cross"),
+        }
     how: dict[str, Any] = {"law": law, "elastic": elastic, "friction": friction, "smoothing": smoothing}
     far = {"far": (("shaft_length", 0, 0), (0, 0, 0))}
     pins = [

@@ -63,7 +63,8 @@ def of(name: str) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
     prepared = scene.prepare(params)
     flows = jax.jit(jax.vmap(lambda t, y: scene.flows(t, y, prepared)))(t, y)
     angle = jax.jit(lambda y: histories(scene, params, t, y, [channel(f"{output}.angle", scene)]))(y)
-    error = np.unwrap(np.asarray(angle[f"{output}.angle"])) - speed * times
+    turned: Any = np.unwrap(np.asarray(angle[f"{output}.angle"]))
+    error = turned - speed * times
     error = (error - error[late].mean())[late]
     work = {k: float(np.trapezoid(np.asarray(x)[late], times[late])) for k, x in (flows.given | flows.taken).items()}
     drive = next(k for k in flows.given if "drive" in k)
@@ -74,7 +75,9 @@ def of(name: str) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
     for contact, force in run.force.items():
         normal, slip = np.abs(force[late, ..., 0]), run.slip[contact][late]
         peaks[contact] = float(normal.max())
-        worn += float(np.sum(life.archard(times[late], normal, slip, *map(life.STEEL.get, ("wear_coefficient", "hardness")))))
+        worn += float(
+            np.sum(life.archard(times[late], normal, slip, life.STEEL["wear_coefficient"], life.STEEL["hardness"]))
+        )
         drag = np.hypot(force[late, ..., 1], force[late, ..., 2]) * slip
         rubbed += float(np.sum(np.trapezoid(drag, times[late], axis=0)))
         lives.append(float(np.min(life.rolling_life(RATING, life.equivalent_load(times[late], normal)))))
@@ -97,7 +100,10 @@ def main() -> None:
 
     found = {name: of(name) for name in SCENES}
     save("hooke", {"joints": {name: row for name, (row, _, _) in found.items()}})
-    rows = [["", *found], *([head, *(f"{scale * found[n][0][key]:.3g}" for n in found)] for key, (head, scale) in HEADS.items())]
+    rows = [
+        ["", *found],
+        *([head, *(f"{scale * found[n][0][key]:.3g}" for n in found)] for key, (head, scale) in HEADS.items()),
+    ]
     put_in_readme("hooke", markdown(rows), "docs/hooke.md")
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     for name, (_, turn, error) in found.items():
@@ -108,7 +114,11 @@ def main() -> None:
     for i, (name, (row, _, _)) in enumerate(found.items()):
         share = [row[key] / found["ball-cage joint"][0][key] for key in keys]
         right.bar(np.arange(len(keys)) + 0.27 * (i - 1), share, 0.25, label=name)
-    right.set(xticks=np.arange(len(keys)), xticklabels=["greatest force", "sliding work", "wear"], ylabel="over the ball-cage joint's")
+    right.set(
+        xticks=np.arange(len(keys)),
+        xticklabels=["greatest force", "sliding work", "wear"],
+        ylabel="over the ball-cage joint's",
+    )
     figure.savefig(ROOT / "docs" / "images" / "hooke.svg")
 
 
