@@ -23,6 +23,7 @@ from bcfj_jax.io import outputs
 from bcfj_jax.mechanism.channels import READ_BY, channel, read, shares
 from bcfj_jax.mechanism.materials import SOURCES as SOURCES
 from bcfj_jax.mechanism.materials import STEEL as STEEL
+from bcfj_jax.mechanism.materials import with_materials as with_materials
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 from bcfj_jax.solve.simulation import reading_history
 

@@ -14,7 +14,6 @@ Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, whi
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import inspect
 import math
 import os
@@ -265,8 +264,6 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
 
 def _with_life(scene: AbstractModel, given: Mapping[str, Any], where: str) -> AbstractModel:
     """A scene with the numbers of its materials, SI."""
-    if not any(field.name == "life" for field in dataclasses.fields(scene)):
-        raise InputError(where, f"scene '{scene.kind}' reads no materials", "remove the table")
 
     def plain(name: str, value: Any) -> Any:
         return quantity(value, materials.GIVEN[name], f"{where} {name}") if name in materials.GIVEN else value
@@ -275,7 +272,7 @@ def _with_life(scene: AbstractModel, given: Mapping[str, Any], where: str) -> Ab
         key: {name: plain(name, x) for name, x in value.items()} if isinstance(value, Mapping) else plain(key, value)
         for key, value in given.items()
     }
-    return replace(scene, life=materials.checked(scene, numbers, where))  # pyright: ignore[reportArgumentType]
+    return materials.with_materials(scene, numbers, where)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

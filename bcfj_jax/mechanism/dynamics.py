@@ -36,9 +36,9 @@ from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Own, Part, carried, q
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
-from bcfj_jax.mechanism.materials import Life
 from bcfj_jax.mechanism.model import (
     AbstractModel,
+    Life,
     Params,
     Solution,
 )

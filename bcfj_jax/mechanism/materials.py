@@ -1,21 +1,20 @@
 """What bodies are made of, as far as wear, pressure and life read it: numbers with their sources.
 
-A model keeps its own numbers in ``life``, (contact, name, value), "" for every contact; the rest is ``STEEL``.
+A model keeps its own numbers in ``life``; the rest is ``STEEL``.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
-
-if TYPE_CHECKING:
-    from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Life, Params
 
 # Of a hardened bearing steel that slides on itself, lubricated at the boundary.
 STEEL: dict[str, float] = {
@@ -40,15 +39,20 @@ SOURCES: dict[str, str] = {
 }
 # What [life] may give, with its unit.
 GIVEN = {"wear_coefficient": "1", "hardness": "Pa", "effective_modulus": "Pa", "load_rating": "N"}
-Life = tuple[tuple[str, str, float], ...]
 
 
-def checked(model: AbstractModel, given: Mapping[str, Any], where: str = "life") -> Life:
-    """Numbers by name, or tables of them by contact, as a model keeps them; SI.
+def with_materials(model: Any, given: Mapping[str, Any], where: str = "life") -> Any:
+    """A mechanism or joint of other materials: numbers by name (``GIVEN``, SI), or tables of them by contact.
 
     Raises:
-        InputError: for a name or a contact that is not known, and for a number that is not positive.
+        InputError: for a name or a contact that is not known, a number that is not positive, and a model that reads none.
     """
+    if not any(field.name == "life" for field in dataclasses.fields(model)):
+        raise InputError(where, f"scene '{model.kind}' reads no materials", "give a mechanism or the joint")
+    return dataclasses.replace(model, life=_checked(model, given, where))
+
+
+def _checked(model: AbstractModel, given: Mapping[str, Any], where: str) -> Life:
     found = []
     for key, value in given.items():
         each = {key: value} if key in GIVEN else value
@@ -66,7 +70,7 @@ def checked(model: AbstractModel, given: Mapping[str, Any], where: str = "life")
 
 
 def listed(life: Life) -> dict[str, Any]:
-    """As ``checked`` takes them."""
+    """As ``with_materials`` takes them."""
     found: dict[str, Any] = {}
     for part, name, value in life:
         (found.setdefault(part, {}) if part else found)[name] = value

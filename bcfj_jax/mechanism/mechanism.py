@@ -247,7 +247,7 @@ class Mechanism(Dynamics):
     def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
         """Of a circle, (6 E*^2/(pi^3 R^2))^(1/3), R the gap's relative radius (Johnson 1985, 4.2)."""
         one = self.contact(contact)
-        read = one.coefficients(params)
+        read: Any = one.coefficients(params)
         radius = one.gap.radius(read)
         if radius is None:
             return None

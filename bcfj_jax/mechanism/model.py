@@ -26,7 +26,6 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.materials import Life
 from bcfj_jax.mechanism.moments import Account as Account
 from bcfj_jax.mechanism.moments import Approaches as Approaches
 from bcfj_jax.mechanism.moments import Arrow as Arrow
@@ -36,6 +35,7 @@ from bcfj_jax.mechanism.moments import Chain as Chain
 from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.moments import Flows as Flows
+from bcfj_jax.mechanism.moments import Life as Life
 from bcfj_jax.mechanism.moments import Orbit as Orbit
 from bcfj_jax.mechanism.moments import Pose as Pose
 from bcfj_jax.mechanism.moments import Proximity as Proximity

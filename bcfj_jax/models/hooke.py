@@ -8,7 +8,7 @@ A cross is two pins that are one body, each in the bores of a yoke at both of it
 
 Without clearance the loops are closed in closed form: a tree of ideal joints has no loops. Every shaft and cross is led along
 its motion, and ``transmission`` hands the torque back from shaft to shaft without loss, so that the input's drive gives what a
-joint without clearance takes, save for what speeds the crosses up (1e-5 of the load).
+joint without clearance takes, save for what speeds the crosses up (1e-6 of the load).
 
 Torque, angle, speed, friction and material are the joint's (``models.joint.defaults``); sizes are GUESSES within its seat of
 80 mm; stiffness is Lankarani and Nikravesh's of a pin in its bearing, (4/3) E* sqrt(R_B R_J/(R_B - R_J)).
@@ -36,6 +36,7 @@ from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.steel_ball import STEEL_BALL, picked
 
 _OF_JOINT = ("joint_angle", "drive_speed", "load_torque", "load_ramp")
+_INERTIAS = ("inertia_x", "inertia_y", "inertia_z")
 _OWN: tuple[tuple[Quantity, float], ...] = tuple((CATALOGUE[name], JOINT[name][0]) for name in _OF_JOINT)
 _LINK = (Quantity("shaft_length", "m", "distance of the crosses", 0.0, open_low=True), 0.1)
 _PINS: dict[str, float] = {
@@ -44,14 +45,25 @@ _PINS: dict[str, float] = {
     "reference_force": 3.81e11 * 2e-5**1.5, "reference_penetration": 2e-5, "bottoming_penetration": 2e-5,
     **{f"clearance_{name}_pins": 10e-6 for name in ("input", "output", "near", "far")},
 }  # fmt: skip
-SOURCES: dict[str, str] = {name: JOINT[name][1] for name in (*_OF_JOINT, "friction_static", "friction_dynamic")} | {
+_TAKEN = (*_OF_JOINT, "exponent", "damping", "friction_static", "friction_dynamic", "friction_speed")
+_CROSSES = [
+    f"{name}.{key}" for name in ("cross", "cross_arm", "far_cross", "far_cross_arm") for key in ("mass", *_INERTIAS)
+]
+_SHAFTS = [
+    f"{name}.{key}" for name in ("input", "output", "shaft", "output_yoke", "shaft_yoke") for key in ("mass", "inertia")
+]
+SOURCES: dict[str, str] = {
+    **{name: JOINT[name][1] for name in _TAKEN},
+    **dict.fromkeys(_CROSSES, "derived: steel bar of 16 mm by 76 mm, 7801 kg/m^3"),
+    **dict.fromkeys(_SHAFTS, "GUESS"),
+    **{f"clearance_{name}_pins": "GUESS: as of the joint's balls" for name in ("input", "output", "near", "far")},
     "stiffness": "derived: Lankarani-Nikravesh, pin of 16 mm in its bearing, 10 um",
+    "smoothing": "chosen: pins that carry a torque do not rattle",
     "radius": "GUESS: pin of 16 mm",
     "half_length": "GUESS: middle of the bearings; pins end at the seat's 40 mm",
     "shaft_length": "GUESS",
-    **{f"clearance_{name}_pins": "GUESS: as of the joint's balls" for name in ("input", "output", "near", "far")},
 }
-# A pin is a steel bar of 16 mm by 76 mm, 7801 kg/m^3, about its length, z, and across.
+# A pin along z (``SOURCES``).
 _PIN: dict[str, Any] = {"mass": 0.119, "inertia": (5.9e-5, 5.9e-5, 3.8e-6)}
 # What is held on a body with its z along the body's y.
 _ACROSS: dict[str, Any] = {"joint": "fixed", "tilt": ("x", lambda p: -0.5 * math.pi)}
@@ -180,11 +192,8 @@ def hooke(
     """
     between = {"input": ("input", "cross"), "output": ("output_yoke", "cross_arm")}
     if double:
-        between |= {
-            "near": ("shaft_yoke", "cross_arm"),
-            "far": ("shaft_yoke", "far_cross_arm"),
-            "output": ("output", "far_cross"),
-        }
+        between |= {"near": ("shaft_yoke", "cross_arm"), "far": ("shaft_yoke", "far_cross_arm")}
+        between["output"] = ("output", "far_cross")
     how: dict[str, Any] = {"law": law, "elastic": elastic, "friction": friction, "smoothing": smoothing}
     far = {"far": (("shaft_length", 0, 0), (0, 0, 0))}
     pins = [

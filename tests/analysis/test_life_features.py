@@ -70,8 +70,7 @@ def test_by_hand():
 
 def test_of_a_run_and_with_other_materials():
     scene = dragged()
-    given = materials.checked(scene, {"hardness": 14.0e9, "track": {"load_rating": 15e3}})
-    own = Mechanism("dragged", scene.bodies, scene.contacts, given=scene.given, life=given)
+    own = life.with_materials(scene, {"hardness": 14.0e9, "track": {"load_rating": 15e3}})
     expected = by_hand(14.0e9)
     expected[LIFE] /= 8.0
     assert values(own) == pytest.approx(expected, rel=1e-12)
@@ -137,4 +136,6 @@ def test_the_table_of_a_file():
     ):  # fmt: skip
         with pytest.raises(InputError, match=said):
             scenefile.from_table({"scene": {"kind": "oblique_impact"}, "life": wrong}, None)
+    with pytest.raises(InputError, match="reads no materials"):
+        life.with_materials(bj.scenes.string(n=2), {"hardness": 1e9})
     assert set(materials.SOURCES) == set(materials.STEEL)

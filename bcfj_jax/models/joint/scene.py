@@ -18,8 +18,7 @@ from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.arrays import own_quantities
-from bcfj_jax.mechanism.materials import Life
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Life, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS, SMOOTHING_OF_SPHERES
 from bcfj_jax.models.joint.programmes import Programmes
 
