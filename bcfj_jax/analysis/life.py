@@ -23,6 +23,7 @@ from bcfj_jax.io import outputs
 from bcfj_jax.mechanism.channels import READ_BY, channel, read, shares
 from bcfj_jax.mechanism.materials import SOURCES as SOURCES
 from bcfj_jax.mechanism.materials import STEEL as STEEL
+from bcfj_jax.mechanism.materials import material
 from bcfj_jax.mechanism.materials import with_materials as with_materials
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 from bcfj_jax.solve.simulation import reading_history
@@ -135,6 +136,30 @@ def worn(volume: Callable[[float], float], clearance: float, area: float, repeat
     for _ in range(blocks):
         found.append(found[-1] + repeats * float(volume(found[-1])) / area)
     return np.array(found)
+
+
+def grown(
+    scene: AbstractModel, params: Params, times: ArrayLike, contact: str, *, area: float, repeats: float, blocks: int
+) -> np.ndarray:
+    """``worn`` of a contact of a scene, whose run is made anew with each clearance; of members the mean volume.
+
+    Args:
+        scene, params, times: as of ``wear_volume``; materials are the scene's (``with_materials``).
+        contact: one with friction and the parameter ``clearance_<contact>``.
+        area, repeats, blocks: as of ``worn``.
+
+    Raises:
+        InputError: as ``wear_volume``, and for a contact without a clearance.
+    """
+    name, read = f"clearance_{contact}", material(scene, contact)
+    if name not in params:
+        raise InputError(f"contact '{contact}'", "has no clearance that could grow", "name one with a clearance")
+
+    def volume(clearance: float) -> float:
+        how = {"coefficient": read["wear_coefficient"], "hardness": read["hardness"]}
+        return float(jnp.mean(wear_volume(scene, {**params, name: jnp.asarray(clearance)}, times, contact, **how)))
+
+    return worn(volume, float(params[name]), area, repeats, blocks)
 
 
 class Cycles(NamedTuple):

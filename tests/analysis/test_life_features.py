@@ -23,13 +23,15 @@ DEPTH, SPEED, RADIUS, STIFFNESS, END = 1e-5, 0.3, 8e-3, 1.3e10, 0.25
 FORCE = STIFFNESS * DEPTH**1.5
 
 
-def dragged(friction: Any = True):
+def dragged(friction: Any = True, recedes: bool = False):
     """A ball that is dragged over a plane at a constant depth and speed: nothing is integrated."""
     bodies = (
         Body("sled", "slide", axis="x", mass=1.0, drive=Drive("constant", speed=SPEED)),
         Body("ball", "fixed", parent="sled", at=(0, 0, RADIUS - DEPTH), mass=1.0),
     )
-    track = Contact("track", ("ground", "ball"), gaps.SphereOnPlane(), smoothing=False, friction=friction)
+    track = Contact(
+        "track", ("ground", "ball"), gaps.SphereOnPlane(clearance=recedes), smoothing=False, friction=friction
+    )
     given = {
         "stiffness": STIFFNESS, "exponent": 1.5, "damping": 0.0, "radius": RADIUS, "friction_static": 0.12,
         "friction_dynamic": 0.03, "friction_speed": 0.01,
@@ -77,6 +79,22 @@ def test_of_a_run_and_with_other_materials():
     run = bj.simulate(own, own.parameters(), np.linspace(0.0, END, 11))
     found = life.of_run(own, own.parameters(), run)["track"]
     assert {f"track.{kind}": x for kind, x in found.items()} == pytest.approx(expected, rel=1e-12)
+
+
+def test_clearance_grows_by_what_is_worn():
+    """The plane recedes from the sled's track by what was worn, block after block, and the ball presses less on it."""
+    scene = dragged(recedes=True)
+    params = scene.parameters(clearance_track=2e-6)
+    times, area, repeats = np.linspace(0.0, END, 11), 1e-6, 5e2
+    found = life.grown(scene, params, times, "track", area=area, repeats=repeats, blocks=3)
+    expected = [2e-6]
+    for _ in range(3):
+        force = STIFFNESS * (DEPTH - expected[-1]) ** 1.5
+        expected.append(expected[-1] + repeats * 1e-6 / 7.0e9 * force * SPEED * END / area)
+    assert found == pytest.approx(expected, rel=1e-10) and expected[-1] < DEPTH
+    assert expected[-1] > 3e-6
+    with pytest.raises(InputError, match="no clearance"):
+        life.grown(dragged(), dragged().parameters(), times, "track", area=area, repeats=1.0, blocks=1)
 
 
 def test_members_and_kinds():
