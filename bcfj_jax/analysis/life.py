@@ -139,14 +139,15 @@ def worn(volume: Callable[[float], float], clearance: float, area: float, repeat
 
 
 def grown(
-    scene: AbstractModel, params: Params, times: ArrayLike, contact: str, *, area: float, repeats: float, blocks: int
+    scene: AbstractModel, params: Params, times: ArrayLike, contact: str, runs_by_area: float, blocks: int
 ) -> np.ndarray:
     """``worn`` of a contact of a scene, whose run is made anew with each clearance; of members the mean volume.
 
     Args:
         scene, params, times: as of ``wear_volume``; materials are the scene's (``with_materials``).
         contact: one with friction and the parameter ``clearance_<contact>``.
-        area, repeats, blocks: as of ``worn``.
+        runs_by_area: runs in a block over the area that wears [1/m^2].
+        blocks: as of ``worn``.
 
     Raises:
         InputError: as ``wear_volume``, and for a contact without a clearance.
@@ -159,7 +160,7 @@ def grown(
         how = {"coefficient": read["wear_coefficient"], "hardness": read["hardness"]}
         return float(jnp.mean(wear_volume(scene, {**params, name: jnp.asarray(clearance)}, times, contact, **how)))
 
-    return worn(volume, float(params[name]), area, repeats, blocks)
+    return worn(volume, float(params[name]), 1.0, runs_by_area, blocks)
 
 
 class Cycles(NamedTuple):

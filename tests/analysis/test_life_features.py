@@ -86,7 +86,7 @@ def test_clearance_grows_by_what_is_worn():
     scene = dragged(recedes=True)
     params = scene.parameters(clearance_track=2e-6)
     times, area, repeats = np.linspace(0.0, END, 11), 1e-6, 5e2
-    found = life.grown(scene, params, times, "track", area=area, repeats=repeats, blocks=3)
+    found = life.grown(scene, params, times, "track", repeats / area, 3)
     expected = [2e-6]
     for _ in range(3):
         force = STIFFNESS * (DEPTH - expected[-1]) ** 1.5
@@ -94,7 +94,7 @@ def test_clearance_grows_by_what_is_worn():
     assert found == pytest.approx(expected, rel=1e-10) and expected[-1] < DEPTH
     assert expected[-1] > 3e-6
     with pytest.raises(InputError, match="no clearance"):
-        life.grown(dragged(), dragged().parameters(), times, "track", area=area, repeats=1.0, blocks=1)
+        life.grown(dragged(), dragged().parameters(), times, "track", 1.0 / area, 1)
 
 
 def test_members_and_kinds():
