@@ -79,8 +79,9 @@ def listed(life: Life) -> dict[str, Any]:
 
 def material(model: AbstractModel, contact: str) -> dict[str, float]:
     """The numbers of a contact: its own, else the model's, else those of steel."""
-    own = {name: value for part, name, value in model.life if not part}
-    return STEEL | own | {name: value for part, name, value in model.life if part == contact}
+    life: Any = model.life
+    own = {name: value for part, name, value in life if not part}
+    return STEEL | own | {name: value for part, name, value in life if part == contact}
 
 
 def share(model: AbstractModel, params: Params, contact: str, what: str) -> Array:
