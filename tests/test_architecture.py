@@ -18,7 +18,7 @@ LAYERS = {
         "cli", "__main__",
     ),
     "calibration": (
-        "solver_budget", "given", "filters", "attitudes", "problem", "forward", "search", "noise", "diagnostics", "uncertainty",
+        "solver_budget", "given", "filters", "attitudes", "instrument", "problem", "forward", "search", "noise", "diagnostics", "uncertainty",
         "fit", "verification", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip

@@ -27,7 +27,8 @@ _NAMED = 1e-4
 # A mean move whose square is such a share of the interval's half width is far, both as shares of the estimate: to second
 # order that is what a line about the point where it began is off by.
 _FAR = 0.05
-# Points that are tried; where the last still moves, the last two count alike.
+# Points that are tried; where the last still moves, the last two count alike, and where no set explains the record, the
+# first and the last.
 _POINTS = 4
 # The chance from which on a record is said to show an error, and the share of the prior's chance below which it rules it out.
 SHOWN, OUT = 0.95, 0.2
@@ -179,14 +180,18 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
     origin, points, model = moving(begin.at).z, [begin], begin.at.model
     if anew is not None and (model.loss != "linear" or budget(model.scene).rough):
         anew = None
-    while anew is not None and points[-1].far:
-        if len(points) == _POINTS:
-            return points[-1], points[-1].beyond(origin).pooled(points[-2].beyond(origin))
+    while anew is not None and points[-1].far and len(points) < _POINTS:
         following = _following(points[-1], free, anew)
         if following is None:
             break
         points.append(following)
-    return points[-1], points[-1].beyond(origin)
+    last = points[-1]
+    # Where even the most probable set leaves a shape, no set explains the record, and the point it leads to is no better.
+    unexplained, moving_on = last.moves.memory > 1.0, len(points) == _POINTS and last.far
+    if len(points) > 1 and (unexplained or moving_on):
+        beside = begin if unexplained else points[-2]
+        return last, last.beyond(origin).pooled(beside.beyond(origin))
+    return last, last.beyond(origin)
 
 
 def _following(here: _Around, free: np.ndarray, anew: Anew) -> _Around | None:

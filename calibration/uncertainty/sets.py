@@ -81,6 +81,7 @@ class Mixture(NamedTuple):
         means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
         variance: of the noise, in squares of its deviation.
         prior: (E,) that each error acts, before the record is looked at.
+        memory: how many times the variance of a mean grows by what the most probable set leaves; 1 of chance.
     """
 
     weights: np.ndarray
@@ -90,6 +91,7 @@ class Mixture(NamedTuple):
     type_b: np.ndarray
     variance: float
     prior: np.ndarray
+    memory: float = 1.0
 
     def ends(self, level: float = 0.95) -> np.ndarray:
         """(Q, 2) ends of the interval, as moves from the optimum."""
@@ -122,7 +124,16 @@ class Mixture(NamedTuple):
         """Half of each: one fit, linear about two points; errors are the same."""
         both = (np.concatenate([getattr(self, n), getattr(other, n)]) for n in self._fields[:5])
         weights, members, means, type_a, type_b = both
-        return Mixture(0.5 * weights, members, means, type_a, type_b, max(self.variance, other.variance), self.prior)
+        return Mixture(
+            0.5 * weights,
+            members,
+            means,
+            type_a,
+            type_b,
+            max(self.variance, other.variance),
+            self.prior,
+            max(self.memory, other.memory),
+        )
 
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
@@ -164,6 +175,7 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
     noise = at.student * np.linalg.norm(inverse, axis=1)
     every = _sets(errors, places, most)
     variance = min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
+    memory = 1.0
     for _ in range(_ROUNDS):
         own, always = _split(sums, count, variance)
         found = [_weighed(own, batch, variance) for batch in every]
@@ -174,7 +186,8 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
         full[every[k].index[i]] = found[k].amplitude[i]
         left = rest - beside @ np.r_[full, always.amplitude - always.inner @ (always.cross @ full) / variance]
         used = found[k].used[i] + len(always.inner) - np.trace(always.inner)
-        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
+        memory = _memory(left, at.series)
+        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * memory
         before, variance = variance, min(max(at.floor, seen), at.ceiling)
         if abs(variance - before) < 1e-3 * before:
             break
@@ -188,7 +201,14 @@ def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
     weights, members, means, covered, doubt = (np.concatenate(part) for part in zip(*parts, strict=True))
     type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
     return Mixture(
-        weights / weights.sum(), members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every)
+        weights / weights.sum(),
+        members,
+        means,
+        type_a,
+        np.sqrt(np.maximum(doubt, 0.0)),
+        variance,
+        _prior(every),
+        memory,
     )
 
 
