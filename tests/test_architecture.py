@@ -18,8 +18,8 @@ LAYERS = {
         "cli", "__main__",
     ),
     "calibration": (
-        "solver_budget", "given", "filters", "attitudes", "instrument", "problem", "forward", "search", "noise", "diagnostics", "uncertainty",
-        "fit", "verification", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
+        "solver_budget", "given", "filters", "attitudes", "instrument", "problem", "forward", "search", "noise", "diagnostics",
+        "uncertainty", "fit", "verification", "impacts", "problemfile", "init", "selection", "petab", "report", "command",
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.

@@ -55,7 +55,7 @@ class _Candidate(tables.Table):
     observe: dict[str, Any] = {}
     start: Any = 0.0
     end: Any = None
-    samples: int = pydantic.Field(0, ge=2, le=1_000_000)
+    samples: int | None = pydantic.Field(None, ge=2, le=1_000_000)
     runs: int = pydantic.Field(1, ge=1, le=100)
     instrument: dict[str, Any] = {}
 
@@ -166,7 +166,7 @@ def _model(entry: _Model, content: dict[str, Any], path: Path, problem: Problem)
 
 def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
     for key in ("observe", "end", "samples"):
-        if not getattr(entry, key) and not (entry.instrument and not entry.observe):
+        if getattr(entry, key) in ({}, None) and not (entry.instrument and not entry.observe):
             raise InputError(f"{where} {key}", f"the key '{key}' is missing", "it must be given of an experiment")
     observed = {c.observes: c for e in problem.experiments for c in e.channels}
     for name in observed:
@@ -190,5 +190,5 @@ def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
     first, last = (quantity(v, "s", f"{where} {key}") for key, v in (("start", entry.start), ("end", entry.end)))
     if not first < last:
         raise InputError(f"{where} end", f"{last:g} s is not after the start, {first:g} s", "give a later end")
-    clock = np.linspace(first, last, entry.samples)
+    clock = np.linspace(first, last, entry.samples or 2)
     return Candidate(entry.name, clock, noise, fixed, share, entry.runs, entry.instrument)
