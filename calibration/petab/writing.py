@@ -171,7 +171,7 @@ def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[st
         "tolerances": _floats(problem.tolerances),
         "tolerances_of": {f"e{k}": own for k, e in enumerate(experiments, 1) if (own := _floats(e.tolerances))},
         "instrument": {
-            f"e{k}": {c.observes: dict(c.instrument) for c in e.channels}
+            f"e{k}": {c.observes: {key: list(x) for key, x in c.instrument.items()} for c in e.channels}
             for k, e in enumerate(experiments, 1)
             if any(c.instrument for c in e.channels)
         },

@@ -77,7 +77,7 @@ def same(one: Problem, other: Problem) -> None:
             kept = np.isfinite(was.values)
             np.testing.assert_array_equal(new.times, old.times[kept])
             np.testing.assert_array_equal(now.values, was.values[kept])
-            assert (now.observes, now.correlation) == (was.observes, was.correlation)
+            assert (now.observes, now.correlation, now.instrument) == (was.observes, was.correlation, was.instrument)
             assert now.relative == pytest.approx(was.relative, rel=1e-14)
             assert now.sigma == (None if was.sigma is None else pytest.approx(was.sigma, rel=1e-14))
 
@@ -91,6 +91,8 @@ def test_a_filter_and_what_is_known_of_values_come_back(tmp_path):
     import yaml
 
     told = experiment("run 1", fixed={"approach_speed": 0.7}, tolerances={"approach_speed": 0.014})
+    said = {"gain": "0.5 %, k = 2", "clock": "1 us"}
+    told = replace(told, channels=tuple(replace(c, instrument=said) for c in told.channels))
     more = {"filter": Filter("bessel", 3, True), "adequate": 0.02, "tolerances": {"mass": 0.01}, "loss": "linear"}
     more |= {
         "doubts": (Doubt("the mass is wrong", "the mass is right"), Doubt("two", "so", "mass", 0.1, 0.2, True)),
