@@ -75,7 +75,8 @@ def narrowed(
     log = dict(zip(quote.moving(at).names, quote.moving(at).log, strict=True))
     halves = {}
     for name, own in ends.items():
-        if own and now.get(name):
+        # Values of one record alone stay what they are.
+        if own and now.get(name) and name in then:
             half = 0.5 * float(np.log(own[1] / own[0]) if log[name] else own[1] - own[0])
             halves[name] = Half(half, half * float(then[name] / now[name]), log[name])
     return halves
@@ -106,11 +107,11 @@ def _extended(problem: Problem, at: Optimum, planned: Experiment, runs: int) -> 
     values, weights, memory = (np.array(x) for x in (model.data.values, model.data.weights, model.data.memory))
     for new, kept in ((values, old.values), (weights, old.weights), (memory, old.memory)):
         new[:count, :channels, :length] = kept
-    known = dict(zip(at.labels, at.model.values(at.end.point).tolist(), strict=True))
-    by_name = {axis.name: known[label] for axis, label in zip(at.model.coordinates, at.labels, strict=True)}
-    by_name["time_offset"] = 0.0
-    labels = [axis.label(every) for axis in model.coordinates]
-    own = [known.get(label, by_name[axis.name]) for label, axis in zip(labels, model.coordinates, strict=True)]
+    pairs = list(zip(at.model.coordinates, at.model.values(at.end.point).tolist(), strict=True))
+    # A record's own value of a fit of one record is of no number.
+    known = {(axis.name, axis.experiment or 0): value for axis, value in pairs}
+    usual = {axis.name: value for axis, value in pairs} | {"time_offset": 0.0}
+    own = [known.get((axis.name, axis.experiment or 0), usual[axis.name]) for axis in model.coordinates]
     point = model.point(np.array(own))
     values[count:] = evaluation(model)(point[None]).readings[0][count:]
     model = eqx.tree_at(lambda m: (m.data.values, m.data.weights, m.data.memory), model, (values, weights, memory))

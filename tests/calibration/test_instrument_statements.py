@@ -205,3 +205,13 @@ def test_a_file_asks_what_would_narrow_it(tmp_path):
         (tmp_path / "ask.toml").write_text(f"[[candidate]]\n{wrong}\n")
         with pytest.raises(InputError, match=message):
             candidates(tmp_path / "ask.toml", plain)
+
+
+def test_a_record_with_a_clock_of_its_own_is_extended_too():
+    """Its coordinate has no number in a fit of one record; the new runs have clocks of their own."""
+    plain = problem()
+    plain = replace(plain, free=(*plain.free, Free("time_offset", -2e-5, 2e-5)))
+    planned = Candidate("slower", 1.2 * TIMES, {"contact.normal": 0.005}, {"approach_speed": 0.4}, share=True, runs=2)
+    (gain,) = next_experiment(plain, fit(plain, starts=4), [planned])
+    assert {"stiffness", "exponent", "damping", "reference force"} == set(gain.quoted)
+    assert gain.quoted["stiffness"].then < 0.9 * gain.quoted["stiffness"].now
