@@ -13,7 +13,6 @@ from typing import Any
 from bcfj_jax import InputError
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.core.extras import library
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.growing import Growing
@@ -22,6 +21,7 @@ from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla.programs import keep_asked
 from calibration.diagnostics.answers import Answer
 from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
 from calibration.impacts.preparation import Prepared

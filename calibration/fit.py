@@ -15,10 +15,10 @@ from bcfj_jax.core import limits, presented
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import whole
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.xla.threads import ahead
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test

@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # name everything.
 LAYERS = {
     "bcfj_jax": (
-        "_version", "core", "contact", "mechanism", "models", "solve", "io", "data", "analysis", "verification", "reproduction",
-        "cli", "__main__",
+        "_version", "core", "xla", "contact", "mechanism", "models", "solve", "io", "data", "analysis", "verification",
+        "reproduction", "cli", "__main__",
     ),
     "calibration": (
         "solver_budget", "given", "filters", "attitudes", "problem", "forward", "search", "noise", "diagnostics", "uncertainty",
@@ -23,7 +23,7 @@ LAYERS = {
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.
-PHYSICS = ("core", "contact", "mechanism", "models", "solve")
+PHYSICS = ("core", "xla", "contact", "mechanism", "models", "solve")
 PHYSICS_FILES = tuple(
     f"analysis/{name}.py" for name in ("features", "crests", "histories", "energy_balance", "balance", "envelope")
 )
@@ -153,5 +153,7 @@ def test_files_say_what_they_are(path):
 
 @pytest.mark.parametrize("path", [p for p in SOURCES if p.name != "inside.py"], ids=named)
 def test_what_jax_may_move_is_imported_in_one_place(path):
+    # ``jax.core.Tracer`` is in JAX's documented interface; nothing below ``xla`` needs more.
+    allowed = {"jax.core.Tracer"} if path.parts[-2:] == ("core", "numerics.py") else set()
     unstable = ("jax.core", "jax.extend", "jax.interpreters", "jax._src", "jaxlib", "jax.experimental")
-    assert not [name for name in imports(path) if name.startswith(unstable)], "import it in core/inside.py"
+    assert not [name for name in {*imports(path)} - allowed if name.startswith(unstable)], "import it in xla/inside.py"

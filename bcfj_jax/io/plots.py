@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.units import engineering as engineering
+from bcfj_jax.xla.threads import ahead
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -38,7 +38,6 @@ from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
-from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import named as by_name
 from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, bristled, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
@@ -48,6 +47,7 @@ from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, allowed_in
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.watched import Watched
+from bcfj_jax.xla.batched_jvp import lane_by_lane, still, together
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 

@@ -14,7 +14,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel
@@ -76,7 +76,7 @@ def plan(
     check_bits()
     stiff = model.traits.stiff
     named.check(solver, stiff)
-    if isinstance(accuracy, Tracer):
+    if is_traced(accuracy):
         # Tolerances are in proportion to the error, up to a loosest one.
         share = jnp.asarray(accuracy) / LEVELS["balanced"]
         traced = jnp.minimum(share * model.tolerance(LEVELS["balanced"]), model.tolerance(_LOOSEST))

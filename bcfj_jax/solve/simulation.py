@@ -16,17 +16,17 @@ from jaxtyping import Float, Int
 
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
-from bcfj_jax.core.programs import make_room, program
 from bcfj_jax.core.quantities import increasing, instants, scalar
 from bcfj_jax.core.status import NO_FORCE, OK, reason
-from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution, as_model
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import LONGEST, LOOKS, MAX_STEPS, Plan, Way, check_bits, force_error, plan
+from bcfj_jax.xla.forward_reverse import forward_and_reverse, reverse_only
+from bcfj_jax.xla.programs import make_room, program
+from bcfj_jax.xla.threads import together
 
 Mode = Literal["auto", "forward", "reverse"]
 

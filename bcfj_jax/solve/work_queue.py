@@ -18,13 +18,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core import backend
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.batched_jvp import changes
 from bcfj_jax.solve.integrate import Problem, controller, problem, seeker
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.tangents import beside
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.batched_jvp import changes
 
 # Numbers that a place reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8

@@ -21,8 +21,8 @@ from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.core.status import OK
 from bcfj_jax.models.joint.scene import PLAIN
-from bcfj_jax.solve.batched_jvp import changes
 from bcfj_jax.solve.plan import plan
+from bcfj_jax.xla.batched_jvp import changes
 
 pytest.importorskip("pyarrow", reason="the extra study is not installed")
 

@@ -161,7 +161,7 @@ def seen(self):
 threading.Thread.start = seen
 plots.get_ready()
 assert thread == [(True, False)], thread
-from bcfj_jax.core import threads
+from bcfj_jax.xla import threads
 threads._ahead[0].join()
 import matplotlib.ft2font
 assert "matplotlib.figure" in sys.modules

@@ -18,13 +18,13 @@ from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
-from bcfj_jax.core import backend
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Solution
-from bcfj_jax.solve.batched_jvp import along, changes
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.batched_jvp import along, changes
+from bcfj_jax.xla.programs import program
 
 # Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
 _PLACES = 32

@@ -24,7 +24,6 @@ from bcfj_jax.analysis.derivatives.ranking import (
     unknown,
 )  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
@@ -34,6 +33,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
+from bcfj_jax.xla.programs import keep_asked
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",

@@ -30,12 +30,12 @@ from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, in
 from bcfj_jax.analysis.features import EVENTS
 from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.errors import InputError, texts
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, plan
+from bcfj_jax.xla.programs import program
 
 # Contacts of a channel that are looked at, and of a run.
 MOST, _ALL = 128, 1024

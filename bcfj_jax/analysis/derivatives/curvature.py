@@ -17,12 +17,12 @@ from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, smooth
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.core.errors import InputError, texts
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
+from bcfj_jax.xla.programs import program
 
 
 def hessian_vector(

@@ -16,13 +16,13 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
 from bcfj_jax.solve.simulation import readings, timed
+from bcfj_jax.xla.programs import program
 
 
 class Histories(NamedTuple):

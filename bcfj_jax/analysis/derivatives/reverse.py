@@ -18,10 +18,10 @@ from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, smooth
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
+from bcfj_jax.xla.programs import program
 
 
 class Gradient(NamedTuple):

@@ -40,13 +40,13 @@ from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.core.threads import ahead, together
 from bcfj_jax.io.stop import OutOfTime
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, force_error, plan
 from bcfj_jax.solve.simulation import compiled
+from bcfj_jax.xla.threads import ahead, together
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")

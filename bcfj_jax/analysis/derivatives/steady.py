@@ -30,12 +30,12 @@ from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.onward import BEGIN, START, Onward
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla.programs import program
 
 # Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101

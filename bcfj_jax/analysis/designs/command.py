@@ -14,11 +14,11 @@ from bcfj_jax.analysis.designs.result import FAILED, Design
 from bcfj_jax.analysis.designs.search import Search
 from bcfj_jax.analysis.designs.view import fact_rows, page, reason, value_rows, verdict
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import Picture
+from bcfj_jax.xla.programs import keep_asked
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
 

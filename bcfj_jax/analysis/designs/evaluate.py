@@ -26,12 +26,12 @@ from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.engine import columns, refusal
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
-from bcfj_jax.core.threads import cores, each
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla.programs import program
+from bcfj_jax.xla.threads import cores, each
 
 
 class Values(NamedTuple):

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bcfj_jax.analysis.simulation import results
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import open_folder
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
+from bcfj_jax.xla.programs import keep_asked
 
 # Of a contact's sample in both tables [bytes].
 _BYTES = 100

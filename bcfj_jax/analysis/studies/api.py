@@ -17,14 +17,15 @@ from bcfj_jax.analysis.studies.block import compute as run_points
 from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import ENVIRONMENT, Store, facts_of, merge, opened, write_parquet
-from bcfj_jax.core import backend, presented
+from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
-from bcfj_jax.core.threads import cores
 from bcfj_jax.io import outputs, report, usercode
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.threads import cores
 
 if TYPE_CHECKING:
     import pyarrow as pa

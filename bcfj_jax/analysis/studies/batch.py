@@ -28,13 +28,13 @@ from bcfj_jax.analysis.engine import differentiated, planned, simulated
 from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.core import backend
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.programs import program
 
 _OF_FORCE = ("peak", "mean", "impulse")
 # Points whose histories are in memory at once while features are taken: on a CPU, on an accelerator.
