@@ -5,8 +5,8 @@ motion), ``models`` (the built-in scenes, and the ball-cage joint), ``solve`` (`
 ``analysis`` (features, sensitivities, studies, designs), ``io`` and ``cli`` (files and commands).
 
 The import has two side effects, for the whole process. It sets JAX to 64-bit numbers, because penetrations are
-micrometres and travel is metres. It adds one option to ``XLA_FLAGS``, which compiles the loops of a solver as single
-kernels. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
+micrometres and travel is metres. It adds two options to ``XLA_FLAGS``, which compile the loops of a solver as single
+kernels, and sooner. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
 (``xla.backend``).
 """
 

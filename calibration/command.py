@@ -106,7 +106,7 @@ def run(
     path = Path(path)
     check_kind(intervals)
     problem, understood = load_with_records(path)
-    folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
+    folder = outputs.open_folder(out, path.stem, outputs.Claim("calibrate", (*FILES, _SO_FAR), goes_on=NAME))
     base = base_of(path)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
@@ -474,8 +474,8 @@ def _write(done: _Done, growing: Growing) -> None:
     said = f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}"
     outputs.write_toml(folder / "fitted_scene.toml", ready, said)
     resolved = _resolved(path, outcome.base, outcome.problem, result.seed, done.starts)
-    outputs.write_toml(folder / "run.toml", resolved, f"resolved input of bcfj calibrate {path.name}")
-    outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=sources(path)))
+    known = outputs.environment(seed=result.seed, data=sources(path))
+    outputs.write_origin(folder, resolved, f"resolved input of bcfj calibrate {path.name}", known)
     if picked:
         outputs.write_json(folder / "models.json", choice.as_json(picked))
     content = {**as_json(result), "plausibility": plausibility.content(done.absurd)}

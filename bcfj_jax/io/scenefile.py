@@ -75,6 +75,11 @@ class SceneFile:
     reads: tuple[Channel, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def sources(self) -> list[Path]:
+        """The file, where there is one."""
+        return [self.source] if self.source else []
+
 
 Pair = tuple[Any, Any]
 

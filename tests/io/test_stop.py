@@ -81,7 +81,7 @@ def test_what_an_import_swallows_is_heard_before_work_begins(tmp_path):
         with contextlib.suppress(BaseException):
             os.kill(os.getpid(), signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            folder.open_folder(tmp_path / "out", "simulate", "impact", ["forces.csv"])
+            folder.open_folder(tmp_path / "out", "impact", folder.Claim("simulate", ["forces.csv"]))
     assert not (tmp_path / "out").exists()
 
 

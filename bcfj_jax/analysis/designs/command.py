@@ -51,11 +51,10 @@ def run(
     asked = load(what, more)
     check(asked)
     stem = Path(what).stem
-    folder = outputs.open_folder(out, "design", stem, FILES)
+    folder = outputs.open_folder(out, stem, outputs.Claim("design", FILES))
     source = [p for p in (Path(what), asked.given.source) if p and p.suffix == ".toml"]
-    outputs.write_toml(folder / "run.toml", asked.resolved, f"{what}, every default, SI")
     known = outputs.environment(seed=asked.search.seed, data=list(dict.fromkeys(source)))
-    outputs.write_json(folder / "environment.json", known)
+    outputs.write_origin(folder, asked.resolved, f"{what}, every default, SI", known)
     if asked.note:
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")

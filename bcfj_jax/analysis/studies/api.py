@@ -144,7 +144,7 @@ def prepare(found: Study, folder: Path) -> Store:
     said = folder / RUN
     # Several runs may share the folder; only one begins it.
     with outputs.session():
-        outputs.open_folder(folder, "study", "", _WRITES, goes_on=RUN, wait_s=_WAIT_S)
+        outputs.open_folder(folder, "", outputs.Claim("study", _WRITES, goes_on=RUN, wait_s=_WAIT_S))
         if said.exists():
             if specification.load(said).resolved != found.resolved:
                 remedy = "give --set and --seed as it was begun, or another folder: nothing is overwritten"
