@@ -335,11 +335,11 @@ class Dynamics(AbstractModel):
                 for which, force, arm in acting:
                     found.act(bodies[which], arm, force)
                 continue
-            parted = alike.apart(c, [(which, force, cross(arm, force)) for which, force, arm in acting])
+            parted = alike.apart(c, [(which, force, cross(arm, force), arm) for which, force, arm in acting])
             for one in c.each:
                 own = one.parts(now.bodies.parts)
-                for which, force, moment in parted[one.name]:
-                    found.wrench(own[which], force, moment)
+                for which, *wrench in parted[one.name]:
+                    found.wrench(own[which], *wrench)
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, CoordinateLoad):
