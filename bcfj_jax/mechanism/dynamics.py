@@ -38,6 +38,7 @@ from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
 from bcfj_jax.mechanism.model import (
     AbstractModel,
+    Life,
     Params,
     Solution,
 )
@@ -80,6 +81,7 @@ class Dynamics(AbstractModel):
     implicit: bool | None = eqx.field(static=True, default=None)
     touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
     longest_step: float | None = eqx.field(static=True, default=None)
+    life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
