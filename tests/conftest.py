@@ -27,7 +27,7 @@ import pytest
 from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
-from bcfj_jax.core import programs, surroundings
+from bcfj_jax.xla import programs, surroundings
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
 # Where child processes keep programs: not in the user's own folder.

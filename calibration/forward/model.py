@@ -20,9 +20,9 @@ from jax import Array
 from bcfj_jax import reading_history
 from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.xla.programs import program
 from calibration import attitudes
 from calibration.filters import Filter
 from calibration.forward.coordinates import Coordinate, coordinates_of

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from compiled import COMPILED
 
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 from calibration import fit, load
 from calibration.forward import model
 from calibration.forward.runs import contacts, failure
@@ -24,14 +24,14 @@ NAMES = {"two spheres", "at_start", "adam", "calibration", "calibration run"}
 # The command in a process of its own, and what that traced, read, compiled and missed in XLA's cache.
 COMMAND = """
 import collections, json, sys
-from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.xla.compile_cache import open_cache
 open_cache()
 import jax
 seen = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
 jax.monitoring.register_event_duration_secs_listener(lambda event, _, **__: seen.update([event.rpartition("/")[2]]))
 from pathlib import Path
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 from calibration import command
 code = command.run(Path(sys.argv[1]), Path(sys.argv[2]), 0, 4)
 unused = sorted({"numpyro", "petab", "pypesto", "matplotlib.pyplot", "scipy.signal"} & sys.modules.keys())
