@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.vectors import length, plus, spread, subtract, times
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Params, Proximity
@@ -86,7 +86,7 @@ def breaks(m: Dynamics, p: Params, end: ArrayLike) -> Array | None:
         grid = jnp.asarray(end) * jnp.linspace(0.0, 1.0, _LOOKS + 1)
         looked.append(_ends(grid, jax.vmap(amounts)(grid)))
     # XLA takes seconds to sort the numbers of a long table while it compiles.
-    xp = jnp if any(isinstance(x, Tracer) for x in (*known, *looked)) else np
+    xp = jnp if any(is_traced(x) for x in (*known, *looked)) else np
     times = [xp.asarray(x, dtype=np.float64).ravel() for x in (*known, *looked)]
     if not sum(x.size for x in times):
         return None
