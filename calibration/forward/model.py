@@ -284,6 +284,8 @@ def evaluation(model: Model) -> Callable[[np.ndarray], Evaluated]:
     rows, width = 1 if budget(model.scene).apart else _ROWS, len(model.coordinates)
     frame, numbers = divided(model)
     run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0))
+    # Handed over once: a run may take a millisecond, of which NumPy's arrays would take half.
+    numbers = jax.tree.map(lambda x: x if np.isscalar(x) else jax.device_put(x), numbers)
 
     def at(points: np.ndarray) -> Evaluated:
         found = []
