@@ -22,7 +22,7 @@ from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
 from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
-from bcfj_jax.io.units import column, format_si, quantity
+from bcfj_jax.io.units import WEIGHTS, column, format_si, quantity
 from calibration import problemfile
 from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
@@ -465,6 +465,9 @@ def _other(found: Understood, kind: str) -> list[str]:
     said = [f"It could observe more: {', '.join(more)}"] if more else []
     bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
     said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
+    heavy = {u: h for h in found.columns.values() if (u := column(h.removeprefix("-"))[1]) in WEIGHTS}
+    said += [f"CHECK: {h} is taken as the weight of so many {u}" for u, h in heavy.items()]
+    said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 

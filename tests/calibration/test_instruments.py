@@ -143,3 +143,32 @@ def test_a_million_samples_are_read_in_seconds(tmp_path):
     assert time.process_time() - begin < 5.0
     assert record.numbers("Kraft", "N", "here", False)[-1] == (count - 1) % 7 + 0.5
     assert record.lines[-1] == count + 1 and f"{count} rows, lines 2 to {count + 1}" in record.found
+
+
+def test_wrong_samples_side_by_side_and_in_a_contact_are_left_out(tmp_path):
+    """A spike and its echo beside it, of four times the peak; what is proposed is as of the record without them."""
+    texts = []
+    for spikes in ((), ((42, -1500.0), (89, -1497.0), (90, 1499.0), (117, -1411.0), (400, 1499.0), (401, -1499.0))):
+        force = instruments.FORCE.copy()
+        for at, value in spikes:
+            force[at] = value
+        rows = [f"{t:.6f},{f:.4f}" for t, f in zip(instruments.CLOCK, force, strict=True)]
+        (tmp_path / "a.csv").write_text("\n".join(["time [s],force [N]", *rows]) + "\n")
+        out = tmp_path / f"{len(texts)}.toml"
+        init.run(tmp_path / "a.csv", out, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+        texts.append([line for line in out.read_text().splitlines() if not line.startswith(("#", "window"))])
+        # Two samples more or less at its ends are left to the noise.
+        (one,) = problemfile.prepared(out)
+        assert one.times[[0, -1]] == pytest.approx([-5.45e-3, 14.2e-3], abs=0.15e-3)
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize(("unit", "weight"), [("lbs", 4.4482216), ("kg", 9.80665)])
+def test_a_force_in_a_unit_of_mass_is_a_weight_and_said(unit, weight, tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{t:.6f},{f / weight:.6f}" for t, f in zip(instruments.CLOCK, instruments.FORCE, strict=True)]
+    path.write_text("\n".join([f"time [s],load [{unit}]", *rows]) + "\n")
+    init.run(path, tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+    assert f"CHECK: load [{unit}] is taken as the weight of so many {unit}" in (tmp_path / "a.toml").read_text()
+    (one,) = problemfile.prepared(tmp_path / "a.toml")
+    assert one.readings["contact.normal"].raw.max() == pytest.approx(instruments.FORCE.max(), rel=1e-5)
