@@ -24,6 +24,7 @@ from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import WEIGHTS, column, format_si, quantity
 from calibration import problemfile
+from calibration.impacts import otherwise
 from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.plausible import effective
@@ -119,6 +120,10 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
     found = found_in(record, said)
+    if not said.scene:
+        otherwise.refuse_pulling(found.records[0], str(record))
+        if found.records and otherwise.is_slow(found.records[0]):
+            return _slow(found, record, out, said, say)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -126,9 +131,7 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
-    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
-    relative = Path(os.path.relpath(record, path.parent)).as_posix()
+    path, relative = _paths(record, out)
     text, missing = _text(found, kind, said, relative)
     create(path, text)
     if missing:
@@ -149,6 +152,49 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     say(f"wrote {path}")
     if _asks(found, kind, given[1], said.struck):
         say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
+    say(f"next: bcfj calibrate {quote(str(path))}")
+    return 0
+
+
+def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
+    """Where the problem file goes, and the record as seen from there."""
+    name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
+    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
+    return path, Path(os.path.relpath(record, path.parent)).as_posix()
+
+
+def _slow(found: Understood, record: Path, out: Path | None, said: Said, say: Callable[[str], None]) -> int:
+    """Write the scene of a slow test and its problem file."""
+    if found.runs[0]:
+        many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
+        raise InputError(str(record), many, f'choose one: --rows "{found.runs[0]} = 1"')
+    path, relative = _paths(record, out)
+    scene_path = path.with_name(f"{path.stem}_scene.toml")
+    scene, free = otherwise.driven(found.records[0])
+    lines = [
+        f"# A slow test, {found.path.name}: the body is driven, its mass does not count. Next: bcfj calibrate {quote(path.name)}",
+        *([f"# Read as {found.said}."] if found.said else []),
+        _Line(f"scene = {_quoted(scene_path.name)}", "in which the body follows the measured displacement"),
+        "[[experiment]]",
+        *_read_as(found, said, relative),
+        _Line(f'observe = {{ "contact.normal" = {_quoted(found.columns["N"])} }}'),
+        _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
+        "[free]",
+        free,
+    ]
+    made: list[Path] = []
+    try:
+        for one, text in ((scene_path, scene), (path, "\n".join(map(str, lines)) + "\n")):
+            create(one, text)
+            made.append(one)
+        for one in problemfile.prepared(path):
+            say(f"{one.name}: {'; '.join(one.notes)}")
+    except InputError:
+        for one in made:
+            one.unlink()
+        raise
+    say("force and displacement are those of a slow test, no impact; --scene impact takes one all the same")
+    say(f"wrote {scene_path} and {path}")
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
 
@@ -237,17 +283,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        _Line(
-            f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
-        ),
-        *([f"table = {_quoted(found.table)}"] if found.table else []),
-        *(
-            f"{key} = {_quoted(v) if isinstance(v, str) else v}"
-            for key, v in vars(said.stated).items()
-            if v is not None
-        ),
-        f"time = {_quoted(found.time)}",
-        *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
+        *_read_as(found, said, file),
         *(
             [_Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
             if found.each
@@ -263,6 +299,19 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *_free(s, known, kind, found, elastic),
     ]
     return "\n".join(map(str, lines)) + "\n", missing
+
+
+def _read_as(found: Understood, said: Said, file: str) -> list[_Line | str]:
+    """Lines that say where a record is and how it is read."""
+    every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
+    stated = {key: v for key, v in vars(said.stated).items() if v is not None}
+    return [
+        _Line(f"file = {_quoted(file)}", every),
+        *([f"table = {_quoted(found.table)}"] if found.table else []),
+        *(f"{key} = {_quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
+        f"time = {_quoted(found.time)}",
+        *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
+    ]
 
 
 def _asks(found: Understood, kind: str, speed: float | None, struck: str | None) -> bool:

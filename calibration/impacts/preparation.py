@@ -13,6 +13,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
+from bcfj_jax.data.clock import evened
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
@@ -99,9 +100,9 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
             that is not whole, and whatever leaves nothing to fit.
     """
-    faults, raw, clock = Faults(), {}, np.zeros(part.lines.size)
+    faults, raw, clock, rounded = Faults(), {}, np.zeros(part.lines.size), ""
     with faults:
-        clock = part.numbers(time, "s", f"{where} time", blank=False)
+        clock, rounded = evened(part.numbers(time, "s", f"{where} time", blank=False))
         check_clock(clock, part, time)
     for observes, header in observe.items():
         with faults:
@@ -119,7 +120,7 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
     begun = _first_contact(clock, first, np.where(lone[first], np.nan, raw[first]), where) if recipe.align else None
     clock = clock - (begun or 0.0)
     breaks = jumps(clock)
-    notes = [clock_note(clock), *_gap_notes(clock, breaks)]
+    notes = [clock_note(clock), *filter(None, [rounded]), *_gap_notes(clock, breaks)]
     for o, values in raw.items():
         notes += channel_notes(o, values, saturated[o]) + _wrong_notes(o, values[lone[o]], clock[lone[o]])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}

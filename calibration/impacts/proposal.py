@@ -17,7 +17,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
-from bcfj_jax.data.clock import TIMES
+from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.data.record import RUN_COLUMNS, Record, run_column, split
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
@@ -26,6 +26,7 @@ from calibration.impacts import plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
+from calibration.impacts.otherwise import without_time
 from calibration.noise.scatter import scatter
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
@@ -70,6 +71,8 @@ _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "coun
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
+# Durations of a contact over those of its event (``contacts``), which leaves out a speed's ends and what follows a place's turn.
+_WHOLE = {"m/s": 1.5, "m": 4.0}
 # Times the noise from which on a contact is seen.
 _SEEN = 12.0
 # Readings that are a channel.
@@ -175,6 +178,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     headers = ", ".join(h for h in table.header if h)
+    if "s" not in found and (known := without_time(table.header, found, where)):
+        raise known
     if "s" not in found:
         remedy = f'head one as "time [s]", or say which it is: --time "{_bare(table, 0)} [us]" of init calibration'
         faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
@@ -299,7 +304,7 @@ def _read(
     """Clock (N,) [s] and readings (N,) by unit of one run; what is wrong with them is put to ``faults``."""
     readings, clock = {}, np.arange(float(part.lines.size))
     with faults:
-        clock = part.numbers(time, "s", part.name, blank=False) if time else clock
+        clock = evened(part.numbers(time, "s", part.name, blank=False))[0] if time else clock
         check_clock(clock, part, time)
     for unit, header in found.items():
         with faults:
@@ -478,6 +483,7 @@ class Sizes(NamedTuple):
 def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
+    whole = _WHOLE.get(next(u for u in _READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events
@@ -493,8 +499,8 @@ def sizes(found: Understood) -> Sizes:
     return Sizes(
         peak=middle([r.events[0].peak for r in has]),
         impulse=middle(pushed),
-        duration=middle([e.duration for e in events]),
-        samples=int(np.median([e.last - e.first + 1 for e in events])),
+        duration=whole * middle([e.duration for e in events]),
+        samples=int(whole * np.median([e.last - e.first + 1 for e in events])),
         step=middle([e.step for e in events]),
         contacts=len(longest),
         speed=ends([s[0] for s in speeds]) if speeds else None,
