@@ -103,9 +103,9 @@ def init(
         str | None, typer.Option(help='Of a WAV file: what its full scale stands for, "500 N".')
     ] = None,
     time: Annotated[
-        str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 [us]".')
+        str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 (us)".')
     ] = None,
-    observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 [N]".')] = None,
+    observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 (N)".')] = None,
     runs_by: Annotated[str | None, typer.Option(help="Column that numbers runs.")] = None,
     rows: Annotated[str | None, typer.Option(help='Rows to take: "Sensor = A".')] = None,
     code: Code = None,

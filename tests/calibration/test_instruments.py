@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from bcfj_jax import InputError
+from bcfj_jax.cli import app
 from bcfj_jax.data import clock
 from bcfj_jax.data.reading import read
 from bcfj_jax.data.sensitivity import Sensitivities
@@ -172,3 +174,51 @@ def test_a_force_in_a_unit_of_mass_is_a_weight_and_said(unit, weight, tmp_path):
     assert f"CHECK: load [{unit}] is taken as the weight of so many {unit}" in (tmp_path / "a.toml").read_text()
     (one,) = problemfile.prepared(tmp_path / "a.toml")
     assert one.readings["contact.normal"].raw.max() == pytest.approx(instruments.FORCE.max(), rel=1e-5)
+
+
+def _two_sensors(path):
+    """Hits 1 and 2 of two sensors, B with half of A's force; "part" is 7, then 3."""
+    rows = [
+        f"{sensor},{part},{t:.6f},{share * f:.4f}"
+        for part in (7, 3)
+        for sensor, share in (("A", 1.0), ("B", 0.5))
+        for t, f in zip(instruments.CLOCK - instruments.CLOCK[0], instruments.FORCE, strict=True)
+    ]
+    path.write_text("\n".join(["Sensor,part,time [s],force [N]", *rows]) + "\n")
+
+
+def _init(path, *options):
+    return CliRunner().invoke(
+        app, ["init", "calibration", str(path), "--out", str(path.with_suffix(".toml")), *options]
+    )
+
+
+@pytest.mark.parametrize(("sensor", "share"), [("A", 1.0), ("B", 0.5)])
+def test_rows_and_runs_by_of_the_command_line(sensor, share, tmp_path):
+    path = tmp_path / "a.csv"
+    _two_sensors(path)
+    done = _init(path, "--mass", "0.8 kg", "--speed", "1.2 m/s", "--rows", f"Sensor = {sensor}", "--runs-by", "part")
+    assert done.exit_code == 0, done.output
+    text = path.with_suffix(".toml").read_text()
+    assert f'rows = {{ "Sensor" = "{sensor}" }}' in text and 'runs_by = "part"' in text
+    found = problemfile.prepared(path.with_suffix(".toml"))
+    assert [one.name for one in found] == ["part 7", "part 3"]
+    for one in found:
+        raw = one.readings["contact.normal"].raw
+        np.testing.assert_allclose(raw, share * instruments.FORCE, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--rows", "Sensor"), 'give a column and a value: "Sensor = A"'),
+        (("--rows", "Sensor = C"), "no row has Sensor = C; values there: A, B"),
+        (("--rows", "Sensors = A"), "did you mean 'Sensor'"),
+        (("--runs-by", "prt"), "did you mean 'part'"),
+    ],
+)
+def test_rows_and_columns_that_are_not_there_are_refused(options, said, tmp_path):
+    _two_sensors(tmp_path / "a.csv")
+    done = _init(tmp_path / "a.csv", *options)
+    assert done.exit_code == 2 and said in " ".join(done.output.split()), done.output
+    assert not (tmp_path / "a.toml").exists()
