@@ -59,7 +59,7 @@ _FIXED = "fixed"
 _STRUCK = 'QUESTION: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """A line of the file, and what is said behind it."""
 
     text: str
@@ -119,11 +119,18 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    found = found_in(record, said)
+    from calibration import init_scenes
+
+    try:
+        found = found_in(record, said)
+    except otherwise.InMotion as moved:
+        if said.scene:
+            raise
+        return init_scenes.toss(moved, record, out, said, say)
     if not said.scene:
         otherwise.refuse_pulling(found.records[0], str(record))
         if found.records and otherwise.is_slow(found.records[0]):
-            return _slow(found, record, out, said, say)
+            return init_scenes.slow(found, record, out, said, say)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -131,7 +138,7 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    path, relative = _paths(record, out)
+    path, relative = paths_of(record, out)
     text, missing = _text(found, kind, said, relative)
     create(path, text)
     if missing:
@@ -156,47 +163,11 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     return 0
 
 
-def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
+def paths_of(record: Path, out: Path | None) -> tuple[Path, str]:
     """Where the problem file goes, and the record as seen from there."""
     name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
     path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
     return path, Path(os.path.relpath(record, path.parent)).as_posix()
-
-
-def _slow(found: Understood, record: Path, out: Path | None, said: Said, say: Callable[[str], None]) -> int:
-    """Write the scene of a slow test and its problem file."""
-    if found.runs[0]:
-        many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
-        raise InputError(str(record), many, f'choose one: --rows "{found.runs[0]} = 1"')
-    path, relative = _paths(record, out)
-    scene_path = path.with_name(f"{path.stem}_scene.toml")
-    scene, free = otherwise.driven(found.records[0])
-    lines = [
-        f"# A slow test, {found.path.name}: the body is driven, its mass does not count. Next: bcfj calibrate {quote(path.name)}",
-        *([f"# Read as {found.said}."] if found.said else []),
-        _Line(f"scene = {_quoted(scene_path.name)}", "in which the body follows the measured displacement"),
-        "[[experiment]]",
-        *_read_as(found, said, relative),
-        _Line(f'observe = {{ "contact.normal" = {_quoted(found.columns["N"])} }}'),
-        _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
-        "[free]",
-        free,
-    ]
-    made: list[Path] = []
-    try:
-        for one, text in ((scene_path, scene), (path, "\n".join(map(str, lines)) + "\n")):
-            create(one, text)
-            made.append(one)
-        for one in problemfile.prepared(path):
-            say(f"{one.name}: {'; '.join(one.notes)}")
-    except InputError:
-        for one in made:
-            one.unlink()
-        raise
-    say("force and displacement are those of a slow test, no impact; --scene impact takes one all the same")
-    say(f"wrote {scene_path} and {path}")
-    say(f"next: bcfj calibrate {quote(str(path))}")
-    return 0
 
 
 def found_in(record: Path, said: Said) -> Understood:
@@ -280,18 +251,14 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
         *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
-        _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
-        _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
+        Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
+        Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        *_read_as(found, said, file),
-        *(
-            [_Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
-            if found.each
-            else []
-        ),
-        *([f"runs_by = {_quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
+        *read_as(found, said, file),
+        *([Line('contacts = "each"', "every contact is a record, each with a speed of its own")] if found.each else []),
+        *([f"runs_by = {quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
-        _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
+        Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
         *_columned(found, known, kind),
         *parameters,
@@ -301,16 +268,16 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     return "\n".join(map(str, lines)) + "\n", missing
 
 
-def _read_as(found: Understood, said: Said, file: str) -> list[_Line | str]:
+def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
     """Lines that say where a record is and how it is read."""
     every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
     stated = {key: v for key, v in vars(said.stated).items() if v is not None}
     return [
-        _Line(f"file = {_quoted(file)}", every),
-        *([f"table = {_quoted(found.table)}"] if found.table else []),
-        *(f"{key} = {_quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
-        f"time = {_quoted(found.time)}",
-        *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
+        Line(f"file = {quoted(file)}", every),
+        *([f"table = {quoted(found.table)}"] if found.table else []),
+        *(f"{key} = {quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
+        f"time = {quoted(found.time)}",
+        *(f"rows = {{ {quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
     ]
 
 
@@ -321,7 +288,7 @@ def _asks(found: Understood, kind: str, speed: float | None, struck: str | None)
 
 def _parameters(
     known: _Known, kind: str, elastic: bool, falls: bool, struck: str | None, asks: bool
-) -> tuple[list[_Line], list[str]]:
+) -> tuple[list[Line], list[str]]:
     """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
     if not isinstance(known.mass, tuple):
@@ -336,19 +303,19 @@ def _parameters(
         entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     missing = [key for key, value, *_ in entries if value is None]
     texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
-    texts |= {"struck_mass": _quoted(struck)} if struck else {}
+    texts |= {"struck_mass": quoted(struck)} if struck else {}
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN the question marks" if missing else "; ".join(origins)
     if asks:  # A line each: one of them is to be taken in.
         lines = [
-            _Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
+            Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
         ]
-        return [*lines, _Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
+        return [*lines, Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
     text = ", ".join(f"{key} = {text}" for key, text in texts.items())
-    return ([_Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
+    return ([Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
 
 
-def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
+def _columned(found: Understood, known: _Known, kind: str) -> list[Line]:
     """The line by which a column gives the speed of every run."""
     if not known.by_column:
         return []
@@ -356,7 +323,7 @@ def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
     key = "drop_height" if unit == "m" else "approach_speed"
     how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
     note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
-    return [_Line(f"columns = {{ {key} = {_quoted(header)} }}", note)]
+    return [Line(f"columns = {{ {key} = {quoted(header)} }}", note)]
 
 
 def rows_of(text: str | None) -> dict[str, Any]:
@@ -384,7 +351,7 @@ def _toml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """A text of TOML: headers of measured files may hold quotes and backslashes."""
     return json.dumps(text, ensure_ascii=False)
 
@@ -500,11 +467,11 @@ def _taken(columns: dict[str, str]) -> list[str]:
     return forces or [min(columns, key=lambda n: ("acceleration", "velocity", "place").index(n.split(".")[1]))]
 
 
-def _observed(found: Understood, kind: str) -> _Line:
+def _observed(found: Understood, kind: str) -> Line:
     columns = _columns(found, kind)
-    text = ", ".join(f'"{name}" = {_quoted(columns[name])}' for name in _taken(columns))
+    text = ", ".join(f'"{name}" = {quoted(columns[name])}' for name in _taken(columns))
     flipped = columns.get("contact.normal", "").startswith("-")
-    return _Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
+    return Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
 
 
 def _other(found: Understood, kind: str) -> list[str]:
@@ -520,7 +487,7 @@ def _other(found: Understood, kind: str) -> list[str]:
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
-def _window(s: Sizes, kind: str) -> list[_Line]:
+def _window(s: Sizes, kind: str) -> list[Line]:
     """About the first contact of an impact; a bounce is taken whole."""
     if kind == "bounce":
         return []
@@ -531,10 +498,10 @@ def _window(s: Sizes, kind: str) -> list[_Line]:
         after = min(after, s.duration + 0.7 * s.flights[0])
         note = f"the first of {s.contacts} contacts; --scene bounce takes all"
     ends = f'["{format_si(-before, "s", 3)}", "{format_si(after, "s", 3)}"]'
-    return [_Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), _Line(f"window = {ends}", note)]
+    return [Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), Line(f"window = {ends}", note)]
 
 
-def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[_Line]:
+def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[Line]:
     """What is searched, with bounds that follow from the impulse, the duration and the peak."""
     m, v, force = _middle(known.mass), _middle(known.speed), "N" in found.columns
     open_scale = m is None or known.speed == _ANY_SPEED
@@ -580,6 +547,6 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     return lines
 
 
-def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> _Line:
+def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> Line:
     lower, upper = bounds
-    return _Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)
+    return Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)

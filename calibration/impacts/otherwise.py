@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ _ALIKE, _PULLS = 0.33, 0.1
 _ELASTIC = 0.96
 # Rows of a table of places, and samples up to a peak by which a speed is told.
 _ROWS, _FEW = 300, 4
+PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
+_NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
     "rebound": re.compile(r"(?i)rebound|r[üu]ck(?:prall|sprung)|restitution"),
@@ -32,6 +35,34 @@ _DRIVEN = (
     "and a calibration file that observes its force: docs/howto/problem_file.md"
 )
 _EACH = "give each row as an [[experiment]] with {} and features = {{ {} }}: docs/howto/problem_file.md"
+
+
+class InMotion(InputError):
+    """A record of a body's places and attitudes: no channel of it is an impact along one axis."""
+
+    def __init__(self, table: Record, columns: dict[str, str]) -> None:
+        super().__init__(
+            table.name,
+            "it holds places and attitudes of a body in motion",
+            "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene",
+        )
+        self.table, self.columns = table, columns
+
+
+def refuse_motion(table: Record) -> None:
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds.
+
+    Raises:
+        InMotion: with the headers by coordinate.
+    """
+    found: dict[str, str] = {}
+    for header in table.header:
+        name = re.sub(r"^(?:pos(?:ition)?|place|cube|body)[ _.]", "", column(header)[0].strip().lower())
+        key = _NAMED.get(name, name)
+        if key in (*PLACES, *ATTITUDE):
+            found.setdefault(key, header)
+    if {*PLACES, *ATTITUDE} <= found.keys():
+        raise InMotion(table, found)
 
 
 def without_time(header: tuple[str, ...], kinds: Mapping[str, str], where: str) -> InputError | None:

@@ -26,7 +26,7 @@ from calibration.impacts import plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
-from calibration.impacts.otherwise import without_time
+from calibration.impacts.otherwise import refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
@@ -166,6 +166,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         InputError: where there is no clock, no reading or no contact in it.
     """
     where, faults = table.name, Faults(table.faults)
+    if hints.observe is None:
+        refuse_motion(table)
     run = _run_column(table) if hints.runs_by is None else hints.runs_by
     if run:
         run = table.header[table.index(run, "--runs-by")]
