@@ -5,7 +5,6 @@ What a record cannot tell, such as the mass, stands in the file as "? kg": ``bcf
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Callable, Iterable
@@ -20,15 +19,15 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
-from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
-from bcfj_jax.io.units import WEIGHTS, column, format_si, quantity
+from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
-from calibration.impacts import otherwise
+from calibration.impacts import otherwise, scenes, slow_tests
 from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
+from calibration.impacts.lines import FIXED, Line, Said, quoted, read_as
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Hints, Run, Sizes, Understood, sizes, understood
+from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -55,18 +54,7 @@ _BODY = (
     "body is fixed. Of two free bodies give mass (what strikes) and struck_mass"
 )
 # The one question of a record with a force and the acceleration of a body: what the other body is.
-_FIXED = "fixed"
 _STRUCK = 'QUESTION: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
-
-
-class Line(NamedTuple):
-    """A line of the file, and what is said behind it."""
-
-    text: str
-    note: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.text:<60}  # {self.note}" if self.note else self.text
 
 
 class _Known(NamedTuple):
@@ -82,55 +70,23 @@ class _Known(NamedTuple):
     by_column: bool = False
 
 
-class Said(NamedTuple):
-    """What is said beside the record.
-
-    Attributes:
-        scene: impact, bounce or oblique_impact; "" takes what the record looks like.
-        mass, speed: texts with units, where they are known.
-        table: which table inside the file.
-        struck: mass of the body that is struck, with a unit, or "fixed".
-        stated: how the record is written, where it is not to be found; the problem file then says so, too.
-        hints: which columns are what.
-    """
-
-    scene: str = ""
-    mass: str | None = None
-    speed: str | None = None
-    table: str | None = None
-    struck: str | None = None
-    stated: Stated = Stated()
-    hints: Hints = Hints()
-
-    def number(self, key: str, unit: str) -> float | None:
-        """A mass or a speed, SI."""
-        said = getattr(self, key)
-        return None if said is None else quantity(said, unit, f"--{key}")
-
-    @property
-    def other(self) -> float | None:
-        """Mass of the body that is struck [kg], if that is free and known."""
-        return None if self.struck in (None, _FIXED) else quantity(self.struck, "kg", "--struck-mass")
-
-
 def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) -> int:
     """Write RECORD's problem file into a folder, by default this one; never over another. ``say`` prints.
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    from calibration import init_scenes
-
+    path, relative = _paths(record, out)
     try:
         found = found_in(record, said)
     except otherwise.InMotion as moved:
         if said.scene:
             raise
-        return init_scenes.toss(moved, record, out, said, say)
+        return _with_scene(scenes.toss(moved, record, said, path, relative), path, say)
     if not said.scene:
-        otherwise.refuse_pulling(found.records[0], str(record))
-        if found.records and otherwise.is_slow(found.records[0]):
-            return init_scenes.slow(found, record, out, said, say)
+        slow_tests.refuse_pulling(found.records[0], str(record))
+        if found.records and slow_tests.is_slow(found.records[0]):
+            return _with_scene(scenes.slow(found, said, path, relative), path, say)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -138,7 +94,6 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    path, relative = paths_of(record, out)
     text, missing = _text(found, kind, said, relative)
     create(path, text)
     if missing:
@@ -158,16 +113,35 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
         raise
     say(f"wrote {path}")
     if _asks(found, kind, given[1], said.struck):
-        say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
+        say(f'one question is left in {path}, struck_mass: "{FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
     return 0
 
 
-def paths_of(record: Path, out: Path | None) -> tuple[Path, str]:
+def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
     """Where the problem file goes, and the record as seen from there."""
     name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
     path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
     return path, Path(os.path.relpath(record, path.parent)).as_posix()
+
+
+def _with_scene(proposed: scenes.Proposed, path: Path, say: Callable[[str], None]) -> int:
+    """Write a scene and its problem file, or neither, and say what is in the records."""
+    made: list[Path] = []
+    try:
+        for one, text in ((scenes.scene_of(path), proposed.scene), (path, "\n".join(map(str, proposed.lines)) + "\n")):
+            create(one, text)
+            made.append(one)
+        for one in () if proposed.missing else problemfile.prepared(path):
+            say(f"{one.name}: {'; '.join(one.notes)}")
+    except InputError:
+        for one in made:
+            one.unlink()
+        raise
+    say(proposed.kind)
+    say(f"wrote {scenes.scene_of(path)} and {path}")
+    say(f"next: {proposed.missing}bcfj calibrate {quote(str(path))}")
+    return 0
 
 
 def found_in(record: Path, said: Said) -> Understood:
@@ -268,19 +242,6 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     return "\n".join(map(str, lines)) + "\n", missing
 
 
-def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
-    """Lines that say where a record is and how it is read."""
-    every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
-    stated = {key: v for key, v in vars(said.stated).items() if v is not None}
-    return [
-        Line(f"file = {quoted(file)}", every),
-        *([f"table = {quoted(found.table)}"] if found.table else []),
-        *(f"{key} = {quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
-        f"time = {quoted(found.time)}",
-        *(f"rows = {{ {quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
-    ]
-
-
 def _asks(found: Understood, kind: str, speed: float | None, struck: str | None) -> bool:
     """Whether a record of a force and one body's acceleration leaves open what the other body is."""
     return kind == "impact" and struck is None and speed is None and {"N", "m/s^2"} <= found.columns.keys()
@@ -310,7 +271,7 @@ def _parameters(
         lines = [
             Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
         ]
-        return [*lines, Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
+        return [*lines, Line(f'# parameters.struck_mass = "{FIXED}"', _STRUCK)], missing
     text = ", ".join(f"{key} = {text}" for key, text in texts.items())
     return ([Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
 
@@ -345,15 +306,6 @@ def _asked_runs(found: Understood, said: Said) -> bool:
     return found.runs[0] not in ("", "file", "contact") and (
         said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
     )
-
-
-def _toml(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def quoted(text: str) -> str:
-    """A text of TOML: headers of measured files may hold quotes and backslashes."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 def _summary(found: Understood, s: Sizes) -> str:

@@ -117,12 +117,11 @@ def init(
         ready(code)
         from bcfj_jax.data.textfile import Stated
         from calibration import init as proposal
+        from calibration.impacts.proposal import Hints
 
         stated = Stated(separator, decimal, encoding, header, sensitivity, full_scale)
         wanted = proposal.rows_of(rows)
-        said = proposal.Said(
-            scene, mass, speed, table, struck_mass, stated, proposal.Hints(time, observe, runs_by, wanted)
-        )
+        said = proposal.Said(scene, mass, speed, table, struck_mass, stated, Hints(time, observe, runs_by, wanted))
         return proposal.run(record, out, said, typer.echo)
     if record is not None:
         found = f"{record} after the scene '{what}'"

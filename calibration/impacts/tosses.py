@@ -122,7 +122,7 @@ def scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None)
     size, inertia = (f'"{1e3 * half:.4g} mm"', f"{2.0 / 3.0 * m * half**2:.3g}") if half else ('"? mm"', '"? kg m^2"')
     start = ", ".join(f"{n} = {v:.6g}" for n, v in tosses[0].state.values.items())
     weight = m * GRAVITY
-    known = "as given" if mass else "places do not tell it: stiffness is for a mass of 1 kg"
+    known = "as given" if mass else "unknown from places: stiffness is for a mass of 1 kg"
     up = PLACES[axis]
     return f"""# A body tossed on a plane; written by bcfj init calibration.
 [scene]
