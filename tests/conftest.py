@@ -59,6 +59,20 @@ for name, count in (("all", 100), ("fast", 25)):
 settings.load_profile("all")
 
 
+# Most of a test's time is XLA's. Its optimisations take two fifths of that, and the tests' programs run too shortly to win
+# it back. The slow tier compiles as users do, as does every command that a test runs in a process of its own.
+_QUICK = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
+
+
+def pytest_configure(config):
+    """XLA reads its options when the first device is asked for; processes of tests do not inherit them."""
+    if "nnot slow" in (config.option.markexpr or ""):
+        flags = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = f"{flags} {_QUICK}"
+        jax.devices()
+        os.environ["XLA_FLAGS"] = flags
+
+
 # The files that take longest go first, so that no worker is left alone with one at the end.
 LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py")
 

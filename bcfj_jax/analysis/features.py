@@ -6,6 +6,8 @@ value, JAX's derivatives, and those of a finished run. A feature is added by one
 ``derivatives.measures`` takes features of whole runs, ``derivatives.names`` reads their names, ``EVENTS`` are those of single
 contacts.
 
+Wear, pressure and life are of readings of a contact (``mechanism.channels.READ_BY``), which ``observing`` shows.
+
 A normal force that is read has a sign where a contact pushes both ways; a feature is of its size |F|, and ``side`` says
 which way it is where it is greatest: ``summary``, ``of_steps`` and ``derivatives.measures`` take the size before all else.
 
@@ -35,6 +37,7 @@ from bcfj_jax.analysis.histories import within as within
 from bcfj_jax.core.dual import Dual, backend, either, still, unsloped
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import power
+from bcfj_jax.mechanism.channels import READ_BY
 
 # Share of its settled peak at which a contact's load has begun; and within which a settled force repeats itself.
 BEGUN = SETTLED = 0.05
@@ -349,11 +352,15 @@ class Kind(NamedTuple):
     @property
     def per_second(self) -> bool:
         """Whether it grows with the duration of a run whose course is the same."""
-        return self.unit.endswith("s")
+        return self.unit.endswith("s") or self.turn == "longer"
 
 
 def _largest(values: Any) -> Any:
     return backend(values).max(values)
+
+
+def _least(values: Any) -> Any:
+    return backend(values).min(values)
 
 
 def _first(values: Any) -> Any:
@@ -399,6 +406,12 @@ def _settling(s: Seen) -> Any:
         return unsloped(settling_time(s.times, still(s.force), float(still(s.cycle)), SETTLED), s.force)
     except InputError:
         return math.nan
+
+
+def _rolling(s: Seen) -> Any:
+    # Of a share of the load rating: (C/P)^3 with P the 3-mean of the load.
+    xp = backend(s.times, s.force)
+    return (s.times[-1] - s.times[0]) / xp.trapezoid(s.force * s.force * s.force, s.times)
 
 
 def _touches(k: int) -> Callable[[Seen], float]:
@@ -468,6 +481,17 @@ KINDS: dict[str, Kind] = {
         # A residual of order 9 over fewer samples is rounding.
         "N", "what clearance adds to the force", lambda s: residual_oscillation(s.times, s.force), 11, rank=6
     ),
+    "wear_volume": Kind(
+        "m^3", "volume that is worn off, k/H times the integral of |N| |v| (Archard)", _impulse, 2, curve="impulse",
+        turn="longer",
+    ),
+    "peak_pressure": Kind(
+        "Pa", "greatest Hertz pressure", lambda s: crests.greatest(s.times, s.force, s.curve), 1, _largest, curve="peak",
+        turn="same",
+    ),
+    "rolling_life": Kind(
+        "1", "L10 in millions of revolutions, (C/P)^3 (ISO 281); of members the least", _rolling, 2, _least, turn="same"
+    ),
     "delay": Kind("s", "by which the second force comes later", _delay, 2, cyclic=True),
     "ripple": Kind("N", "greatest less least force of the last two thirds", lambda s: ripple(s.times, s.force)),
     "onset": Kind("s", "when the first member first has 5 % of its settled peak", _onset, 1, _first, host=True),
@@ -519,6 +543,8 @@ PAIR = "delay"
 OF_TURN = tuple(name for name, kind in KINDS.items() if kind.turn)
 # Of a summary.
 UNITS = {name: kind.unit for name, kind in KINDS.items() if kind.steps} | {"side": "1"}
+# Of a summary of a scene whose materials are given.
+OF_LIFE = {name: KINDS[name].unit for name in READ_BY}
 
 
 def of_steps(end: float, steps: Mapping[str, float]) -> dict[str, float]:

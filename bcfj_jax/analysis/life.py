@@ -7,39 +7,29 @@ Pure functions of histories, SI. ``wear_volume``, ``worn`` and ``equivalent_load
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.analysis import features
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.numerics import power
 from bcfj_jax.core.quantities import real
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.io import outputs
+from bcfj_jax.mechanism.channels import READ_BY, channel, read, shares
+from bcfj_jax.mechanism.materials import SOURCES as SOURCES
+from bcfj_jax.mechanism.materials import STEEL as STEEL
+from bcfj_jax.mechanism.materials import material
+from bcfj_jax.mechanism.materials import with_materials as with_materials
+from bcfj_jax.mechanism.model import AbstractModel, Params, Reading
 from bcfj_jax.solve.simulation import reading_history
 
 # Greatest shear stress under the surface over the greatest pressure p0 (Johnson 1985, Contact Mechanics, 3.4 and 4.2).
 POINT_SHEAR, LINE_SHEAR = 0.31, 0.30
-# Of a hardened bearing steel that slides on itself, lubricated at the boundary.
-STEEL: dict[str, float] = {
-    "wear_coefficient": 1e-6,  # k of V = k N s/H [-]
-    "hardness": 7.0e9,  # H [Pa]
-    "yield_stress": 1.7e9,  # of uniaxial tension [Pa]
-    "fatigue_stress": 0.7e9,  # stress range at ``fatigue_cycles`` [Pa]
-    "fatigue_cycles": 2e6,
-    "fatigue_exponent": 5.0,  # m of N = N0 (S0/S)^m
-}
-SOURCES: dict[str, str] = {
-    "wear_coefficient": "GUESS, of 1e-7 to 1e-5: lubricated steel (Rabinowicz 1995, Friction and Wear of Materials)",
-    "hardness": "60 HRC, about 700 HV (ISO 18265)",
-    "yield_stress": "GUESS: some 0.2 % proof stress of 100Cr6 at 60 HRC",
-    "fatigue_stress": "GUESS",
-    "fatigue_cycles": "GUESS: knee of the line",
-    "fatigue_exponent": "GUESS: 5 of unnotched steel, 3 of welds (EN 1993-1-9)",
-}
 
 
 def static_safety(pressure: ArrayLike, yield_stress: ArrayLike, shear: float = POINT_SHEAR) -> Array:
@@ -92,6 +82,27 @@ def wear_volume(
     return archard(times, found[names[0]], found[names[1]], coefficient, hardness)
 
 
+def of_run(scene: AbstractModel, params: Params, run: Any) -> dict[str, dict[str, float]]:
+    """Wear volume, greatest Hertz pressure and rolling life of a finished run, by contact, members apart; from its samples.
+
+    By the scene's materials. What a contact has not (a wear without friction, a pressure of no point contact) is left out.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for contact in scene.contacts:
+        name = contact.name
+        reading = Reading(run.force[name], run.penetration[name], run.rate[name], run.slip.get(name))
+        for kind, what in READ_BY.items():
+            one = channel(f"{name}.{what}", scene)
+            try:
+                values = read([one], {name: reading}, {}, shares([one], scene, params))[one.name]
+            except InputError:
+                continue
+            for member, x in outputs.channels({name: np.asarray(values)}).items():
+                number = features.KINDS[kind].of(features.Seen(run.times, x, None))
+                found.setdefault(member, {})[kind] = float(number)
+    return found
+
+
 def depth_map(
     place: ArrayLike, times: ArrayLike, normal: ArrayLike, slip: ArrayLike, edges: ArrayLike, width: float, rate: float
 ) -> np.ndarray:
@@ -125,6 +136,31 @@ def worn(volume: Callable[[float], float], clearance: float, area: float, repeat
     for _ in range(blocks):
         found.append(found[-1] + repeats * float(volume(found[-1])) / area)
     return np.array(found)
+
+
+def grown(
+    scene: AbstractModel, params: Params, times: ArrayLike, contact: str, runs_by_area: float, blocks: int
+) -> np.ndarray:
+    """``worn`` of a contact of a scene, whose run is made anew with each clearance; of members the mean volume.
+
+    Args:
+        scene, params, times: as of ``wear_volume``; materials are the scene's (``with_materials``).
+        contact: one with friction and the parameter ``clearance_<contact>``.
+        runs_by_area: runs in a block over the area that wears [1/m^2].
+        blocks: as of ``worn``.
+
+    Raises:
+        InputError: as ``wear_volume``, and for a contact without a clearance.
+    """
+    name, read = f"clearance_{contact}", material(scene, contact)
+    if name not in params:
+        raise InputError(f"contact '{contact}'", "has no clearance that could grow", "name one with a clearance")
+
+    def volume(clearance: float) -> float:
+        how = {"coefficient": read["wear_coefficient"], "hardness": read["hardness"]}
+        return float(jnp.mean(wear_volume(scene, {**params, name: jnp.asarray(clearance)}, times, contact, **how)))
+
+    return worn(volume, float(params[name]), 1.0, runs_by_area, blocks)
 
 
 class Cycles(NamedTuple):

@@ -5,6 +5,7 @@
     [time]         end, samples; the run starts at 0
     [accuracy]     force_error or level, max_steps and solver, resolved_peaks
     [[read]]       of, frame: readings to keep (``mechanism.channels``)
+    [life]         numbers of materials (``mechanism.materials``), of one contact in [life.CONTACT]
 
 A scene of kind "mechanism" lists its parts in further tables (``mechanismfile``).
 Without a ``law``, a file that gives ``restitution`` gets the law ``exact``, which delivers it.
@@ -34,7 +35,7 @@ from bcfj_jax.core.quantities import check_order, check_value, scalar
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
 from bcfj_jax.io.units import quantity, toleranced
-from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism import inputs, materials
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, horizon
 from bcfj_jax.mechanism.observed import Observed
@@ -159,6 +160,7 @@ class _File(tables.Table):
     load: list[Any] = pydantic.Field(default_factory=list)
     quantity: dict[str, Any] = pydantic.Field(default_factory=dict)
     read: list[Any] = pydantic.Field(default_factory=list)
+    life: dict[str, tables.Number | dict[str, tables.Number]] = pydantic.Field(default_factory=dict)
 
 
 def schema() -> dict[str, Any]:
@@ -235,16 +237,22 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     if longest is not None:
         longest = scalar(f"{where}: [time]", LONGEST, longest)
         scene = replace(scene, longest_step=longest)  # pyright: ignore[reportArgumentType]
+    if file.life:
+        scene = _with_life(scene, file.life, f"{where}: [life]")
     scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
-    resolved = {
-        **made_of,
-        "parameters": {name: float(value) for name, value in params.items()},
-        "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
-        "accuracy": {"level" if isinstance(accuracy, str) else "force_error": accuracy, "max_steps": steps}
-        | ({"solver": solver} if solver else {})
-        | ({"resolved_peaks": True} if peaks else {}),
-    } | ({"read": readings} if readings else {})
+    resolved = (
+        {
+            **made_of,
+            "parameters": {name: float(value) for name, value in params.items()},
+            "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
+            "accuracy": {"level" if isinstance(accuracy, str) else "force_error": accuracy, "max_steps": steps}
+            | ({"solver": solver} if solver else {})
+            | ({"resolved_peaks": True} if peaks else {}),
+        }
+        | ({"read": readings} if readings else {})
+        | ({"life": materials.listed(scene.life)} if scene.life else {})
+    )
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
@@ -252,6 +260,19 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         remedy = "leave the solver out, or take rodas3 or sdirk2"
         raise InputError(f"{where}: [accuracy] resolved_peaks", "with the solver 'bdf'", remedy)
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
+
+
+def _with_life(scene: AbstractModel, given: Mapping[str, Any], where: str) -> AbstractModel:
+    """A scene with the numbers of its materials, SI."""
+
+    def plain(name: str, value: Any) -> Any:
+        return quantity(value, materials.GIVEN[name], f"{where} {name}") if name in materials.GIVEN else value
+
+    numbers = {
+        key: {name: plain(name, x) for name, x in value.items()} if isinstance(value, Mapping) else plain(key, value)
+        for key, value in given.items()
+    }
+    return materials.with_materials(scene, numbers, where)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

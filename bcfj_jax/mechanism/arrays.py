@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.normal import AbstractLaw
@@ -266,3 +267,10 @@ def _full(cell: types.CellType) -> bool:
         return cell.cell_contents is not None
     except ValueError:
         return False
+
+
+def leaf(value: ArrayLike) -> Array:
+    """A value of a parameter in float64; of a plain number nothing is compiled, so that bad ones are refused at once."""
+    if isinstance(value, (int, float, np.ndarray, np.generic)):
+        return jax.device_put(np.asarray(value, dtype=np.float64))
+    return jnp.asarray(value, dtype=jnp.float64)

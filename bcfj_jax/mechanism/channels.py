@@ -2,6 +2,7 @@
 
     <contact>.normal | axial | tangential        force in the contact's own frame [N]
     <contact>.penetration | rate | slip          [m], [m/s], [m/s]
+    <contact>.wear_rate | pressure | load_share  what wear, greatest Hertz pressure and life are taken of (``materials``)
     <contact>.side                               on which side a contact that pushes both ways pushes: 1, -1, or 0
     <contact>.force.x | y | z                    whole force on the second body, world axes [N]
     <body>.place | velocity | acceleration.x|y|z of the centre of mass, world axes [m, m/s, m/s^2]
@@ -27,12 +28,17 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.numerics import power
+from bcfj_jax.mechanism import materials
 from bcfj_jax.mechanism.bodies import QUATERNION, RATES, SPINS
 from bcfj_jax.mechanism.bodies import unit_of as unit_of_start
 from bcfj_jax.mechanism.model import AbstractModel, BodyMotion, Params, Reading
 
 _OWN = {"normal": 0, "axial": 1, "tangential": 2}
 _SCALARS = {"penetration": "m", "rate": "m/s", "slip": "m/s", "side": "1"}
+# Of the materials of a contact; and the features that are of them, by kind.
+_OF_LIFE = {"wear_rate": "m^3/s", "pressure": "Pa", "load_share": "1"}
+READ_BY = {"wear_volume": "wear_rate", "peak_pressure": "pressure", "rolling_life": "load_share"}
 _VECTORS = {"place": "m", "velocity": "m/s", "acceleration": "m/s^2", "spin": "rad/s", "spin_rate": "rad/s^2"}
 _DRIVEN = {"torque": "N m", "drive": "N"}
 ATTITUDE = "attitude"
@@ -66,8 +72,8 @@ class Channel(NamedTuple):
 
 
 _PATTERN = re.compile(
-    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_DRIVEN, *_JOINT])}|(?:force|{'|'.join(_VECTORS)})\.[xyz]|{ATTITUDE}\.q[0-3])"
-    r"(?: in \w+)?"
+    rf"\w+\.(?:{'|'.join([*_OWN, *_SCALARS, *_OF_LIFE, *_DRIVEN, *_JOINT])}|(?:force|{'|'.join(_VECTORS)})\.[xyz]"
+    rf"|{ATTITUDE}\.q[0-3])(?: in \w+)?"
 )
 
 
@@ -84,7 +90,7 @@ def unit_of(name: str) -> str:
 def quantity_of(name: str) -> tuple[str, str]:
     """What an axis calls a reading, and its SI unit, by its name: ("spin rate", "rad/s^2")."""
     what = name.partition(" in ")[0].split(".")[1] if "." in name else ""
-    unit = {**_SCALARS, **_VECTORS, **_DRIVEN, **_JOINT, ATTITUDE: "1"}.get(what)
+    unit = {**_SCALARS, **_OF_LIFE, **_VECTORS, **_DRIVEN, **_JOINT, ATTITUDE: "1"}.get(what)
     return (what.replace("_", " "), unit) if unit else ("force", "N")
 
 
@@ -112,7 +118,7 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
             raise InputError(where, f"'{stem}' has no member {number}", f"it has {count}" if count else f"write {stem}")
         part, member = stem, int(number)
     if part in contacts:
-        known = [*_OWN, *_SCALARS, *(f"force.{k}" for k in "xyz")]
+        known = [*_OWN, *_SCALARS, *_OF_LIFE, *(f"force.{k}" for k in "xyz")]
     elif part in bodies:
         turned = [f"{ATTITUDE}.{q}" for q in QUATERNION]
         known = [*(f"{v}.{k}" for v in _VECTORS for k in "xyz"), *turned, *_DRIVEN, *_JOINT]
@@ -128,24 +134,39 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     return Channel(part, what, axis, frame, member)
 
 
+def shares(channels: Sequence[Channel], model: AbstractModel, params: Params) -> dict[str, Array]:
+    """By reading what of materials it multiplies (``materials.share``); empty where none is of life."""
+    return {c.name: materials.share(model, params, c.part, c.what) for c in channels if c.what in _OF_LIFE}
+
+
 def read(
-    channels: Sequence[Channel], contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion]
+    channels: Sequence[Channel],
+    contacts: Mapping[str, Reading],
+    bodies: Mapping[str, BodyMotion],
+    shares: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Values of readings, by name, (...,) or (..., k) over members, from what contacts and bodies show.
+    """Values of readings, by name, (...,) or (..., k) over members, from what contacts and bodies show, and ``shares``.
 
     Raises:
         InputError: for a reading that this model has not: an angle of a body that has none, a slip without friction.
     """
-    return {c.name: _member(c, _value(c, contacts, bodies)) for c in channels}
+    return {c.name: _member(c, _value(c, contacts, bodies, shares)) for c in channels}
 
 
 def _member(c: Channel, value: Array) -> Array:
     return value[..., c.member - 1] if c.member else value
 
 
-def _value(c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion]) -> Array:
+def _value(
+    c: Channel, contacts: Mapping[str, Reading], bodies: Mapping[str, BodyMotion], shares: Mapping[str, Array]
+) -> Array:
     if c.part in contacts:
         found = contacts[c.part]
+        if c.what in _OF_LIFE:
+            size = jnp.abs(found.force[..., 0])
+            if c.what == "wear_rate":
+                return shares[c.name] * size * _there(c._replace(what="slip"), found.slip)
+            return shares[c.name] * (power(size, 1.0 / 3.0) if c.what == "pressure" else size)
         if c.what in _OWN:
             return found.force[..., _OWN[c.what]]
         if c.what == "side":
@@ -223,10 +244,10 @@ def histories(
     model: AbstractModel, params: Params, times: Array, states: Array, channels: Sequence[Channel]
 ) -> dict[str, Array]:
     """Values of readings (T,), or (T, k) over members, in states (T, n) at times (T,) [s]; NaN where a state is."""
-    prepared, moving = model.prepare(params), needs_bodies(channels, model)
+    prepared, moving, of_life = model.prepare(params), needs_bodies(channels, model), shares(channels, model, params)
 
     def one(t: Array, y: Array) -> dict[str, Array]:
-        found = read(channels, model.observe(t, y, prepared), model.motions(t, y, prepared) if moving else {})
+        found = read(channels, model.observe(t, y, prepared), model.motions(t, y, prepared) if moving else {}, of_life)
         # What is prescribed does not know of a failed state.
         lost = jnp.any(jnp.isnan(y))
         return {name: jnp.where(lost, jnp.nan, value) for name, value in found.items()}

@@ -38,6 +38,7 @@ from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
 from bcfj_jax.mechanism.model import (
     AbstractModel,
+    Life,
     Params,
     Solution,
 )
@@ -80,6 +81,7 @@ class Dynamics(AbstractModel):
     implicit: bool | None = eqx.field(static=True, default=None)
     touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
     longest_step: float | None = eqx.field(static=True, default=None)
+    life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -335,11 +337,11 @@ class Dynamics(AbstractModel):
                 for which, force, arm in acting:
                     found.act(bodies[which], arm, force)
                 continue
-            parted = alike.apart(c, [(which, force, cross(arm, force)) for which, force, arm in acting])
+            parted = alike.apart(c, [(which, force, cross(arm, force), arm) for which, force, arm in acting])
             for one in c.each:
                 own = one.parts(now.bodies.parts)
-                for which, force, moment in parted[one.name]:
-                    found.wrench(own[which], force, moment)
+                for which, *wrench in parted[one.name]:
+                    found.wrench(own[which], *wrench)
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, CoordinateLoad):

@@ -74,8 +74,9 @@ class Equations:
         for j, (w, v) in part.partials.items():
             self.push(j, plus(dot(add(v, cross(w, arm)), force), dot(w, torque)))
 
-    def wrench(self, part: Part, force: Vector, moment: Vector) -> None:
-        """A force, and its moment about a body's origin; world."""
+    def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
+        """A force at ``arm`` from a body's origin whose moment about that is known; world."""
+        del arm
         for j, (w, v) in part.partials.items():
             self.push(j, plus(dot(v, force), dot(w, moment)))
 

@@ -14,6 +14,7 @@ from bcfj_jax.contact.wrench import ContactForce
 from bcfj_jax.core.vectors import (
     ZERO,
     Number,
+    Vector,
     add,
     cross,
     dot,
@@ -28,7 +29,7 @@ from bcfj_jax.core.vectors import (
     unit,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, equations
-from bcfj_jax.mechanism.bodies import JOINTS, RATES
+from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
@@ -171,12 +172,14 @@ def _power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -
     return power
 
 
+# Rounding of a force's share in a momentum's rate, of the force times its arm: a moment of exactly 0 is computed as so much.
+_ROUNDING = 1e-12
 # Velocities that turn; all others slide.
 _TURNING = ("speed", "wx", "wy", "wz")
 
 
 class _Forces(equations.Equations):
-    """Forces alone, and the sums of their sizes: those of a body in balance cancel each other."""
+    """Forces alone, and the sums of their sizes, at least of their rounding: those of a body in balance cancel each other."""
 
     def __init__(self, members: Sequence[int]) -> None:
         super().__init__(members)
@@ -184,7 +187,28 @@ class _Forces(equations.Equations):
 
     def push(self, j: int, force: Number) -> None:
         super().push(j, force)
-        self.sizes[j] = plus(self.sizes[j], equations.total(jnp.abs(jnp.asarray(force)), self.members[j]))
+        self._add(j, jnp.abs(jnp.asarray(force)))
+
+    def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
+        super().act(part, arm, force, torque)
+        self._rounded(part, arm, force)
+
+    def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
+        super().wrench(part, force, moment, arm)
+        self._rounded(part, arm, force)
+
+    def _rounded(self, part: Part, arm: Vector, force: Vector) -> None:
+        """What rounding may leave of a force whose moment is 0."""
+        for j, (w, v) in part.partials.items():
+            self._add(j, _ROUNDING * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
+
+    def _add(self, j: int, size: Number) -> None:
+        self.sizes[j] = plus(self.sizes[j], equations.total(size, self.members[j]))
+
+
+def _extent(x: Vector) -> Number:
+    """Sum of the sizes of its components."""
+    return _sum([abs(component) for component in x])
 
 
 def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:

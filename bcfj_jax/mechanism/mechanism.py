@@ -59,6 +59,7 @@ class Mechanism(Dynamics):
         samples: output times over it.
         scale: (mechanism, params, end) -> error scale, in place of the one from the expected loads.
         more: what a scene knows beside: (params, times) -> its numbers for the envelope.
+        life: numbers of materials that are not those of steel (``materials``).
         touch: time of the first contact [s] of parameters, or None; where the start alone tells it.
         longest_step: of a solver [s]; None: as long as its errors allow.
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
@@ -242,6 +243,17 @@ class Mechanism(Dynamics):
             found = f"none of its drives turns: {', '.join(b.name for b in self._driven)}"
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """Of a circle, (6 E*^2/(pi^3 R^2))^(1/3), R the gap's relative radius (Johnson 1985, 4.2)."""
+        one = self.contact(contact)
+        read: Any = one.coefficients(params)
+        radius = one.gap.radius(read)
+        if radius is None:
+            return None
+        return (6.0 * jnp.square(read.get("effective_modulus", modulus) / jnp.asarray(radius)) / jnp.pi**3) ** (
+            1.0 / 3.0
+        )
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """By the sizes that the contact's gap reads, its ``misread``, and the masses."""

@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -26,6 +25,7 @@ from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.arrays import leaf
 from bcfj_jax.mechanism.moments import Account as Account
 from bcfj_jax.mechanism.moments import Approaches as Approaches
 from bcfj_jax.mechanism.moments import Arrow as Arrow
@@ -35,6 +35,7 @@ from bcfj_jax.mechanism.moments import Chain as Chain
 from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.moments import Flows as Flows
+from bcfj_jax.mechanism.moments import Life as Life
 from bcfj_jax.mechanism.moments import Orbit as Orbit
 from bcfj_jax.mechanism.moments import Pose as Pose
 from bcfj_jax.mechanism.moments import Proximity as Proximity
@@ -420,6 +421,13 @@ class AbstractModel(eqx.Module):
         del params, run
         return []
 
+    # Numbers of materials that are not those of steel (``materials``).
+    life = ()
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """Hertz's p0/F^(1/3) [Pa/N^(1/3)], E* [Pa] the modulus of a model without one; None of no known point contact. Pure."""
+        del params, contact, modulus
+
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """How large the bodies at a contact are that is so deep at most [m], as far as the model reads it. On the host."""
         del params, contact, deepest
@@ -533,7 +541,7 @@ class AbstractModel(eqx.Module):
         known, defaults = self.quantities, dict(self.defaults)
         given = inputs.values(self, inputs.merged(values, more))
         return {
-            name: _array(given[name] if name in given else defaults[name])
+            name: leaf(given[name] if name in given else defaults[name])
             for name in known
             if name in given or name in defaults
         }
@@ -583,13 +591,6 @@ def horizon(model: AbstractModel, params: Params) -> float:
 
 def _horizon(model: AbstractModel, params: Params) -> Array:
     return jnp.asarray(model.horizon(params))
-
-
-def _array(value: ArrayLike) -> Array:
-    """In float64; of a plain number nothing is compiled, so that bad ones are refused at once."""
-    if isinstance(value, (int, float, np.ndarray, np.generic)):
-        return jax.device_put(np.asarray(value, dtype=np.float64))
-    return jnp.asarray(value, dtype=jnp.float64)
 
 
 def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:

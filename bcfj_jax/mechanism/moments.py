@@ -93,6 +93,10 @@ class BodyMotion(NamedTuple):
     joint: Mapping[str, Array] = {}
 
 
+# Numbers of materials: (contact, name, value), "" for every contact.
+Life = tuple[tuple[str, str, float], ...]
+
+
 class Bodies(NamedTuple):
     """Lengths of the bodies at a contact; None where they are not known.
 

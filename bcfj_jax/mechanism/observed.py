@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.channels import Channel, channel, is_reading, needs_bodies, read
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, needs_bodies, read, shares
 from bcfj_jax.mechanism.model import AbstractModel, Bodies, Coarser, Params, Reading
 
 
@@ -35,9 +37,9 @@ class Observed(AbstractModel):
     kind, samples, defaults, horizon, traits, quantities, title = map(  # pyright: ignore[reportAssignmentType]
         _of, ("kind", "samples", "defaults", "horizon", "traits", "quantities", "title")
     )
-    prepare, initial_state, vector_field, error_scale, tolerance = map(
-        _of, ("prepare", "initial_state", "vector_field", "error_scale", "tolerance")
-    )
+    initial_state, vector_field, error_scale, tolerance, life, unit_pressure = map(
+        _of, ("initial_state", "vector_field", "error_scale", "tolerance", "life", "unit_pressure")
+    )  # pyright: ignore[reportAssignmentType]
     first_step, structure, origin, instants, motions, flows = map(
         _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
     )
@@ -72,11 +74,17 @@ class Observed(AbstractModel):
         count = self.inner.members | self.inner.body_members
         return self.inner.members | {c.name: 0 if c.member else count.get(c.part, 0) for c in self.channels}
 
+    def prepare(self, params: Params) -> Any:
+        """The model's, and beside it what readings of life multiply."""
+        found, more = self.inner.prepare(params), shares(self.channels, self.inner, params)
+        return found if not more else {**found, **more} if isinstance(found, Mapping) else replace(found, beside=more)
+
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """The model's contacts, and each reading as a normal force without penetration."""
         found = self.inner.observe(t, y, prepared)
         moving = needs_bodies(self.channels, self.inner)
-        values = read(self.channels, found, self.inner.motions(t, y, prepared) if moving else {})
+        beside = prepared if isinstance(prepared, Mapping) else prepared.beside
+        values = read(self.channels, found, self.inner.motions(t, y, prepared) if moving else {}, beside)
         shown = {
             name: Reading(jnp.stack([x, zero, zero], -1), zero, zero)
             for name, x, zero in ((name, x, jnp.zeros_like(x)) for name, x in values.items())
@@ -107,15 +115,27 @@ class Observed(AbstractModel):
 
 
 def observing(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
-    """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration.
+    """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration,
+    "journal.wear_volume" for the rate of wear.
 
     Raises:
-        InputError: for a reading that the model has not, with the nearest that it has.
+        InputError: for a reading that the model has not, with the nearest that it has; a wear without friction.
     """
     contacts, wanted = model.members, {}
     known = [*contacts, *(f"{c}_{k + 1}" for c, count in contacts.items() for k in range(count))]
     for feature in features:
-        for place in feature.rpartition(".")[0].split(":"):
+        parts, _, kind = feature.rpartition(".")
+        for place in parts.split(":"):
+            if kind in READ_BY and place in known:
+                place = f"{place}.{READ_BY[kind]}"
+                _check_friction(model, place, feature)
             if place not in known and is_reading(place):
                 wanted[place] = channel(place, model, where=f"feature '{feature}'")
     return Observed(model, tuple(wanted.values())) if wanted else model
+
+
+def _check_friction(model: AbstractModel, place: str, feature: str) -> None:
+    one = channel(place, model, where=f"feature '{feature}'")
+    if one.what == "wear_rate" and next(c for c in model.contacts if c.name == one.part).friction is None:
+        found = f"'{one.part}' has no friction, and so no sliding speed that is read"
+        raise InputError(f"feature '{feature}'", found, "give the contact a friction law")

@@ -13,6 +13,8 @@ from bcfj_jax.models import steel_ball
 from bcfj_jax.models.backlash import backlash
 from bcfj_jax.models.chain import chain
 from bcfj_jax.models.four_bar import four_bar
+from bcfj_jax.models.hooke import SOURCES as HOOKE_SOURCES
+from bcfj_jax.models.hooke import hooke
 from bcfj_jax.models.impact import bounce, impact
 from bcfj_jax.models.joint import defaults as joint_numbers
 from bcfj_jax.models.joint.model import joint as joint
@@ -38,6 +40,7 @@ SCENES: dict[str, Callable[..., AbstractModel]] = {
     "slider_crank": slider_crank,
     "slider_guide": slider_guide,
     "four_bar": four_bar,
+    "hooke": hooke,
     "joint": joint_of_keys,
     "string": string_of_keys,
 }
@@ -58,6 +61,7 @@ SOURCES: dict[str, Sources] = {
     "impact": Sources(steel_ball.SOURCES),
     "bounce": Sources(steel_ball.SOURCES),
     "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
+    "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
     "string": Sources(
         {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS).items()}, joint_numbers.LEGEND
     ),

@@ -229,6 +229,33 @@ class Deaf(Mechanism):
         return Mechanism(self.kind, self.bodies, self.contacts).vector_field(t, y, prepared)
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_torque_of_rounding_is_no_contradiction(alone):
+    """A ball in a circular track, without friction: no force turns it, and what is computed of the torque is rounding."""
+    sizes = {"clearance": 2e-3, "ball_radius": 8e-3, "pitch_radius": 0.04, "offset": 0.0}
+    track = gaps.BallInGroove(section="circular")
+    names = ("ball",) if alone else tuple(f"ball_{k}" for k in range(6))
+    places = {name: 0.6 + 0.1 * k for k, name in enumerate(names)}
+    bodies = [
+        Body(
+            name,
+            "sphere",
+            mass=0.0167,
+            inertia=4.3e-7,
+            start={"x": 0.04 * np.sin(a), "z": -0.04 * np.cos(a), "vx": 0.15},
+        )
+        for name, a in places.items()
+    ]
+    hits = [
+        Contact(f"in_{name}", ("ground", name), track, law="carvalho_martins", smoothing=False, values=sizes)
+        for name in names
+    ]
+    scene = Mechanism("track", bodies, hits, [loads.Gravity("-z")], end=0.05)
+    _, found = closure(scene, np.linspace(0.0, 0.05, 501), stiffness=2e9, exponent=1.5, restitution=0.7, gravity=9.81)
+    assert found.verdict == balance.CLOSED
+    assert 0.0 < found.errors[names[0]]["angular_momentum"].error < 1e-2
+
+
 def test_a_planted_error_of_the_force_is_found():
     _, found = closure(balls(kind=Scaled))
     assert found.verdict == balance.MISSED and "of a and its forces contradict each other" in found.reason

@@ -11,7 +11,7 @@ from jax import Array
 
 from bcfj_jax.analysis.features import DEFAULT, EVENTS, KINDS, NAMED, OF_READING, PAIR
 from bcfj_jax.core.errors import InputError, nearest, texts
-from bcfj_jax.mechanism.channels import is_reading, unit_of
+from bcfj_jax.mechanism.channels import READ_BY, is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 
 _EVENT = re.compile(rf"({'|'.join(EVENTS)})_([1-9][0-9]{{0,3}})")
@@ -140,9 +140,9 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
     """A feature by name: ``contact.peak``, ``contact_3.peak`` of one member, ``first:second.delay`` of a pair.
 
     Args:
-        name: as above. Without a member's number, of a contact with members, ``peak`` is the largest member's and
-            the other features are the members' mean; a delay between contacts of unlike numbers is that of the first
-            members.
+        name: as above. Without a member's number, of a contact with members, ``peak`` is the largest member's, a life the
+            least's, and the other features are the members' mean; a delay between contacts of unlike numbers is that of
+            the first members.
         contacts: number of members by contact; 0 for a contact without.
 
     Raises:
@@ -162,7 +162,8 @@ def feature(name: str, contacts: Mapping[str, int]) -> Feature:
             raise InputError(f"feature '{name}'", f"no contact '{part}'", nearest(part, known))
         if event(kind) and is_reading(part):
             raise InputError(f"feature '{name}'", f"'{part}' is a reading", "name a contact, such as contact.begin_1")
-    return Feature(name, kind, parts)
+    # What is of a reading of the contact, which ``observing`` shows in a contact's place.
+    return Feature(name, kind, tuple(f"{part}.{READ_BY[kind]}" for part in parts) if kind in READ_BY else parts)
 
 
 def default_features(contacts: Mapping[str, int]) -> list[Feature]:

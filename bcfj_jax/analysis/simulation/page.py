@@ -170,7 +170,8 @@ def _rows(
     """
     there = {key for _, group in groups for one in group for key in one} - set(without)
     backwards = any(one.get("side") == -1.0 for _, group in groups for one in group)
-    known = [(key, unit) for key, unit in features.UNITS.items() if key in there and (key != "side" or backwards)]
+    units = features.UNITS | features.OF_LIFE
+    known = [(key, unit) for key, unit in units.items() if key in there and (key != "side" or backwards)]
     known += [(BETWEEN, "1")] if between else []
     rows = [["contact", *(key.replace("_", " ") for key, _ in known)]]
     for k, (name, group) in enumerate(groups):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis import balance, envelope, features, plausibility
+from bcfj_jax.analysis import balance, envelope, features, life, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, counted, model_form
@@ -297,6 +297,10 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     warnings = [*filter(None, [plausibility.headline(absurd)]), *warnings]
     found = {"balance": judged.content(), "plausibility": plausibility.content(absurd)}
     content = summary(run, given.scene.traits.turning) | found | whole
+    if scene.life and run.status == "ok":
+        for name, numbers in life.of_run(scene, params, run).items():
+            content["contacts"][name] |= numbers
+        content["units"] |= features.OF_LIFE
     warnings += filter(None, [whole.get("engineering", {}).get("warning")])
     content |= {"warnings": warnings}
     outputs.write_json(folder / "summary.json", content)

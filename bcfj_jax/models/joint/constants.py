@@ -33,6 +33,7 @@ class Constants(eqx.Module):
             unequal balls (balls, 2, 1).
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
         programmes: what programmes of drive and loads read; empty for the usual ones.
+        beside: what readings of it multiply (``mechanism.observed``).
     """
 
     groove: Groove
@@ -60,6 +61,7 @@ class Constants(eqx.Module):
     load_ramp: Array
     axial_load: Array
     programmes: dict[str, Array]
+    beside: dict[str, Array] = eqx.field(default_factory=dict)
 
 
 def _programmes(scene: Joint, p: Params) -> dict[str, Array]:

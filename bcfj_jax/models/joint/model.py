@@ -47,6 +47,7 @@ from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.checks import check_joint, suspects
+from bcfj_jax.models.joint.coefficients import patch
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
@@ -276,6 +277,11 @@ class JointModel(Joint):
     def warnings(self, params: Params, run: Any) -> list[str]:
         """``engineering.warnings``."""
         return engineering.warnings(self, params, run)
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """By its own radii and modulus (``coefficients.patch``)."""
+        del modulus
+        return patch(self, params, contact)[0].peak_pressure(1.0)
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""

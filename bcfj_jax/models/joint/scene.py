@@ -18,7 +18,7 @@ from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.arrays import own_quantities
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel, Life, Params
 from bcfj_jax.models.joint.defaults import DEFAULTS, SMOOTHING_OF_SPHERES
 from bcfj_jax.models.joint.programmes import Programmes
 
@@ -109,6 +109,7 @@ class Joint(AbstractModel):
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
         programmes: what of drive and loads is not constant.
         longest_step: of a solver [s]; None: as long as its errors allow.
+        life: numbers of materials that are not those of steel (``materials``).
 
     Where a field is left out it is the plain joint's; ``model.joint`` gives every one.
     """
@@ -128,6 +129,7 @@ class Joint(AbstractModel):
     kind: str = eqx.field(static=True, default="joint")
     samples: int = eqx.field(static=True, default=3001)
     longest_step: float | None = eqx.field(static=True, default=None)
+    life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
