@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bcfj_jax import InputError
+from bcfj_jax import InputError, reading_history, scenes
 from bcfj_jax.data import clock
 from benchmarks.calibration import instruments
 from calibration import fit, init, load
@@ -105,3 +105,22 @@ def test_times_that_stand_twice_for_another_reason_are_refused():
     even = 1e-3 * np.arange(100.0)
     for wrong in (np.sort(np.r_[even, even[40]]), np.sort(np.r_[even[:50], even[:50] + 0.01]), even):
         assert clock.evened(wrong)[1] == ""
+
+
+def test_a_place_from_first_touch_on_keeps_its_whole_contact(tmp_path):
+    """A contact of 240 us read as a place alone, which begins in it: the window holds all of it, the clock's bounds its touch."""
+    law = {"stiffness": 1e9, "exponent": 1.5, "damping": 0.03, "mass": 0.1, "approach_speed": 4.2}
+    times, scene = 3e-6 * np.arange(100), scenes.impact()
+    places = reading_history(scene, scene.parameters(**law), times, ["body.place.x"])["body.place.x"]
+    places = 1e3 * (np.asarray(places) + 2e-7 * RNG.standard_normal(times.size))
+    path = write(tmp_path / "a.csv", {"time [us]": 1e6 * times, "position [mm]": places})
+    init.run(path, tmp_path / "a.toml", init.Said(mass="0.1 kg", speed="4.2 m/s"), lambda line: None)
+    (one,) = prepared(tmp_path / "a.toml")
+    assert one.times.size == times.size
+    # Touch is at the record's first sample.
+    (experiment,) = load(tmp_path / "a.toml").experiments
+    low, high = experiment.bounds["time_offset"]
+    assert low < one.times[0] < high
+    assert {f.name: f.lower < law[f.name] < f.upper for f in load(tmp_path / "a.toml").free if f.name in law} == {
+        "stiffness": True, "exponent": True, "damping": True,
+    }  # fmt: skip
