@@ -83,7 +83,7 @@ def toss(moved: otherwise.InMotion, record: Path, said: Said, path: Path, file: 
             'noise = "estimate"',
             *tosses.own(run_, fixed),
         ]
-    lines += ["[free]", *tosses.free(runs, mass)]
+    lines += ["[free]", *tosses.free(runs, half, mass)]
     kind = f"places and attitudes are those of a tossed body: CHECK its size and inertia in {scene_of(path)}"
     missing = "" if half else "write the sizes in place of the question marks, then "
     return Proposed(tosses.scene(runs, max(axes), half, mass), lines, kind, missing)

@@ -19,6 +19,8 @@ from calibration.noise.scatter import scatter
 
 # Rows from which a first state is told, and the deviations of it that its bounds leave open.
 _FIRST, _OPEN = 8, 6.0
+# Bounds of an inertia, of that of a full cube.
+_INERTIAS = 0.7, 1.7
 # A body at rest moves by less [m].
 _STILL = 1e-3
 # Beyond the noise: a marker's place on the body [m], an attitude and its rate by the marker's spread.
@@ -119,7 +121,7 @@ def held(tosses: list[Toss]) -> str:
 def scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None) -> str:
     """The scene file: a box that flies, a plane, gravity."""
     m = mass or 1.0
-    size, inertia = (f'"{1e3 * half:.4g} mm"', f"{2.0 / 3.0 * m * half**2:.3g}") if half else ('"? mm"', '"? kg m^2"')
+    size, inertia = (f'"{1e3 * half:.4g} mm"', f"{full(half, mass):.3g}") if half else ('"? mm"', '"? kg m^2"')
     start = ", ".join(f"{n} = {v:.6g}" for n, v in tosses[0].state.values.items())
     weight = m * GRAVITY
     known = "as given" if mass else "unknown from places: stiffness is for a mass of 1 kg"
@@ -141,7 +143,7 @@ kind = "gravity"
 direction = "-{up}"
 [parameters]
 mass = "{m:.4g} kg"  # {known}
-inertia = {inertia}  # CHECK: of a full cube, about every axis
+inertia = {inertia}  # of a full cube, about every axis; CHECK
 half_length = {size}  # CHECK: half the height at which it rests
 half_width = {size}
 half_height = {size}
@@ -157,7 +159,12 @@ samples = {max(t.clock.size for t in tosses)}
 """
 
 
-def free(tosses: list[Toss], mass: float | None) -> list[str]:
+def full(half: float, mass: float | None) -> float:
+    """Moment of inertia of a full cube about every axis [kg m^2]; a hollow one has 5/3 of it."""
+    return 2.0 / 3.0 * (mass or 1.0) * half**2
+
+
+def free(tosses: list[Toss], half: float | None, mass: float | None) -> list[str]:
     """Lines of what is searched: the contact, the inertia, and each run's first state within bounds that hold all."""
     weight, fixed = (mass or 1.0) * GRAVITY, held(tosses)
     lines = [
@@ -165,6 +172,11 @@ def free(tosses: list[Toss], mass: float | None) -> list[str]:
         "damping = { lower = 0.05, upper = 50.0 }  # s/m",
         "friction_dynamic = { lower = 0.02, upper = 1.0 }",
     ]
+    if half:
+        ends = (share * full(half, mass) for share in _INERTIAS)
+        lines.append(
+            "inertia = {{ lower = {:.3g}, upper = {:.3g} }}  # kg m^2; of a full to a hollow cube".format(*ends)
+        )
     for n in tosses[0].state.values:
         if n != fixed:
             low, high = (f(f2(t, n) for t in tosses) for f, f2 in ((min, _low), (max, _high)))

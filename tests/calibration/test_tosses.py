@@ -63,7 +63,7 @@ def test_a_record_of_a_toss_becomes_a_box_on_a_plane(tmp_path):
     problem = load(tmp_path / "toss.toml")
     names = {f.name for f in problem.free}
     # The largest component of the attitude is held: the length of a quaternion says nothing.
-    assert names == {"stiffness", "damping", "friction_dynamic", *(f"body.{n}" for n in START if n != "q0")}
+    assert names == {"stiffness", "damping", "friction_dynamic", "inertia", *(f"body.{n}" for n in START if n != "q0")}
     assert all(f.each for f in problem.free if f.name.startswith("body."))
     assert problem.params["half_height"] == pytest.approx(HALF, rel=0.02)
     for name, value in START.items():
