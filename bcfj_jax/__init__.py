@@ -5,9 +5,9 @@ motion), ``models`` (the built-in scenes, and the ball-cage joint), ``solve`` (`
 ``analysis`` (features, sensitivities, studies, designs), ``io`` and ``cli`` (files and commands).
 
 The import has two side effects, for the whole process. It sets JAX to 64-bit numbers, because penetrations are
-micrometres and travel is metres. It adds one option to ``XLA_FLAGS``, which compiles the loops of a solver as single
-kernels. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
-(``core.backend``).
+micrometres and travel is metres. It adds two options to ``XLA_FLAGS``, which compile the loops of a solver as single
+kernels, and sooner. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
+(``xla.backend``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from bcfj_jax._version import __version__ as __version__
-from bcfj_jax.core import backend as _backend
+from bcfj_jax.xla import backend as _backend
 
 _backend.set_up()
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from bcfj_jax.contact import laws as laws
     from bcfj_jax.contact import restitution as restitution
     from bcfj_jax.contact import stiffness as stiffness
-    from bcfj_jax.core.compile_cache import use_cache as use_cache
     from bcfj_jax.core.errors import InputError as InputError
     from bcfj_jax.core.errors import nearest as nearest
     from bcfj_jax.core.quantities import Quantity as Quantity
@@ -55,6 +54,7 @@ if TYPE_CHECKING:
     from bcfj_jax.solve.simulation import force_history as force_history
     from bcfj_jax.solve.simulation import reading_history as reading_history
     from bcfj_jax.solve.simulation import simulate as simulate
+    from bcfj_jax.xla.compile_cache import use_cache as use_cache
 
 # Public names by the module that holds them; a name of its own stands for a module.
 _PUBLIC = {
@@ -63,7 +63,7 @@ _PUBLIC = {
     "stiffness": "contact.stiffness",
     "scenes": "models.scenes",
     "nonlinear": "analysis.nonlinear",
-    "use_cache": "core.compile_cache",
+    "use_cache": "xla.compile_cache",
     **{name: "core.errors" for name in ("InputError", "nearest")},
     **{name: "core.quantities" for name in ("Quantity", "check_value")},
     "gaps": "contact.gaps",

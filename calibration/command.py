@@ -13,7 +13,6 @@ from typing import Any
 from bcfj_jax import InputError
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.core.extras import library
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.growing import Growing
@@ -22,6 +21,7 @@ from bcfj_jax.io.page import Page, Table, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla.programs import keep_asked
 from calibration.diagnostics.answers import Answer
 from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
 from calibration.impacts.preparation import Prepared
@@ -107,7 +107,7 @@ def run(
     path = Path(path)
     check_kind(intervals)
     problem, understood = load_with_records(path)
-    folder = outputs.open_folder(out, "calibrate", path.stem, (*FILES, _SO_FAR), goes_on=NAME)
+    folder = outputs.open_folder(out, path.stem, outputs.Claim("calibrate", (*FILES, _SO_FAR), goes_on=NAME))
     base = base_of(path)
     key = key_of(
         [asdict(e) for e in problem.experiments], _resolved(path, base, problem, seed, starts), problem.accuracy,
@@ -479,8 +479,8 @@ def _write(done: _Done, growing: Growing) -> None:
     said = f"fitted by bcfj calibrate {path.name}; verdict: {result.verdict}"
     outputs.write_toml(folder / "fitted_scene.toml", ready, said)
     resolved = _resolved(path, outcome.base, outcome.problem, result.seed, done.starts)
-    outputs.write_toml(folder / "run.toml", resolved, f"resolved input of bcfj calibrate {path.name}")
-    outputs.write_json(folder / "environment.json", outputs.environment(seed=result.seed, data=sources(path)))
+    known = outputs.environment(seed=result.seed, data=sources(path))
+    outputs.write_origin(folder, resolved, f"resolved input of bcfj calibrate {path.name}", known)
     if picked:
         outputs.write_json(folder / "models.json", choice.as_json(picked))
     content = {**as_json(result), "plausibility": plausibility.content(done.absurd)}

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from bcfj_jax.core import limits, presented
 from bcfj_jax.core.errors import quoted
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import whole
-from bcfj_jax.core.threads import ahead
+from bcfj_jax.core.settings import taking
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.xla.threads import ahead
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
 from calibration.diagnostics.answers import Answer, contacts_met
 from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
@@ -118,16 +119,31 @@ class Fit:
         return self.values["stiffness"] * penetration ** self.values["exponent"]
 
 
-def fit(
-    problem: Problem,
-    *,
-    seed: int = 0,
-    starts: int = 12,
-    journal: Journal | None = None,
-    intervals: str = "covariance",
-    systematic: bool = True,
-    tell: Callable[[Fit], None] | None = None,
-) -> Fit:
+class FittingKeys(TypedDict, total=False):
+    """``Fitting`` as keywords."""
+
+    seed: int
+    starts: int
+    journal: Journal | None
+    intervals: str
+    systematic: bool
+    tell: Callable[[Fit], None] | None
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Settings of ``fit``."""
+
+    seed: int = 0
+    starts: int = 12
+    journal: Journal | None = None
+    intervals: str = "covariance"
+    systematic: bool = True
+    tell: Callable[[Fit], None] | None = None
+
+
+@taking(Fitting)
+def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
     """Calibrate: find the optimum from several starts and say what may be believed of it.
 
     Args:
@@ -146,38 +162,39 @@ def fit(
         AllStartsFailed: if no start's simulation succeeds.
         Interrupted: on Ctrl-C.
     """
-    starts, seed = _counted(problem, starts), whole("seed", seed, least=0)
-    check_kind(intervals)
+    wanted = Fitting(**settings)
+    starts, seed, tell = _counted(problem, wanted.starts), whole("seed", wanted.seed, least=0), wanted.tell
+    check_kind(wanted.intervals)
     influence.refuse_data(problem)
     for doubt in problem.doubts:
         log.info("before the fit: %s", doubt.text)
     fitted = _fitted(problem)
     model = build(problem, fitted)
     ahead(partial(evaluation, model))
-    if systematic:
+    if wanted.systematic:
         ahead(partial(law_errors.get_ready, model))
     given, screened = _given_start(problem, model), screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
         why = commonest_failure(model, screened.design[:_ASKED])
         raise AllStartsFailed(f"none of {len(screened.costs)} starting points simulates: {why}")
     checked = _checked(problem, model, screened, given)
-    model, ends = search(model, screened, given, starts, journal)
+    model, ends = search(model, screened, given, starts, wanted.journal)
     ends = tuple(replace(end, failure=failure(model, end.point)) if end.failure else end for end in ends)
     if ends[0].failure:
         why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]))
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(e.samples for e in fitted), noise.moved, model.loss)
-    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, intervals, checked)
+    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, wanted.intervals, checked)
     if tell:
         tell(_untested(at, ends, asked))
     with stage("testing the fit"):
         assessed = _assess(problem, at, ends, asked)
-    if not systematic:
+    if not wanted.systematic:
         return _doubted(problem, assessed)
     if tell:
         tell(replace(assessed, stage=NARROW))
-    return with_errors(problem, assessed, intervals == BOUND)
+    return with_errors(problem, assessed, wanted.intervals == BOUND)
 
 
 def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:

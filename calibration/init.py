@@ -5,7 +5,6 @@ What a record cannot tell, such as the mass, stands in the file as "? kg": ``bcf
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Callable, Iterable
@@ -20,14 +19,15 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
-from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io.outputs import create
-from bcfj_jax.io.units import column, format_si, quantity
+from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
+from calibration.impacts import otherwise, scenes, slow_tests
 from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
+from calibration.impacts.lines import FIXED, Line, Said, quoted, read_as
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Hints, Run, Sizes, Understood, sizes, understood
+from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -54,18 +54,7 @@ _BODY = (
     "body is fixed. Of two free bodies give mass (what strikes) and struck_mass"
 )
 # The one question of a record with a force and the acceleration of a body: what the other body is.
-_FIXED = "fixed"
 _STRUCK = 'QUESTION: take the first # away where the struck body cannot move, else give its mass, "4.8 kg"'
-
-
-class _Line(NamedTuple):
-    """A line of the file, and what is said behind it."""
-
-    text: str
-    note: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.text:<60}  # {self.note}" if self.note else self.text
 
 
 class _Known(NamedTuple):
@@ -81,44 +70,23 @@ class _Known(NamedTuple):
     by_column: bool = False
 
 
-class Said(NamedTuple):
-    """What is said beside the record.
-
-    Attributes:
-        scene: impact, bounce or oblique_impact; "" takes what the record looks like.
-        mass, speed: texts with units, where they are known.
-        table: which table inside the file.
-        struck: mass of the body that is struck, with a unit, or "fixed".
-        stated: how the record is written, where it is not to be found; the problem file then says so, too.
-        hints: which columns are what.
-    """
-
-    scene: str = ""
-    mass: str | None = None
-    speed: str | None = None
-    table: str | None = None
-    struck: str | None = None
-    stated: Stated = Stated()
-    hints: Hints = Hints()
-
-    def number(self, key: str, unit: str) -> float | None:
-        """A mass or a speed, SI."""
-        said = getattr(self, key)
-        return None if said is None else quantity(said, unit, f"--{key}")
-
-    @property
-    def other(self) -> float | None:
-        """Mass of the body that is struck [kg], if that is free and known."""
-        return None if self.struck in (None, _FIXED) else quantity(self.struck, "kg", "--struck-mass")
-
-
 def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) -> int:
     """Write RECORD's problem file into a folder, by default this one; never over another. ``say`` prints.
 
     Raises:
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
-    found = found_in(record, said)
+    path, relative = _paths(record, out)
+    try:
+        found = found_in(record, said)
+    except otherwise.InMotion as moved:
+        if said.scene:
+            raise
+        return _with_scene(scenes.toss(moved, record, said, path, relative), path, say)
+    if not said.scene:
+        slow_tests.refuse_pulling(found.records[0], str(record))
+        if found.records and slow_tests.is_slow(found.records[0]):
+            return _with_scene(scenes.slow(found, said, path, relative), path, say)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
@@ -126,9 +94,6 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
     given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
-    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
-    relative = Path(os.path.relpath(record, path.parent)).as_posix()
     text, missing = _text(found, kind, said, relative)
     create(path, text)
     if missing:
@@ -148,8 +113,34 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
         raise
     say(f"wrote {path}")
     if _asks(found, kind, given[1], said.struck):
-        say(f'one question is left in {path}, struck_mass: "{_FIXED}", or the mass of the body that is struck')
+        say(f'one question is left in {path}, struck_mass: "{FIXED}", or the mass of the body that is struck')
     say(f"next: bcfj calibrate {quote(str(path))}")
+    return 0
+
+
+def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
+    """Where the problem file goes, and the record as seen from there."""
+    name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
+    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
+    return path, Path(os.path.relpath(record, path.parent)).as_posix()
+
+
+def _with_scene(proposed: scenes.Proposed, path: Path, say: Callable[[str], None]) -> int:
+    """Write a scene and its problem file, or neither, and say what is in the records."""
+    made: list[Path] = []
+    try:
+        for one, text in ((scenes.scene_of(path), proposed.scene), (path, "\n".join(map(str, proposed.lines)) + "\n")):
+            create(one, text)
+            made.append(one)
+        for one in () if proposed.missing else problemfile.prepared(path):
+            say(f"{one.name}: {'; '.join(one.notes)}")
+    except InputError:
+        for one in made:
+            one.unlink()
+        raise
+    say(proposed.kind)
+    say(f"wrote {scenes.scene_of(path)} and {path}")
+    say(f"next: {proposed.missing}bcfj calibrate {quote(str(path))}")
     return 0
 
 
@@ -234,28 +225,14 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *(f"# {text}." for text in _other(found, kind)),
         *([f"# CHECK: {doubt}."] if doubt else []),
         *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
-        _Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
-        _Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
+        Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
+        Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
-        _Line(
-            f"file = {_quoted(file)}", f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
-        ),
-        *([f"table = {_quoted(found.table)}"] if found.table else []),
-        *(
-            f"{key} = {_quoted(v) if isinstance(v, str) else v}"
-            for key, v in vars(said.stated).items()
-            if v is not None
-        ),
-        f"time = {_quoted(found.time)}",
-        *(f"rows = {{ {_quoted(header)} = {_toml(value)} }}" for header, value in found.rows.items()),
-        *(
-            [_Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
-            if found.each
-            else []
-        ),
-        *([f"runs_by = {_quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
+        *read_as(found, said, file),
+        *([Line('contacts = "each"', "every contact is a record, each with a speed of its own")] if found.each else []),
+        *([f"runs_by = {quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
-        _Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
+        Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
         *_columned(found, known, kind),
         *parameters,
@@ -272,7 +249,7 @@ def _asks(found: Understood, kind: str, speed: float | None, struck: str | None)
 
 def _parameters(
     known: _Known, kind: str, elastic: bool, falls: bool, struck: str | None, asks: bool
-) -> tuple[list[_Line], list[str]]:
+) -> tuple[list[Line], list[str]]:
     """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
     entries: list[tuple[str, float | None, str, str]] = []
     if not isinstance(known.mass, tuple):
@@ -287,19 +264,19 @@ def _parameters(
         entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     missing = [key for key, value, *_ in entries if value is None]
     texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
-    texts |= {"struck_mass": _quoted(struck)} if struck else {}
+    texts |= {"struck_mass": quoted(struck)} if struck else {}
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN the question marks" if missing else "; ".join(origins)
     if asks:  # A line each: one of them is to be taken in.
         lines = [
-            _Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
+            Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
         ]
-        return [*lines, _Line(f'# parameters.struck_mass = "{_FIXED}"', _STRUCK)], missing
+        return [*lines, Line(f'# parameters.struck_mass = "{FIXED}"', _STRUCK)], missing
     text = ", ".join(f"{key} = {text}" for key, text in texts.items())
-    return ([_Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
+    return ([Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
 
 
-def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
+def _columned(found: Understood, known: _Known, kind: str) -> list[Line]:
     """The line by which a column gives the speed of every run."""
     if not known.by_column:
         return []
@@ -307,7 +284,7 @@ def _columned(found: Understood, known: _Known, kind: str) -> list[_Line]:
     key = "drop_height" if unit == "m" else "approach_speed"
     how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
     note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
-    return [_Line(f"columns = {{ {key} = {_quoted(header)} }}", note)]
+    return [Line(f"columns = {{ {key} = {quoted(header)} }}", note)]
 
 
 def rows_of(text: str | None) -> dict[str, Any]:
@@ -329,15 +306,6 @@ def _asked_runs(found: Understood, said: Said) -> bool:
     return found.runs[0] not in ("", "file", "contact") and (
         said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
     )
-
-
-def _toml(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False)
-
-
-def _quoted(text: str) -> str:
-    """A text of TOML: headers of measured files may hold quotes and backslashes."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 def _summary(found: Understood, s: Sizes) -> str:
@@ -451,11 +419,11 @@ def _taken(columns: dict[str, str]) -> list[str]:
     return forces or [min(columns, key=lambda n: ("acceleration", "velocity", "place").index(n.split(".")[1]))]
 
 
-def _observed(found: Understood, kind: str) -> _Line:
+def _observed(found: Understood, kind: str) -> Line:
     columns = _columns(found, kind)
-    text = ", ".join(f'"{name}" = {_quoted(columns[name])}' for name in _taken(columns))
+    text = ", ".join(f'"{name}" = {quoted(columns[name])}' for name in _taken(columns))
     flipped = columns.get("contact.normal", "").startswith("-")
-    return _Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
+    return Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
 
 
 def _other(found: Understood, kind: str) -> list[str]:
@@ -465,10 +433,13 @@ def _other(found: Understood, kind: str) -> list[str]:
     said = [f"It could observe more: {', '.join(more)}"] if more else []
     bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
     said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
+    heavy = {u: h for h in found.columns.values() if (u := column(h.removeprefix("-"))[1]) in WEIGHTS}
+    said += [f"CHECK: {h} is taken as the weight of so many {u}" for u, h in heavy.items()]
+    said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
-def _window(s: Sizes, kind: str) -> list[_Line]:
+def _window(s: Sizes, kind: str) -> list[Line]:
     """About the first contact of an impact; a bounce is taken whole."""
     if kind == "bounce":
         return []
@@ -479,10 +450,10 @@ def _window(s: Sizes, kind: str) -> list[_Line]:
         after = min(after, s.duration + 0.7 * s.flights[0])
         note = f"the first of {s.contacts} contacts; --scene bounce takes all"
     ends = f'["{format_si(-before, "s", 3)}", "{format_si(after, "s", 3)}"]'
-    return [_Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), _Line(f"window = {ends}", note)]
+    return [Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), Line(f"window = {ends}", note)]
 
 
-def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[_Line]:
+def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[Line]:
     """What is searched, with bounds that follow from the impulse, the duration and the peak."""
     m, v, force = _middle(known.mass), _middle(known.speed), "N" in found.columns
     open_scale = m is None or known.speed == _ANY_SPEED
@@ -528,6 +499,6 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     return lines
 
 
-def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> _Line:
+def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> Line:
     lower, upper = bounds
-    return _Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)
+    return Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)

@@ -10,7 +10,7 @@ import functools
 import jax
 import numpy as np
 
-from bcfj_jax.core import host
+from bcfj_jax.xla import host
 
 
 def by_numpy(function, static=False):

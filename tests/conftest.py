@@ -27,7 +27,7 @@ import pytest
 from hypothesis import settings
 from problems import PROBLEM, SCENE, TABLE
 
-from bcfj_jax.core import programs, surroundings
+from bcfj_jax.xla import programs, surroundings
 
 BUILD = Path(__file__).resolve().parent.parent / "build"
 # Where child processes keep programs: not in the user's own folder.
@@ -66,7 +66,7 @@ _QUICK = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_co
 
 def pytest_configure(config):
     """XLA reads its options when the first device is asked for; processes of tests do not inherit them."""
-    if "nnot slow" in (config.option.markexpr or ""):
+    if "not slow" in (config.option.markexpr or ""):
         flags = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = f"{flags} {_QUICK}"
         jax.devices()

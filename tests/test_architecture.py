@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # name everything.
 LAYERS = {
     "bcfj_jax": (
-        "_version", "core", "contact", "mechanism", "models", "solve", "io", "data", "analysis", "verification", "reproduction",
-        "cli", "__main__",
+        "_version", "core", "xla", "contact", "mechanism", "models", "solve", "io", "data", "analysis", "verification",
+        "reproduction", "cli", "__main__",
     ),
     "calibration": (
         "solver_budget", "given", "filters", "attitudes", "instrument", "problem", "forward", "search", "noise", "diagnostics",
@@ -23,7 +23,7 @@ LAYERS = {
     ),
 }  # fmt: skip
 # What is computed, without files, units, commands and pictures.
-PHYSICS = ("core", "contact", "mechanism", "models", "solve")
+PHYSICS = ("core", "xla", "contact", "mechanism", "models", "solve")
 PHYSICS_FILES = tuple(
     f"analysis/{name}.py" for name in ("features", "crests", "histories", "energy_balance", "balance", "envelope")
 )
@@ -151,7 +151,31 @@ def test_files_say_what_they_are(path):
     assert not missing
 
 
+def many_arguments():
+    """Functions with more than six arguments, each as its file and name; settings that are handed on count as none.
+
+    Left out are signatures that diffrax prescribes, and commands, whose arguments are options of the command line.
+    """
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                prescribed = path.parent.name == "solve" and node.name in ("init", "step", "adapt_step_size")
+                command = "cli" in path.parts and any(ast.unparse(x).startswith("verb(") for x in node.decorator_list)
+                if len([x for x in given if x.arg not in ("self", "cls")]) > 6 and not prescribed and not command:
+                    yield path, node.name
+
+
+def test_functions_have_few_arguments():
+    """Six; more is inside a module, and rare. The one formula is of seven quantities."""
+    many = list(many_arguments())
+    assert [name for _, name in many if not name.startswith("_")] == ["depth_map"]
+    assert len(many) <= 10, many
+
+
 @pytest.mark.parametrize("path", [p for p in SOURCES if p.name != "inside.py"], ids=named)
 def test_what_jax_may_move_is_imported_in_one_place(path):
+    # ``jax.core.Tracer`` is in JAX's documented interface; nothing below ``xla`` needs more.
+    allowed = {"jax.core.Tracer"} if path.parts[-2:] == ("core", "numerics.py") else set()
     unstable = ("jax.core", "jax.extend", "jax.interpreters", "jax._src", "jaxlib", "jax.experimental")
-    assert not [name for name in imports(path) if name.startswith(unstable)], "import it in core/inside.py"
+    assert not [name for name in {*imports(path)} - allowed if name.startswith(unstable)], "import it in xla/inside.py"

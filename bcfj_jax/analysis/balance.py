@@ -22,12 +22,12 @@ import jax
 import numpy as np
 
 from bcfj_jax.analysis import features
-from bcfj_jax.core.programs import program
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.io.page import brief, percent
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.extremes import Extremes, Totals, sampled
 from bcfj_jax.solve.simulation import Run
+from bcfj_jax.xla.programs import QUICK, program
 
 CLOSED, MISSED, UNKNOWN = "closed", "missed", "unknown"
 # A sample may exceed what is greatest in the steps by this factor: they are looked at twice a step.
@@ -122,9 +122,7 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
             UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
     arguments = dict(params), run.times, run.trajectory
-    # Run once: to compile quickly matters more than to run quickly.
-    quick = {"xla_backend_optimization_level": 0}
-    samples = jax.device_get(program("accounts", sampled, (model,), arguments, quick)[0](*arguments))
+    samples = jax.device_get(program("accounts", sampled, (model,), arguments, QUICK)[0](*arguments))
     depth, rate = channels(run.penetration), channels(run.rate)
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
     tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}

@@ -22,8 +22,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.core.dual import Dual, backend, either, still, unsloped
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.inside import Tracer
-from bcfj_jax.core.numerics import power
+from bcfj_jax.core.numerics import is_traced, power
 from bcfj_jax.core.quantities import increasing
 
 Window = tuple[float, float] | None
@@ -66,7 +65,7 @@ def samples(times: ArrayLike, window: Window, *values: Any) -> tuple[np.ndarray,
 
 def _known(times: ArrayLike) -> np.ndarray:
     """The times as checked numbers."""
-    if isinstance(times, Tracer):
+    if is_traced(times):
         raise InputError("times", "traced by JAX", "close over the times instead of passing them through jit or vmap")
     return increasing(times, 2)
 
@@ -144,7 +143,7 @@ def delay(times: ArrayLike, first: Any, second: Any, period: float | None = None
     """
     t, (a, b) = samples(times, window, first, second)
     if period is None:
-        if isinstance(a, Tracer):
+        if is_traced(a):
             raise InputError("period", "none, of a history traced by JAX", "give the period")
         cycle = _repeat(t, np.asarray(still(a))) if t.size >= 8 else math.nan
         period = cycle if math.isfinite(cycle) else float(t[-1] - t[0])

@@ -18,8 +18,8 @@ import typer
 from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
-from bcfj_jax.core.surroundings import get_ready
 from bcfj_jax.io import streams
+from bcfj_jax.xla.surroundings import get_ready
 
 DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
 

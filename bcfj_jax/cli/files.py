@@ -103,9 +103,9 @@ def init(
         str | None, typer.Option(help='Of a WAV file: what its full scale stands for, "500 N".')
     ] = None,
     time: Annotated[
-        str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 [us]".')
+        str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 (us)".')
     ] = None,
-    observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 [N]".')] = None,
+    observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 (N)".')] = None,
     runs_by: Annotated[str | None, typer.Option(help="Column that numbers runs.")] = None,
     rows: Annotated[str | None, typer.Option(help='Rows to take: "Sensor = A".')] = None,
     code: Code = None,
@@ -117,12 +117,11 @@ def init(
         ready(code)
         from bcfj_jax.data.textfile import Stated
         from calibration import init as proposal
+        from calibration.impacts.proposal import Hints
 
         stated = Stated(separator, decimal, encoding, header, sensitivity, full_scale)
         wanted = proposal.rows_of(rows)
-        said = proposal.Said(
-            scene, mass, speed, table, struck_mass, stated, proposal.Hints(time, observe, runs_by, wanted)
-        )
+        said = proposal.Said(scene, mass, speed, table, struck_mass, stated, Hints(time, observe, runs_by, wanted))
         return proposal.run(record, out, said, typer.echo)
     if record is not None:
         found = f"{record} after the scene '{what}'"

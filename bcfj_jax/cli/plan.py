@@ -10,11 +10,11 @@ from pathlib import Path
 import typer
 
 from bcfj_jax.cli.base import DONE, SIMULATION_FAILED, result
-from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import report, scenefile
 from bcfj_jax.io.folder import check_folder
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla import programs
 
 
 def ended(command: str, scene: str, begin: float, good: bool) -> int:

@@ -47,7 +47,7 @@ def simulate(
         runs = "2: one more measures the error" if measure_error else "1"
         return plan.of_scene("simulate", scene, out, [["runs", runs]])
     begin = time.perf_counter()
-    good = command.run(scene, out, say, typer.echo, measure_error, movies, split(frames))
+    good = command.run(scene, command.Wanted(measure_error, movies, split(frames)), out, say, typer.echo)
     return plan.ended("simulate", scene, begin, good)
 
 

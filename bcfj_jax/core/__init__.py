@@ -1,1 +1,1 @@
-"""What everything else stands on: errors, status codes, safe arithmetic, quantities, the compile cache."""
+"""What everything else stands on: errors, status codes, safe arithmetic, quantities, progress."""

@@ -9,8 +9,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.core import Tracer
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
+
+
+def is_traced(value: Any) -> bool:
+    """Whether a value is unknown yet, because JAX traces the code that computes it."""
+    return isinstance(value, Tracer)
 
 
 def power(base: ArrayLike, exponent: ArrayLike) -> Array:

@@ -16,7 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import QUOTED, InputError, quoted
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.upward import upward
 
 
@@ -189,7 +189,7 @@ def check_value(where: str, quantity: Quantity, value: object) -> None:
     Raises:
         InputError: naming the place, the value and the range.
     """
-    if isinstance(value, Tracer):
+    if is_traced(value):
         return
     for number in np.ravel(real(where, quantity.name, value)):
         if not quantity.valid(float(number)):
@@ -238,7 +238,7 @@ def number(where: str, quantity: Quantity, value: Any, exponent: float | None = 
     Raises:
         InputError: for what is no number of this unit, and a number out of range.
     """
-    if isinstance(value, Tracer):
+    if is_traced(value):
         return jnp.asarray(value, dtype=jnp.float64)
     if isinstance(value, str):
         if len(value) > QUOTED:
@@ -268,7 +268,7 @@ def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLi
         # A scene that names its contacts' own coefficients reads the shared ones through them.
         for place in sorted(places - {""} or places):
             keys = [place + name if place + name in values else name for name in (low, high)]
-            if place + high not in known or any(isinstance(values.get(key), (Tracer, type(None))) for key in keys):
+            if place + high not in known or any(values.get(key) is None or is_traced(values[key]) for key in keys):
                 continue
             less, more = (np.asarray(values[key], dtype=float) for key in keys)
             if np.any(less > more):
@@ -299,7 +299,7 @@ def increasing(times: object, fewest: int = 1) -> np.ndarray:
             or do not increase.
     """
     right = f"give a 1-D array of {fewest} or more finite times [s] that increase"
-    if isinstance(times, Tracer):
+    if is_traced(times):
         raise InputError("times", "are traced, and must be known here", "call this outside of jit, grad and vmap")
     try:
         t = real("times", "times", times)
@@ -319,7 +319,7 @@ def increasing(times: object, fewest: int = 1) -> np.ndarray:
 
 def instants(times: Any) -> Array:
     """Times of a pure function: traced ones pass with one axis, others are ``increasing``."""
-    if not isinstance(times, Tracer):
+    if not is_traced(times):
         return jnp.asarray(increasing(times))
     if times.ndim != 1:
         raise InputError("times", f"shape {times.shape}", "give a 1-D array of times [s]")

@@ -36,6 +36,9 @@ _OF_DAY = re.compile(
     r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d)?[ T]?\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
     r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?"
 )
+# Fewest times of a clock that can be taken as even, and of its steps the share that are 0: a row that stands twice is a fault.
+# Of numbers with some digits one unit is up to ten of another.
+_FEW, _TWICE, _LARGEST = 16, 0.25, 10.1
 _SAMPLES_A_SECOND = re.compile(r"(?i)(?:k|m)?(?:sa?|samples|sps|scans)(?:/s|/sec|/second)?|samples per second")
 
 
@@ -76,6 +79,28 @@ def of_day(cells: Sequence[object]) -> np.ndarray | None:
         return 86400.0 * (days - days[0]) + seconds - seconds[0]
     # Without dates a day begins where the clock falls by more than half of one.
     return seconds - seconds[0] + 86400.0 * np.cumsum(np.r_[0.0, np.diff(seconds) < -43200.0])
+
+
+def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
+    """Times (N,) [s] that stand several times since they are rounded, as the even clock that they are roundings of, and a note.
+
+    They are returned as they are, with "", where none stands twice or no even clock is within their rounding.
+    """
+    steps = np.diff(times)
+    if times.size < _FEW or not np.isfinite(times).all() or steps.min() < 0.0 or np.mean(steps == 0.0) < _TWICE:
+        return times, ""
+    if not steps.max() > 0.0:
+        return times, ""
+    at = np.arange(times.size)
+    step, start = np.polyfit(at, times, 1)
+    rounded, even = float(steps.max()), start + step * at
+    # Roundings of an even clock are apart by 0 or by their unit, but for one of the last digit.
+    if rounded > _LARGEST * float(steps[steps > 0.0].min()) or np.abs(times - even).max() > 0.6 * rounded:
+        return times, ""
+    return (
+        even,
+        f"times are rounded to {rounded:.3g} s, so that some stand twice: an even clock is taken, every {step:.4g} s",
+    )
 
 
 def _day(text: str) -> float:

@@ -159,6 +159,9 @@ def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, 
     ends = [begin, *heads, len(rows)]
     parts = [(sum(_is_data(r.cells, numeric) for r in rows[a:b]), a, b) for a, b in pairwise(ends)]
     count, first, last = max(parts)
+    # Between two tables may stand lines of the second's: its name, its rate.
+    while last < len(rows) and last > first and not _is_data(rows[last - 1].cells, numeric):
+        last -= 1
     if count < 0.8 * sum(n for n, *_ in parts) or count < 3:
         return begin, len(rows)
     first = next(k for k in range(first, last) if _is_data(rows[k].cells, numeric))
@@ -166,9 +169,9 @@ def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, 
 
 
 def _begins(cells: Sequence[Any]) -> bool:
-    """Whether a row within data is the head of another table: two texts or more, all of them, and not words for no number."""
+    """Whether a row within data begins another table: two texts or more and nothing else, or one as "data:"."""
     given = [c for c in cells if not is_missing(c)]
-    return len(given) > 1 and not any(_holds(c) for c in given)
+    return (len(given) > 1 or str(next(iter(given), "")).endswith(":")) and not any(_holds(c) for c in given)
 
 
 def _holds(cell: Any) -> bool:

@@ -43,8 +43,8 @@ def above(rows: Iterable[Any]) -> Facts:
     found, before = Facts(), ""
     for row in rows:
         cells = [c for c in row.cells if not is_missing(c)]
-        if len(cells) == 1 and is_number(cells[0]) and before in _SECTIONS:
-            found.append(("rate", str(cells[0])))
+        if len(cells) == 1 and is_number(cells[0]) and before:
+            found.append(("rate" if before in _SECTIONS else before.rstrip(":= "), str(cells[0])))
         before = str(cells[0]).strip().lower() if len(cells) == 1 else ""
         found += _pairs(row.cells)
     return found

@@ -17,7 +17,7 @@ from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data.clock import is_time, of_day
 from bcfj_jax.data.numbers import parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
-from bcfj_jax.io.units import column, scale_of
+from bcfj_jax.io.units import WEIGHTS, column, scale_of
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = (
@@ -159,11 +159,13 @@ class Record:
         return values * self.scale(unit, si_unit, column(header)[0], place)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
-        """The factor of a column of a unit to SI, by the sensitivity of its sensor where that is electrical.
+        """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity.
 
         Raises:
             InputError: for a unit that does not convert, with what to give where it is electrical.
         """
+        if si_unit == "N" and unit in WEIGHTS:
+            return WEIGHTS[unit]
         if unit is None or (unit not in ELECTRICAL and self.sensitivities.of(name, unit) is None):
             return 1.0 if unit is None else scale_of(unit, si_unit, place)
         factor = self.sensitivities.of(name, unit)

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
 
-from bcfj_jax.core import backend, programs
 from bcfj_jax.core.extras import EXTRAS
-from bcfj_jax.core.threads import cores
 from bcfj_jax.io import report
 from bcfj_jax.io.provenance import installed as _installed
 from bcfj_jax.io.provenance import version
+from bcfj_jax.xla import backend, programs
+from bcfj_jax.xla.threads import cores
 
 GOOD, NOTE, BAD = "ok", "note", "FAULT"
 # Variables that change what JAX, XLA and the threads of a run do.

@@ -46,13 +46,22 @@ _REMEDIES = {
 }
 
 
-class _Asked(NamedTuple):
-    """What a command will do to its folder: arguments of ``open_folder``."""
+class Claim(NamedTuple):
+    """What a command will do to its folder.
+
+    Attributes:
+        verb: of the command.
+        names: of the files to come.
+        goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
+        size: free space that the results need [bytes].
+        wait_s: how long to wait for a folder that another process has [s].
+    """
 
     verb: str
-    names: tuple[str, ...]
-    goes_on: str
-    size: int
+    names: Sequence[str]
+    goes_on: str = ""
+    size: int = LEAST_FREE
+    wait_s: float = WAIT_S
 
 
 @dataclass
@@ -133,19 +142,13 @@ def stays(folder: Path, stage: str) -> None:
         one.stage = stage
 
 
-def open_folder(
-    out: Path | None, verb: str, stem: str, will_write: Sequence[str], goes_on: str = "",
-    size: int = LEAST_FREE, wait_s: float = WAIT_S,
-) -> Path:  # fmt: skip
+def open_folder(out: Path | None, stem: str, claim: Claim) -> Path:
     """The folder for a command's results. Within a ``session`` it is made, locked and tried here.
 
     Args:
         out: what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists.
-        verb, stem: what was done to what.
-        will_write: names of the files to come.
-        goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
-        size: free space that the results need [bytes].
-        wait_s: how long to wait for a folder that another process has [s].
+        stem: what the command was given.
+        claim: what it will do.
 
     Raises:
         InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
@@ -153,15 +156,15 @@ def open_folder(
         KeyboardInterrupt: if Ctrl-C came before work began and was lost, as where a library's import catches everything.
     """
     stop.check()
-    asked, default = _Asked(verb, tuple(will_write), goes_on, size), Path("results") / f"{verb}-{stem}"
+    default = Path("results") / f"{claim.verb}-{stem}"
     try:
         if not _sessions:
             if out is not None:
-                _refuse_what_is_there(out, asked)
+                _refuse_what_is_there(out, claim)
             return out or next(folder for folder in _numbered(default) if not folder.exists())
         folder, made = (out, _make(out)) if out is not None else _fresh(default)
         try:
-            _sessions[-1].reserved.append(_reserve(folder, made, asked, 0.0 if out is None else wait_s))
+            _sessions[-1].reserved.append(_reserve(folder, made, claim if out else claim._replace(wait_s=0.0)))
         except BaseException:
             _remove_empty(made)
             raise
@@ -177,7 +180,7 @@ def check_folder(out: Path, will_write: Sequence[str] = ()) -> None:
     """Refuse what ``open_folder`` would refuse of a folder before it is made."""
     stop.check()
     try:
-        _refuse_what_is_there(out, _Asked("", tuple(will_write), "", 0))
+        _refuse_what_is_there(out, Claim("", will_write))
     except OSError as error:
         raise unwritable(f"--out {str(out)[:200]}", error) from None
 
@@ -236,19 +239,19 @@ def _remove_empty(folders: Sequence[Path]) -> None:
             folder.rmdir()
 
 
-def _reserve(folder: Path, made: list[Path], asked: _Asked, wait_s: float) -> _Reserved:
-    until = time.monotonic() + wait_s
+def _reserve(folder: Path, made: list[Path], asked: Claim) -> _Reserved:
+    until, names = time.monotonic() + asked.wait_s, tuple(asked.names)
     while (handle := _locked(folder, made)) is None:
         if time.monotonic() >= until:
             found = f"another process writes there ({_said(folder / LOCK).get('verb', 'bcfj')})"
             raise InputError(f"--out {folder}", found, "name another folder, or wait for it")
         time.sleep(0.02)
-    reserved = _Reserved(folder, asked.names, asked.goes_on, made, handle)
+    reserved = _Reserved(folder, names, asked.goes_on, made, handle)
     try:
         # Of a run that was killed: what it names and this one writes as well is half a result.
         killed = _said(folder / LOCK).get("files", [])
         if not reserved.kept:
-            for name in set(asked.names).intersection(x for x in killed if isinstance(x, str)):
+            for name in set(names).intersection(x for x in killed if isinstance(x, str)):
                 (folder / name).unlink(missing_ok=True)
         _refuse_what_is_there(folder, asked)
         free = shutil.disk_usage(folder).free
@@ -256,7 +259,7 @@ def _reserve(folder: Path, made: list[Path], asked: _Asked, wait_s: float) -> _R
             found = f"{free / 1e6:.3g} MB are free, and the results need about {asked.size / 1e6:.3g} MB"
             raise InputError(f"--out {folder}", found, _REMEDIES[errno.ENOSPC])
         os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps({"verb": f"bcfj {asked.verb}", "files": asked.names}).encode(), 0)
+        os.pwrite(handle, json.dumps({"verb": f"bcfj {asked.verb}", "files": names}).encode(), 0)
     except BaseException:
         reserved.names = ()
         reserved.release(False)
@@ -303,7 +306,7 @@ def _said(path: Path) -> dict:
     return found if isinstance(found, dict) and isinstance(found.get("files", []), list) else {}
 
 
-def _refuse_what_is_there(folder: Path, asked: _Asked) -> None:
+def _refuse_what_is_there(folder: Path, asked: Claim) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out {folder}", "this is not a folder", "name a folder")
     if asked.goes_on and (folder / asked.goes_on).exists():

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
+from bcfj_jax.io.folder import Claim as Claim
 from bcfj_jax.io.folder import already_there, check_folder, unwritable
 from bcfj_jax.io.folder import inside as inside
 from bcfj_jax.io.folder import open_folder as open_folder
@@ -136,6 +137,12 @@ def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> Non
     # A comment may not hold control characters, which a file's name may.
     head = "".join(f"# {escaped(line)}\n" for line in comment.split("\n")) if comment else ""
     write_text(path, head + tomli_w.dumps(dict(content)))
+
+
+def write_origin(folder: Path, resolved: Mapping[str, Any], comment: str, known: Mapping[str, Any]) -> None:
+    """``run.toml`` and ``environment.json``: what was run, with every default, and in which ``environment``."""
+    write_toml(folder / "run.toml", resolved, comment)
+    write_json(folder / "environment.json", known)
 
 
 def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str, np.ndarray]:

@@ -11,14 +11,14 @@ import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
-from bcfj_jax.core.threads import ahead
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.units import engineering as engineering
+from bcfj_jax.xla.threads import ahead
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,14 +117,21 @@ def figure(
     return drawing, list(np.ravel(drawing.subplots(rows, columns, squeeze=False, gridspec_kw=place)))
 
 
+class Look(TypedDict, total=False):
+    """Size and margins of a ``figure``."""
+
+    width: float
+    height: float
+    margins: Margins | None
+
+
 @contextmanager
 def sheet(
-    path: Path | Kept, rows: int = 1, columns: int = 1, width: float = 7.5, height: float = 3.2,
-    margins: Margins | None = None, colours: int = 256,
-) -> Iterator[list[Axes]]:  # fmt: skip
+    path: Path | Kept, rows: int = 1, columns: int = 1, *, colours: int = 256, **look: Unpack[Look]
+) -> Iterator[list[Axes]]:
     """The axes of a ``figure`` in our look, written to a PNG after the block (``save``)."""
     with style():
-        drawing, axes = figure(rows, columns, width, height, margins)
+        drawing, axes = figure(rows, columns, **look)
         yield axes
         save(drawing, path, colours)
 
@@ -135,7 +142,9 @@ def panels(
 ) -> Iterator[list[Axes]]:
     """As ``sheet``, with ``count`` axes of this width and height [in], in a grid of so many columns at most."""
     columns = min(count, columns)
-    with sheet(path, -(-count // columns), columns, width * columns + 0.5, height, margins) as axes:
+    with sheet(
+        path, -(-count // columns), columns, width=width * columns + 0.5, height=height, margins=margins
+    ) as axes:
         for axis in axes[count:]:
             axis.set_visible(False)
         yield axes[:count]

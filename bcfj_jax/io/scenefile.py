@@ -30,7 +30,6 @@ from jax import Array
 from bcfj_jax.contact import laws, stiffness
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import check_order, check_value, scalar
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
@@ -42,6 +41,7 @@ from bcfj_jax.mechanism.observed import Observed
 from bcfj_jax.models import scenes
 from bcfj_jax.solve import named
 from bcfj_jax.solve.plan import LEVELS, LONGEST, MAX_STEPS
+from bcfj_jax.xla.programs import ask
 
 _DEFAULT_LEVEL = "balanced"
 
@@ -75,6 +75,11 @@ class SceneFile:
     resolved_peaks: bool = False
     reads: tuple[Channel, ...] = ()
     tolerances: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sources(self) -> list[Path]:
+        """The file, where there is one."""
+        return [self.source] if self.source else []
 
 
 Pair = tuple[Any, Any]

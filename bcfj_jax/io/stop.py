@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TypeVar
 
-from bcfj_jax.core import threads
+from bcfj_jax.xla import threads
 
 T = TypeVar("T")
 # A process that ends by a signal and keeps nothing has this and the signal's number as its exit code, as in a shell.

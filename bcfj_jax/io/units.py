@@ -51,7 +51,12 @@ GRAVITIES = {"g": 9.80665, "G": 9.80665, "gn": 9.80665, "g_n": 9.80665, "g's": 9
 _IN_GRAVITIES = re.compile(
     rf"(.*?[^\s,_/(])(?:\s*\(\s*|\s*,\s*|\s+in\s+|[\s_]+)({'|'.join(sorted(GRAVITIES, reverse=True))})\s*\)?"
 )
-_ACCELERATION = re.compile(r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)")
+# An axis alone is that of an accelerometer's logger.
+_ACCELERATION = re.compile(
+    r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
+)
+# Masses in which forces are stated by their weight, to newtons.
+WEIGHTS = {"kg": 9.80665, "lb": 4.4482216152605, "lbs": 4.4482216152605}
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',

@@ -26,7 +26,7 @@ from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.contact.part import Part
 from bcfj_jax.core.errors import InputError, quoted
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import Quantity
 
 P = TypeVar("P")
@@ -241,7 +241,7 @@ def refuse_traced(where: str, part: Any) -> None:
 
 
 def _traced(x: Any, seen: set[int]) -> bool:
-    if isinstance(x, Tracer):
+    if is_traced(x):
         return True
     if id(x) in seen or isinstance(x, (str, bytes, int, float, type(None), np.ndarray, Array, type, Held)):
         return False

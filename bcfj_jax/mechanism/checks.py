@@ -12,10 +12,8 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
-from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.inside import Tracer
-from bcfj_jax.core.numerics import positive
+from bcfj_jax.core.numerics import is_traced, positive
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, refuse_impossible
@@ -23,6 +21,7 @@ from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import CoordinateLoad, checked
 from bcfj_jax.mechanism.scales import expected
 from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.xla import programs
 
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
 # there; an overlap below the second [m] is rounding.
@@ -204,7 +203,7 @@ def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
     """
     for body in scene.bodies:
         moments = scene.inertia(body, params)
-        if isinstance(moments, tuple) and not any(isinstance(x, Tracer) or np.ndim(x) for x in moments):
+        if isinstance(moments, tuple) and not any(is_traced(x) or np.ndim(x) for x in moments):
             refuse_impossible(f"{where} body '{body.name}' inertia", tuple(map(float, moments)))
 
 
@@ -223,7 +222,7 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
             remedy = "use its name in a size or a coefficient, or remove the parameter"
             raise InputError(where, f"nothing reads the parameter '{quantity.name}'", remedy)
     known = scene.quantities
-    if any(isinstance(x, Tracer) or np.shape(x) != known[name].shape for name, x in params.items()):
+    if any(is_traced(x) or np.shape(x) != known[name].shape for name, x in params.items()):
         return
     _check_start(scene, dict(params), where)
 

@@ -16,7 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
 from bcfj_jax.mechanism.arrays import expanded
 
@@ -80,7 +80,7 @@ def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float |
         return 1.0
     found = (table[key] for key in dict.fromkeys((own, "exponent")) for table in tables if key in table)
     value = next(found, 1.0)
-    return None if isinstance(value, Tracer) or np.ndim(value) else float(value)
+    return None if is_traced(value) or np.ndim(value) else float(value)
 
 
 def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
@@ -125,7 +125,7 @@ def parameters(scene: Described, given: Any, where: str = "", traced: bool = Tru
             right = f"an array of shape {known[name].shape}" if known[name].shape else "one number"
             many = f"give {right}; many runs are bj.study, or jax.vmap of bj.force_history"
             raise _misshapen(where, name, np.shape(value), many)
-        if isinstance(value, Tracer) and not traced:
+        if is_traced(value) and not traced:
             remedy = "call this outside of jit, grad and vmap; bj.force_history and bj.reading_history go through them"
             raise InputError(where, f"{name} is traced", remedy)
     scene.require(found, where)
@@ -138,7 +138,7 @@ def poison(scene: Described, given: Mapping[str, Array]) -> ArrayLike:
     Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
     """
     known: Mapping[str, Quantity] = scene.quantities
-    inside = [jnp.all(known[name].valid(value)) for name, value in given.items() if isinstance(value, Tracer)]
+    inside = [jnp.all(known[name].valid(value)) for name, value in given.items() if is_traced(value)]
     return jnp.where(jnp.all(jnp.stack(inside)), 1.0, jnp.nan) if inside else 1.0
 
 

@@ -21,7 +21,6 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.core.errors import InputError, quoted
-from bcfj_jax.core.programs import ask
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.mechanism import inputs
@@ -43,6 +42,7 @@ from bcfj_jax.mechanism.moments import Reading as Reading
 from bcfj_jax.mechanism.moments import Scenery as Scenery
 from bcfj_jax.mechanism.moments import Variant as Variant
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
+from bcfj_jax.xla.programs import ask
 
 Params = Mapping[str, Array]
 # Names of the implicit solvers of ``solve``, which ask a model for its structure.

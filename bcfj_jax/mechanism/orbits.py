@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.vectors import dot, subtract
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Orbit, Params
+from bcfj_jax.xla.programs import QUICK, program
 
 
 def orbits(model: Dynamics, params: Params, run: Any) -> dict[str, Orbit]:
@@ -21,7 +21,7 @@ def orbits(model: Dynamics, params: Params, run: Any) -> dict[str, Orbit]:
     if not names or run.trajectory is None:
         return {}
     arguments = (dict(params), run.times, run.trajectory)
-    apart = program("orbits", _paths, (model,), arguments, {"xla_backend_optimization_level": 0})[0](*arguments)
+    apart = program("orbits", _paths, (model,), arguments, QUICK)[0](*arguments)
     found = {}
     for name in names:
         contact = model.contact(name)

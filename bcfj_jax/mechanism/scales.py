@@ -71,8 +71,7 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
         # Velocities are each body's own: those of bodies side by side are gathered before, in their accelerations.
         scattered = alike.scattered(c)
         first, second = c.parts(freed if scattered else parts)
-        count_of = len(c.each)
-        place = c.place(1, second, params)
+        place, count_of = c.place(1, second, params), len(c.each)
         energies, held, flights = [], [], []
         for (face, touch), own in zip(now.faces[c.name], now.memory[c.name], strict=True):
             point = add(place, face.lever)
@@ -102,8 +101,7 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
         brought |= alike.apart(c, jnp.max(jnp.stack(energies), axis=0))
         stored |= alike.apart(c, jnp.max(jnp.stack(held), axis=0))
         flight |= alike.apart(c, jnp.min(jnp.stack(flights), axis=0))
-    levers = felt.levers
-    found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in levers]
+    found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in felt.levers]
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
         return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)

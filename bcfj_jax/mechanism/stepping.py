@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.vectors import length, plus, spread, subtract, times
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Params, Proximity
@@ -84,11 +85,13 @@ def breaks(m: Dynamics, p: Params, end: ArrayLike) -> Array | None:
 
         grid = jnp.asarray(end) * jnp.linspace(0.0, 1.0, _LOOKS + 1)
         looked.append(_ends(grid, jax.vmap(amounts)(grid)))
-    times = [jnp.asarray(x, dtype=jnp.float64).ravel() for x in (*known, *looked)]
+    # XLA takes seconds to sort the numbers of a long table while it compiles.
+    xp = jnp if any(is_traced(x) for x in (*known, *looked)) else np
+    times = [xp.asarray(x, dtype=np.float64).ravel() for x in (*known, *looked)]
     if not sum(x.size for x in times):
         return None
-    found = jax.lax.stop_gradient(jnp.concatenate(times))
-    found = jnp.sort(jnp.where(jnp.isfinite(found), found, jnp.inf))
+    found = xp.concatenate(times)
+    found = jax.lax.stop_gradient(jnp.asarray(xp.sort(xp.where(xp.isfinite(found), found, np.inf))))
     # Between two that are as good as one no step has room.
     return jnp.sort(jnp.where(jnp.diff(found, prepend=-jnp.inf) > _CLOSE * end, found, jnp.inf))
 

@@ -26,13 +26,13 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.core import host
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.checks import asked
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.scales import expected
 from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.xla import host
 
 # Relaxations in a run that an explicit solver may follow, in some 10 000 steps.
 STEEP = 3e4
@@ -96,7 +96,7 @@ def _rates(scene: Dynamics, params: Params) -> tuple[Array, Array, Array]:
     t, y = jnp.zeros(()), scene.initial_state(params)
     jacobian = jnp.zeros((0, 0))
     if scene._free and any(load.damps for load in scene.loads):
-        # Not ``jacfwd``, whose primitives NumPy is not told of (``core.host``).
+        # Not ``jacfwd``, whose primitives NumPy is not told of (``xla.host``).
         # At rest, where dry friction in joints is steepest.
         places = sum(k or 1 for *_, k in scene._placed)
         dry = any(isinstance(load, CoordinateLoad) and load.dry for load in scene.loads)

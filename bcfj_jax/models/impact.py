@@ -11,7 +11,6 @@ from jax import Array
 
 from bcfj_jax.contact.gaps import PointOnPlane
 from bcfj_jax.contact.restitution import undamped_duration
-from bcfj_jax.core.programs import ask
 from bcfj_jax.core.vectors import Number
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Approach, Contact
@@ -20,6 +19,7 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.scales import expected_scale
 from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.xla.programs import ask
 
 # Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
 _MANY = 5.0

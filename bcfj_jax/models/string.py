@@ -33,7 +33,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
@@ -239,7 +239,7 @@ class StringModel(AbstractModel):
     def check(self, params: Params, where: str = "") -> None:
         """Refuse a string that does not pass, bend or turn, with the number that would do; then joints as joints are."""
         where = where or WHERE
-        if any(isinstance(x, Tracer) or np.ndim(x) for x in params.values()):
+        if any(is_traced(x) or np.ndim(x) for x in params.values()):
             return
         _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, params, self.count, where)
         self.joint.check({name: np.asarray(value)[0] for name, value in self.joints(params).items()}, where)

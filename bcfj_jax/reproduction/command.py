@@ -170,7 +170,7 @@ def run(out: Path | None, say: Callable[[str], None], end: float = END) -> tuple
     Raises:
         InputError: where something would be overwritten.
     """
-    folder = outputs.open_folder(out, "reproduce", "joint", FILES)
+    folder = outputs.open_folder(out, "joint", outputs.Claim("reproduce", FILES))
     begin = time.perf_counter()
     scene = joint_of_keys(**PLAIN)
     params = scene.parameters()
@@ -203,8 +203,7 @@ def run(out: Path | None, say: Callable[[str], None], end: float = END) -> tuple
 def write(folder: Path, o: Outcome) -> str:
     """Every file of ``FILES``; the results in words."""
     said, about, shown = verdict(o), notes(o), parts(o)
-    outputs.write_toml(folder / "run.toml", _resolved(o), "what bcfj reproduce ran, SI")
-    outputs.write_json(folder / "environment.json", outputs.environment(data=[]))
+    outputs.write_origin(folder, _resolved(o), "what bcfj reproduce ran, SI", outputs.environment())
     outputs.write_json(folder / "reproduce.json", {"verdict": said, "notes": about, **_json(o)})
     outputs.write_text(folder / "reproduce.md", tables.markdown(TITLE, said, about, shown))
     runs = {name: o.runs[name] for name in (GIVEN, CALIBRATED) if name in o.runs}

@@ -27,9 +27,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.kept import once
 from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 from bcfj_jax.solve.tangents import along
+from bcfj_jax.xla.kept import once
 
 ORDERS = 5
 ROWS = ORDERS + 3

@@ -20,10 +20,10 @@ from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import bdf, integrate
-from bcfj_jax.solve.batched_jvp import together
 from bcfj_jax.solve.landing import PIECES, Instants, Look, crossed_at, cubic, look, put
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.remembering import at_touch
+from bcfj_jax.xla.batched_jvp import together
 
 # Newton steps from the cubic's root to that of the step's polynomial.
 _NEWTON = 4

@@ -38,7 +38,6 @@ from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve import adjoint, bdf, named
-from bcfj_jax.solve.batched_jvp import lane_by_lane, still, together
 from bcfj_jax.solve.extremes import named as by_name
 from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, bristled, contacts, look
 from bcfj_jax.solve.plan import Plan, Way
@@ -48,6 +47,7 @@ from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, allowed_in
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.watched import Watched
+from bcfj_jax.xla.batched_jvp import lane_by_lane, still, together
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
@@ -139,15 +139,13 @@ def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
 
 
 def integrate(
-    model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward",
-    differentiable: bool = False, whole: bool = False,
-) -> Solution:  # fmt: skip
+    model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward", differentiable: bool = False
+) -> Solution:
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
     Pure: jit, vmap, and the derivatives of one ``mode`` go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
-    from there on and ``code`` says why. ``whole``: whether what is of the continuous curves is wanted
-    (``Continuous``), of an explicit run with derivatives.
+    from there on and ``code`` says why.
 
     Raises:
         InputError: for derivatives by a solver that has none, and for a model that is not chosen yet.
@@ -175,8 +173,17 @@ def integrate(
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
     if differentiable and model.contacts:
-        return _with_landing(posed, times, how, mode, whole)
+        return _with_landing(posed, times, how, mode)
     return _solved(posed, times, how, mode)
+
+
+def integrate_whole(model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way) -> Solution:
+    """As ``integrate`` where ``differentiable``; of an explicit run with what is of the continuous curves (``Continuous``)."""
+    traits = model.traits
+    if traits.open or traits.stiff or not (traits.history and model.contacts) or how.solver in named.VALUES_ONLY:
+        return integrate(model, params, times, how, mode, True)
+    times = jnp.maximum(times, 0.0)
+    return _with_landing(problem(model, params, times[-1], how, True), times, how, mode, True)
 
 
 def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
@@ -237,7 +244,7 @@ def _with_integrals(problem: Problem, channels: int) -> Problem:
     )
 
 
-def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool) -> Solution:
+def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool = False) -> Solution:
     """An explicit run that lands on its contacts where it is differentiated, and does not where only values are wanted."""
     if mode == "reverse":
         return _landed(problem, times, how, 1, mode, whole)[0]

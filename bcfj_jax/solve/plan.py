@@ -5,7 +5,9 @@ Without diffrax, which is imported where something is traced (``solve.integrate`
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypedDict
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.upward import upward
 from bcfj_jax.mechanism.model import AbstractModel
@@ -39,6 +41,21 @@ LONGEST = Quantity("longest_step", "s", "longest step of a solver", 0.0, open_lo
 _TANGENTS_BELOW = 5e-4
 
 
+class SolvingKeys(TypedDict, total=False):
+    """``Solving`` as keywords."""
+
+    accuracy: str | float
+    max_steps: int
+
+
+@dataclass(frozen=True)
+class Solving:
+    """What every verb that solves takes: accuracy and step budget, as ``plan``."""
+
+    accuracy: str | float = "balanced"
+    max_steps: int = MAX_STEPS
+
+
 class Plan(eqx.Module):
     """How a model will be integrated.
 
@@ -55,6 +72,18 @@ class Plan(eqx.Module):
     solver: str | None = eqx.field(static=True, default=None)
     extremes: bool = eqx.field(static=True, default=False)
     longest: Any = eqx.field(default_factory=lambda: np.asarray(np.inf))
+
+
+class Points(NamedTuple):
+    """Runs of one model side by side: parameters, leaves (N,); each one's last time (N,) [s]; shares of it (T,), 0 to 1."""
+
+    params: Mapping[str, Any]
+    ends: Any
+    grid: Any
+
+    def one(self, i: Any) -> dict[str, Any]:
+        """Parameters of one point."""
+        return {name: leaf[i] for name, leaf in self.params.items()}
 
 
 def plan(
@@ -76,7 +105,7 @@ def plan(
     check_bits()
     stiff = model.traits.stiff
     named.check(solver, stiff)
-    if isinstance(accuracy, Tracer):
+    if is_traced(accuracy):
         # Tolerances are in proportion to the error, up to a loosest one.
         share = jnp.asarray(accuracy) / LEVELS["balanced"]
         traced = jnp.minimum(share * model.tolerance(LEVELS["balanced"]), model.tolerance(_LOOSEST))

@@ -20,9 +20,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Approaches
-from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.bdf import AbstractMemory
 from bcfj_jax.solve.wrapped import AbstractWrapped
+from bcfj_jax.xla import batched_jvp
 
 # Newton steps to a touch within a step.
 _NEWTON = 6

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +17,18 @@ from jaxtyping import Float, Int
 
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted, texts
-from bcfj_jax.core.programs import make_room, program
 from bcfj_jax.core.quantities import increasing, instants, scalar
+from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import NO_FORCE, OK, reason
-from bcfj_jax.core.threads import together
 from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution, as_model
 from bcfj_jax.mechanism.readings import contact_states
-from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
 from bcfj_jax.solve.measured_error import Accuracy, measured
-from bcfj_jax.solve.plan import LONGEST, LOOKS, MAX_STEPS, Plan, Way, check_bits, force_error, plan
+from bcfj_jax.solve.plan import LONGEST, LOOKS, Plan, Solving, SolvingKeys, Way, check_bits, force_error, plan
+from bcfj_jax.xla.forward_reverse import forward_and_reverse, reverse_only
+from bcfj_jax.xla.programs import make_room, program
+from bcfj_jax.xla.threads import together
 
 Mode = Literal["auto", "forward", "reverse"]
 
@@ -212,11 +214,31 @@ def _run(
     return solution, found, more
 
 
+class RunningKeys(SolvingKeys, total=False):
+    """``Running`` as keywords."""
+
+    solver: str | None
+    measure_error: bool
+    read: Sequence[str]
+    resolved_peaks: bool
+    longest_step: float | str | None
+
+
+@dataclass(frozen=True)
+class Running(Solving):
+    """Settings of ``simulate``."""
+
+    solver: str | None = None
+    measure_error: bool = False
+    read: Sequence[str] = ()
+    resolved_peaks: bool = False
+    longest_step: float | str | None = None
+
+
+@taking(Running)
 def simulate(
-    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], *, accuracy: str | float = "balanced",
-    max_steps: int = MAX_STEPS, solver: str | None = None, measure_error: bool = False, read: Sequence[str] = (),
-    resolved_peaks: bool = False, longest_step: float | str | None = None,
-) -> Run:  # fmt: skip
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], **settings: Unpack[RunningKeys]
+) -> Run:
     """Simulate a model and say how it went.
 
     Compiles once per model and number of times; new parameter values, times and accuracies reuse it.
@@ -238,39 +260,45 @@ def simulate(
         InputError: for times that are not finite and increasing, an unknown accuracy or solver, a budget below 1, and
             a model that its own ``check`` refuses.
     """
-    check_bits()
-    values = increasing(times)
-    params = inputs.parameters(as_model(scene), params, traced=False)
-    scene.check(params)
-    scene = scene.suited(params, float(values[-1]), solver)
-    tolerance = plan(scene, accuracy, max_steps, solver).tolerance
+    asked = Running(**settings)
+    scene, params, values = ready(scene, params, times, asked.solver)
+    tolerance = plan(scene, asked.accuracy, asked.max_steps, asked.solver).tolerance
     if scene.traits.open:
-        same: dict[str, Any] = dict(
-            accuracy=accuracy, max_steps=max_steps, solver=solver, measure_error=measure_error, read=read,
-            resolved_peaks=resolved_peaks, longest_step=longest_step,
-        )  # fmt: skip
-        run = lambda level, at: simulate(level, params, at, **same)  # noqa: E731
-        return scene.choose(params, values, force_error(accuracy), run)
+        run = lambda level, at: simulate(level, params, at, **settings)  # noqa: E731
+        return scene.choose(params, values, force_error(asked.accuracy), run)
     # Values alone: one program, whether or not derivatives would need their own error controlled.
-    wanted = _channels(scene, read)
-    looked = resolved_peaks and scene.traits.history
-    if looked and solver == "bdf":
+    wanted = _channels(scene, asked.read)
+    looked = asked.resolved_peaks and scene.traits.history
+    if looked and asked.solver == "bdf":
         raise InputError("resolved_peaks", "with the solver 'bdf'", "leave the solver out, or take rodas3 or sdirk2")
-    longest = np.inf if longest_step is None else scalar("simulate", LONGEST, longest_step)
+    longest = np.inf if asked.longest_step is None else scalar("simulate", LONGEST, asked.longest_step)
     # What the run steps over, the one that checks it must not step over likewise.
     other = np.minimum(longest, max(float(values[-1]), 0.0) / LOOKS or np.inf)
     plans = (tolerance, longest), (0.1 * tolerance, other)
-    as_asked, tenth = (Plan(t, max_steps, solver=solver, extremes=looked, longest=np.asarray(x)) for t, x in plans)
-    if not (measure_error and scene.traits.history):
+    as_asked, tenth = (
+        Plan(t, asked.max_steps, solver=asked.solver, extremes=looked, longest=np.asarray(x)) for t, x in plans
+    )
+    if not (asked.measure_error and scene.traits.history):
         run = timed(scene, params, values, as_asked, wanted)
         return _doubtful(run, *scene.misremembered(params, run))
     run, finer = together(*(partial(timed, scene, params, values, how, wanted) for how in (as_asked, tenth)))
     found = measured(
-        force_error(accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
+        force_error(asked.accuracy), scene.settled_from(params), values, _compared(run), _compared(finer),
         (run.rate, finer.rate), tolerance=run.stats["tolerance"], wall_s=finer.stats["wall_s"],
     )  # fmt: skip
     run = _doubtful(_doubtful(run, *found.doubt), *scene.misremembered(params, run))
     return run._replace(accuracy=found)
+
+
+def ready(
+    scene: AbstractModel, params: Params, times: ArrayLike, solver: str | None = None
+) -> tuple[AbstractModel, Params, np.ndarray]:
+    """What a verb is given, checked: the model as it suits the run, its parameters, times (T,) [s]."""
+    check_bits()
+    values = increasing(times)
+    params = inputs.parameters(as_model(scene), params, traced=False)
+    scene.check(params)
+    return scene.suited(params, float(values[-1]), solver), params, values
 
 
 def _doubtful(run: Run, why: str, since: float) -> Run:

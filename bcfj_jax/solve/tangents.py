@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.solve import batched_jvp
 from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, stages
 from bcfj_jax.solve.wrapped import AbstractWrapped
+from bcfj_jax.xla import batched_jvp
 
 
 class SdirkTangents(AbstractWrapped):

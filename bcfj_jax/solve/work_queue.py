@@ -18,13 +18,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core import backend
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
-from bcfj_jax.solve.batched_jvp import changes
 from bcfj_jax.solve.integrate import Problem, controller, problem, seeker
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import Plan, Points
 from bcfj_jax.solve.tangents import beside
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.batched_jvp import changes
 
 # Numbers that a place reads from a step in one round, and samples at least; for more the step is taken again.
 _READ, _FEWEST = 128, 8
@@ -64,9 +64,7 @@ class _Queue(NamedTuple):
     """N runs and how they are solved: what ``integrate_queue`` takes, and what of the runs' problems is no array."""
 
     model: AbstractModel
-    params: Params
-    ends: Array
-    grid: Array
+    points: Points
     how: Plan
     count: Array
     places: int
@@ -75,14 +73,18 @@ class _Queue(NamedTuple):
     shape: tuple[int, ...] = ()
 
     @property
+    def total(self) -> int:
+        """N."""
+        return self.points.ends.size
+
+    @property
     def read(self) -> int:
         """Samples that a place reads from a step in one round."""
         return max(_FEWEST, _READ // math.prod(self.shape))
 
     def known(self) -> _Queue:
         """With what of the first run's problem is no array, which is all runs' alike, and the shape of its state."""
-        one = {name: leaf[0] for name, leaf in self.params.items()}
-        shapes = eqx.filter_eval_shape(self.pose, one, self.ends[0])
+        shapes = eqx.filter_eval_shape(self.pose, self.points.one(0), self.points.ends[0])
         static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))[1]
         return self._replace(static=static, shape=shapes.start.shape)
 
@@ -103,13 +105,13 @@ class _Queue(NamedTuple):
 
     def due(self, end: Array, sample: Array) -> Array:
         """Time of a sample [s]; infinity for those that are no more."""
-        rows = self.grid.size
-        return jnp.where(sample < rows, end * self.grid[jnp.minimum(sample, rows - 1)], jnp.inf)
+        rows = self.points.grid.size
+        return jnp.where(sample < rows, end * self.points.grid[jnp.minimum(sample, rows - 1)], jnp.inf)
 
     def load(self, run: Array) -> _Place:
         """A place at the beginning of a run."""
-        at = jnp.minimum(run, self.ends.size - 1)
-        posed = self.pose({name: leaf[at] for name, leaf in self.params.items()}, self.ends[at])
+        at = jnp.minimum(run, self.total - 1)
+        posed = self.pose(self.points.one(at), self.points.ends[at])
         terms, solver, zero, none = dfx.ODETerm(posed.field), seeker(posed, self.how), jnp.zeros(()), jnp.zeros((), int)  # pyright: ignore[reportArgumentType]
         goal, control = controller(posed, self.how).init(
             terms, zero, posed.first_step, posed.start, posed.first_step, posed.args, solver.func,
@@ -117,7 +119,9 @@ class _Queue(NamedTuple):
         )  # fmt: skip
         memory = solver.init(terms, zero, goal, posed.start, posed.args)
         arrays, broken = eqx.filter(posed, eqx.is_array), jnp.zeros((), bool)
-        return _Place(run, arrays, self.ends[at], zero, goal, broken, posed.start, memory, control, none, none, none)
+        return _Place(
+            run, arrays, self.points.ends[at], zero, goal, broken, posed.start, memory, control, none, none, none
+        )
 
     def advance(self, place: _Place) -> tuple[_Place, Array, Array]:
         """A place after one step, the states of the samples in it, and how its run ended."""
@@ -154,7 +158,7 @@ class _Queue(NamedTuple):
 
     def filled(self, runs: Array) -> _Place:
         """Places at the beginning of runs; of none beyond the count."""
-        return jax.vmap(self.load)(jnp.where(runs < self.count, runs, self.ends.size))
+        return jax.vmap(self.load)(jnp.where(runs < self.count, runs, self.total))
 
     def written(self, states: Array, before: _Place, values: Array) -> Array:
         """All states with the samples of a round; rows written too far are written again."""
@@ -176,12 +180,12 @@ class _Queue(NamedTuple):
 
         def hand_over(now: tuple) -> tuple:
             waiting, place, outcome = now
-            at = jnp.where(ended, place.run, self.ends.size)
+            at = jnp.where(ended, place.run, self.total)
             news = _Outcome(code, place.time, place.accepted, place.rejected)
             outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
-            if self.places >= self.ends.size:
+            if self.places >= self.total:
                 # No run waits. What goes on in a place without one is not read.
-                return waiting, place._replace(run=jnp.where(ended, self.ends.size, place.run)), outcome
+                return waiting, place._replace(run=jnp.where(ended, self.total, place.run)), outcome
             fresh = self.filled(waiting + jnp.cumsum(ended) - 1)
             place = jax.tree.map(lambda x, y: jnp.where(ended.reshape(-1, *[1] * (x.ndim - 1)), x, y), fresh, place)
             return waiting + jnp.sum(ended), place, outcome
@@ -191,25 +195,22 @@ class _Queue(NamedTuple):
 
     def solved(self) -> tuple[_Outcome, Array, Array]:
         """How the runs ended, their states (N + 1, T + ``read``, ...), and the number of rounds."""
-        total, none = self.ends.size, jnp.zeros(self.ends.size + 1, int)
+        total, none = self.total, jnp.zeros(self.total + 1, int)
         outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
         # ``read`` rows beyond the last sample, which the last step's writing may reach.
-        states = jnp.full((total + 1, self.grid.size + self.read, *self.shape), jnp.nan)
+        states = jnp.full((total + 1, self.points.grid.size + self.read, *self.shape), jnp.nan)
         carry = (jnp.asarray(self.places), self.filled(jnp.arange(self.places)), outcome, states, jnp.asarray(0))
         return jax.lax.while_loop(lambda carry: jnp.any(carry[1].run < total), self.round, carry)[2:]
 
 
 def integrate_queue(
-    model: AbstractModel, params: Params, ends: Array, grid: Array, how: Plan, count: Array, places: int,
-    wrt: Sequence[str] = (),
-) -> tuple[Solution, Array]:  # fmt: skip
+    model: AbstractModel, points: Points, how: Plan, count: Array | int, places: int, wrt: Sequence[str] = ()
+) -> tuple[Solution, Array]:
     """Solve the first ``count`` of N runs. Pure; not to be differentiated.
 
     Args:
         model: one with a history.
-        params: leaves (N,).
-        ends: (N,) time of each run's last sample [s].
-        grid: (T,) increasing from 0 to 1: samples are at ``ends * grid``.
+        points: N runs, sampled at ``ends * grid``; the grid increases from 0 to 1.
         how: as ``integrate``; its budget of steps is each run's own.
         count: may be traced, so that a shorter queue needs no other program.
         places: runs under way at one time.
@@ -220,7 +221,8 @@ def integrate_queue(
         As ``integrate``, with a leading axis (N,), and how many rounds all places went through. Runs beyond ``count``
         are NaN. With ``wrt`` of k names the states are rows (N, T, 1 + k, n), the state and its tangents.
     """
-    queue, total, rows = _Queue(model, params, ends, grid, how, count, places, wrt).known(), ends.size, grid.size
+    queue, (_, ends, grid) = _Queue(model, points, how, jnp.asarray(count), places, wrt).known(), points
+    total, rows = ends.size, grid.size
     outcome, states, rounds = queue.solved()
     # Beyond the last sample that was reached stands what was written too far.
     reached = ends[:, None] * grid <= jnp.where(outcome.code[:-1] == OK, jnp.inf, outcome.end[:-1])[:, None]
@@ -242,11 +244,12 @@ def shifted(params: Params, names: Sequence[str], shares: Array) -> dict[str, Ar
     return {name: params[name] + moved[k] for k, name in enumerate(names)}
 
 
-def equilibria(model: AbstractModel, params: Params, ends: Array, grid: Array) -> Solution:
+def equilibria(model: AbstractModel, points: Points) -> Solution:
     """N runs of a model without a history, as ``integrate_queue`` gives them. Pure.
 
     On a CPU each is searched for from the one before it, on an accelerator all side by side.
     """
+    params, ends, grid = points
 
     def one(near: Any, run: tuple) -> tuple:
         values, end = run

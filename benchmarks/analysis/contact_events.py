@@ -32,9 +32,9 @@ from bcfj_jax.analysis.derivatives.jacobian import channel_names, level
 from bcfj_jax.analysis.derivatives.names import EVENTS, Feature, complete
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.dual import Dual
-from bcfj_jax.core.programs import program
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
+from bcfj_jax.xla.programs import program
 from benchmarks.common import load, markdown, put_in_readme, save
 from benchmarks.references.bounce_events import KINDS, NAMES, closed, integrated
 

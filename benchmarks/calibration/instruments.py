@@ -155,6 +155,83 @@ def _texts() -> list[File]:
     ]  # fmt: skip
 
 
+def _further() -> list[File]:
+    """Other layouts and clocks of the same kinds of instruments, and of loggers."""
+    volts, us = {"sensitivity": VOLTS}, [str(50 * k) for k in range(500)]
+    bare = {"time": "column 1 [s]", "observe": "column 2 [N]"}
+    pounds = [f"{f / 4.4482216:.5f}" for f in FORCE]
+    plate = _text("Devices\n20000\n,,AMTI - Force,,,AMTI - CoP,,\nFrame,Sub Frame,Fx,Fy,Fz,Cx,Cy,Cz\n,,N,N,N,mm,mm,mm",
+                  [str(1 + k // 20) for k in range(500)], [str(k % 20) for k in range(500)], _ZERO, _ZERO, _N, _POS, _POS, _ZERO)  # fmt: skip
+    ball = _text(
+        "Trajectories\n1000\n,,ball,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm", *([[str(k) for k in range(25)]] * 5)
+    )
+    side = [
+        "Record Length,Analog:500",
+        "Sample Interval,Analog:0.00005",
+        "Vertical Units,CH1:V",
+        "Horizontal Units,s",
+        "Source,CH1",
+    ]
+    return [
+        File("lecroy_units.csv", _text("LECROY,HDO4024,Waveform\nTime(s),Amplitude(V)", _S, _V), volts, "--sensitivity"),
+        File("siglent_old.csv", _text("Record Length,500,Points\nSample Interval,5.0e-05,Second\nVertical Units,V,\nHorizontal Units,S,\n"
+             "Model Number,SDS1102CML,\nSource,CH1,\nTime,CH1,\nSecond,Volt", _S, _V), volts, "--sensitivity"),
+        File("siglent_beside.csv", _text("", [*side, *[","] * 495], _S, _V)[2:], volts, "--sensitivity"),
+        File("pico_de.csv", _text("Zeit;Kanal A;Kanal B\n(ms);(mV);(V)\n", _MS, [f"{10 * f:.4f}" for f in FORCE], _ZERO, by=";", comma=True),
+             {**volts, "observe": "Kanal A [mV]"}, "--sensitivity"),
+        File("pico_us.csv", _text("Time,Average(A)\n(us),(V)\n", us, _V), volts, "--sensitivity"),
+        File("catman_de.asc", _text("HBM_CATMAN_DATAFILE\t5.3\nDATUM\t25.11.2026\n\nZeit  1 - Standardmessrate\tKraft\ns\tN\nMX840B_CH 1\t"
+             "MX840B_CH 2", _S, _N, by="\t", comma=True, encoding="cp1252")),
+        File("catman_rate.txt", _text("Abtastrate [Hz]: 20000\nKraft [kN]\tWeg [mm]", [f"{f / 1e3:.7f}" for f in FORCE], _POS, by="\t",
+             comma=True, encoding="cp1252")),
+        File("vicon_two.csv", plate + b"\r\n" + ball),
+        File("mso_newton.csv", _text("Model,MSO58\nHorizontal Units,s\nSample Interval,5e-05\nRecord Length,500\nVertical Units,N\n,\nLabel,\n"
+             "TIME,CH1", _S, _N)),
+        File("mso_two.csv", _text("Model,MSO46,,\nHorizontal Units,s,,\nVertical Units,V,,V\n,,,\nTIME,CH1,CH1 Peak Detect,CH2", _S, _V,
+             [""] * 500, _ZERO), {**volts, "observe": "CH1 [V]"}, "--observe"),
+        File("bare.dat", _text("", _S, _N, by=" ")[2:], bare, "--time"),
+        File("bare.d", _text("", _S, _N, by="\t")[2:], bare, "--time"),
+        File("names.d", _text("Time (Sec)\tForce [Newton]", _S, _N, by="\t")),
+        File("pounds.csv", _text("Time (Sec),Load [lbs]", _S, pounds)),
+        File("windaq.csv", _text("Relative Time,Load Cell\nsec,lbf", _S, pounds)),
+        File("iso_z.csv", _text("timestamp,force [N]", [f"{s}Z" for s in _stamps("%Y-%m-%dT%H:%M:%S.%f")], _N)),
+        File("iso_zone.csv", _text("time;Kraft in N", [f"{s}+01:00" for s in _stamps("%Y-%m-%d %H:%M:%S.%f")], [f.replace(".", ",") for f in _N],
+             by=";")),
+        File("epoch.csv", _text("timestamp_us,force_N", [str(1764064800000000 + 50 * k) for k in range(500)], _N)),
+        File("german.csv", _text("Zeit in s;Kraft in N", _S, _N, by=";", comma=True)),
+        File("german_16.csv", _text("Zeit;Kraft\n[s];[kN]", _S, [f"{f / 1e3:.7f}" for f in FORCE], by=";", comma=True, encoding="utf-16")),
+        File("axes.csv", _text("Time (s),X (g),Y (g),Z (g)", _S, _ZERO, _ZERO, _ACC), si="m/s^2"),
+        File("channel_g.csv", _text("Time(s),Ch 1(G)", _S, _ACC), {"observe": "Ch 1(G) [g]"}, '--observe "Ch 1(G) [g]"', "m/s^2"),
+        File("counted.csv", _text("sample,t_us,F_raw_N", [str(k) for k in range(500)], us, _N), {"observe": "F_raw_N [N]"},
+             '--observe "F_raw_N [N]"'),
+        File("signal_express.txt", _text("channel names:\nDev1/ai0\nstart times:\n11/25/2026 10:00:00.000000\ndt:\n0.000050\ndata:\nForce (N)",
+             _N)),
+        File("spaced.txt", _text("%  Time     Force\n%  [ms]     [N]", _MS, _N, by="   ")),
+    ]  # fmt: skip
+
+
+def _npy(archive: bool) -> bytes:
+    buffer = io.BytesIO()
+    if archive:
+        np.savez(buffer, time=CLOCK - CLOCK[0], force=FORCE)
+    else:
+        np.save(buffer, np.c_[CLOCK, FORCE])
+    return buffer.getvalue()
+
+
+def _wav24() -> bytes:
+    import wave
+
+    buffer = io.BytesIO()
+    with wave.open(buffer, "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(3)
+        file.setframerate(int(RATE))
+        samples = np.round(FORCE / 500.0 * 2**23).astype(int).tolist()
+        file.writeframes(b"".join(x.to_bytes(3, "little", signed=True) for x in samples))
+    return buffer.getvalue()
+
+
 def _lvm(kind: str = "One", comma: bool = False, segments: int = 1, rates: tuple[float, ...] = (RATE,)) -> bytes:
     n = len(rates)
     head = (f"LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t{',' if comma else '.'}\nMulti_Headings\tYes\n"
@@ -181,13 +258,21 @@ def _lvm(kind: str = "One", comma: bool = False, segments: int = 1, rates: tuple
     return (head + "\n".join([body] * segments)).encode()
 
 
-def _tdms(rates: tuple[float, ...]) -> bytes:
+def _tdms(rates: tuple[float, ...], apart: int = 0) -> bytes:
+    """Channels of these rates, each begun so many microseconds after the one before."""
     import nptdms
 
     buffer = io.BytesIO()
     with nptdms.TdmsWriter(buffer) as writer:
         for k, rate in enumerate(rates):
-            has = {"wf_increment": 1 / rate, "wf_start_offset": 0.0, "wf_samples": 500, "unit_string": "N"}
+            has: dict[str, Any] = {
+                "wf_increment": 1 / rate,
+                "wf_start_offset": 0.0,
+                "wf_samples": 500,
+                "unit_string": "N",
+            }
+            if apart:
+                has["wf_start_time"] = np.datetime64("2026-11-25T10:00:00") + np.timedelta64(k * apart, "us")
             writer.write_segment([nptdms.ChannelObject("rig", f"Force {k + 1}", FORCE, properties=has)])
     return buffer.getvalue()
 
@@ -283,6 +368,41 @@ def _c3d() -> bytes:
     return _through(".c3d", write)
 
 
+def _c3d_plate() -> bytes:
+    """A plate that is hit at x = 20 mm, y = 30 mm, with a ball that lies still; the reaction is along -z."""
+    import ezc3d
+
+    def write(path: str) -> None:
+        file: Any = ezc3d.c3d()
+        has = file["parameters"]
+        has["POINT"]["RATE"]["value"], has["POINT"]["LABELS"]["value"] = [200.0], ["ball"]
+        has["POINT"]["UNITS"]["value"], has["ANALOG"]["RATE"]["value"] = ["mm"], [RATE]
+        has["ANALOG"]["LABELS"]["value"] = [f"{kind}{axis}" for kind in "FM" for axis in "xyz"]
+        has["ANALOG"]["UNITS"]["value"] = ["N"] * 3 + ["Nmm"] * 3
+        file["data"]["points"] = np.ones((4, 1, 5))
+        file["data"]["analogs"] = np.outer([0, 0, -1, -30, 20, 0], FORCE)[None]
+        corners = np.array([[300, 200, 0], [-300, 200, 0], [-300, -200, 0], [300, -200, 0]], dtype=float).T[:, :, None]
+        origin, channels = np.array([[0.0], [0.0], [-40.0]]), np.arange(1.0, 7.0).reshape(6, 1)
+        for name, value in (("USED", [1, 0]), ("TYPE", [2, 0]), ("ZERO", [0, 0]), ("CHANNEL", channels), ("CORNERS", corners),
+                            ("ORIGIN", origin)):  # fmt: skip
+            file.add_parameter("FORCE_PLATFORM", name, value)
+        file.write(path)
+
+    data = bytearray(_through(".c3d", write))
+    group = data.index(b"FORCE_PLATFORM")
+    # ezc3d writes these as numbers of 4 bytes (type 4), and reads them as whole ones of 2 alone.
+    for name, count in ((b"USED", 2), (b"TYPE", 2), (b"ZERO", 2), (b"CHANNEL", 6)):
+        at = group
+        while data[at - 2] != len(name):
+            at = data.index(name, at + 1)
+        kind = at + len(name) + 2
+        first = kind + 2 + data[kind + 1]
+        whole = np.frombuffer(bytes(data[first : first + 4 * count]), "<f4").astype("<i2")
+        data[first : first + 4 * count] = whole.tobytes() + bytes(2 * count)
+        data[kind], data[kind + 2] = 2, 2 * data[kind + 2]
+    return bytes(data)
+
+
 def _binaries() -> list[tuple[str, Callable[[], File]]]:
     pairs, full, volts = np.c_[CLOCK, FORCE], {"full_scale": "500 N"}, {"sensitivity": VOLTS}
     pico = {"Tstart": -5e-3, "Tinterval": 5e-5, "Length": 500.0, "A": (FORCE / 100.0).reshape(-1, 1)}
@@ -297,10 +417,20 @@ def _binaries() -> list[tuple[str, Callable[[], File]]]:
         ),
         ("wave.tdms", lambda: File("wave.tdms", _tdms((RATE,)), digits=1e-9)),
         ("two_clocks.tdms", lambda: File("two_clocks.tdms", _tdms((RATE, 5e3)), {"table": "rig/Force 1"}, "--table")),
+        (
+            "two_starts.tdms",
+            lambda: File("two_starts.tdms", _tdms((RATE, RATE), 1500), {"table": "rig/Force 1"}, "--table"),
+        ),
         ("force58.uff", lambda: File("force58.uff", _uff(False))),
         ("force58b.uff", lambda: File("force58b.uff", _uff(True))),
         ("int16.wav", lambda: File("int16.wav", _wav(np.int16), full, "--full-scale")),
         ("int32.wav", lambda: File("int32.wav", _wav(np.int32, 2), full, "--full-scale")),
+        ("int24.wav", lambda: File("int24.wav", _wav24(), full, "--full-scale")),
+        (
+            "matrix.npy",
+            lambda: File("matrix.npy", _npy(False), {"time": "column 1 [s]", "observe": "column 2 [N]"}, "--time"),
+        ),
+        ("named.npz", lambda: File("named.npz", _npy(True), digits=1e-9)),
         ("float.wav", lambda: File("float.wav", _wav(np.float32), full, "--full-scale")),
         ("pico.mat", lambda: File("pico.mat", _mat(**pico), scope, "--observe")),
         (
@@ -310,13 +440,14 @@ def _binaries() -> list[tuple[str, Callable[[], File]]]:
         ("rate.mat", lambda: File("rate.mat", _mat(force=FORCE, fs=RATE), digits=1e-9)),
         ("rate.h5", lambda: File("rate.h5", _hdf5(), digits=1e-9)),
         ("drop.mf4", lambda: File("drop.mf4", _mdf(), digits=1e-9)),
+        ("plate_arm.c3d", lambda: File("plate_arm.c3d", _c3d_plate(), digits=1e-6)),
         ("plate.c3d", lambda: File("plate.c3d", _c3d(), digits=1e-6)),
     ]
 
 
 def files() -> dict[str, Callable[[], File]]:
     """Every file by name; binary ones are written on call, by their libraries."""
-    return {**{f.name: (lambda f=f: f) for f in _texts()}, **dict(_binaries())}
+    return {**{f.name: (lambda f=f: f) for f in [*_texts(), *_further()]}, **dict(_binaries())}
 
 
 def tried(file: File, folder: Path, said: dict[str, str]) -> tuple[str, str]:

@@ -24,8 +24,8 @@ import jax
 import numpy as np
 
 from bcfj_jax import InputError, scenes
-from bcfj_jax.core.threads import cores
 from bcfj_jax.models.joint.scene import PLAIN
+from bcfj_jax.xla.threads import cores
 from benchmarks.analysis.derivatives import CONTACTS, load
 from benchmarks.common import ROOT, markdown, put_in_readme, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit

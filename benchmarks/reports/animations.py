@@ -16,11 +16,11 @@ import subprocess
 import time
 from pathlib import Path
 
-from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.io.scenefile import load
 from bcfj_jax.io.view import animation, export, fragment, painter
 from bcfj_jax.models.scenes import SCENES
 from bcfj_jax.solve.simulation import simulate
+from bcfj_jax.xla.compile_cache import open_cache
 
 WIDTHS = (1280, 390)
 _BROWSER = [

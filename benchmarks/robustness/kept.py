@@ -68,7 +68,7 @@ def journal(folder: Path) -> Kept:
 
 def program(folder: Path) -> Kept:
     """A compiled program's export."""
-    from bcfj_jax.core import programs
+    from bcfj_jax.xla import programs
 
     values = np.array([1.0, 2.0, 3.0])
     before, programs.Settings.folder = programs.Settings.folder, folder / "programs"

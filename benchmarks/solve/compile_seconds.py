@@ -3,7 +3,7 @@
 Every command runs in a process of its own that keeps nothing from before. A program's time is the processor time of the
 process while that program alone is traced and compiled, so that other work on the machine changes it little.
 
-    python -m benchmarks.solve.compile_seconds [--only joint,impact]    rewrites bcfj_jax/core/compile_seconds.json
+    python -m benchmarks.solve.compile_seconds [--only joint,impact]    rewrites bcfj_jax/xla/compile_seconds.json
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-FILE = ROOT / "bcfj_jax" / "core" / "compile_seconds.json"
+FILE = ROOT / "bcfj_jax" / "xla" / "compile_seconds.json"
 _SEVERAL = "stiffness,damping"
 COMMANDS: dict[str, list[list[str]]] = {
     "joint": [["simulate", "joint"], ["sensitivity", "joint", "--wrt", _SEVERAL]],
@@ -38,7 +38,7 @@ _LEAST = 0.5
 def worker(words: list[str]) -> None:
     """One command in this process, whose programs compile one after another; their seconds, as JSON, to stdout's end."""
     from bcfj_jax.cli import main
-    from bcfj_jax.core import programs
+    from bcfj_jax.xla import programs
 
     alone, seconds, make = threading.Lock(), {}, programs._made
 

@@ -1,9 +1,9 @@
-"""What options of XLA change (``bcfj_jax.core.backend``): run time, compile time and forces, side by side.
+"""What options of XLA change (``bcfj_jax.xla.backend``): run time, compile time and forces, side by side.
 
 Each program runs in fresh processes that differ in these options alone, in turn; CPU seconds of all threads, the least
 of the processes.
 
-    python -m benchmarks.solve.kernels [--processes 2]    keeps benchmarks/results/kernels.json and docs/waiting.md
+    python -m benchmarks.solve.kernels [--processes 2]    keeps benchmarks/results/kernels.json and docs/xla.md
     python -m benchmarks.solve.kernels --worker           (internal) one process: all programs
 """
 
@@ -122,7 +122,7 @@ def main(processes: int) -> None:
             for name, rows in sides.items()
         }
     save("kernels", {"processes": processes, "options": OPTIONS, "programs": result})
-    put_in_readme("kernels", table(result), "docs/waiting.md")
+    put_in_readme("kernels", table(result), "docs/xla.md")
     print(table(result))
 
 

@@ -23,10 +23,10 @@ import numpy as np
 from jax import Array
 
 import bcfj_jax as bj
-from bcfj_jax.core.backend import set_up
 from bcfj_jax.models.joint import arrowhead
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve import rodas
+from bcfj_jax.xla.backend import set_up
 from benchmarks.common import RESULTS, load, markdown, save
 
 SCENES: dict[str, dict[str, Any]] = {"default": {}, "plain": PLAIN}

@@ -20,9 +20,9 @@ from jax import Array
 from bcfj_jax import reading_history
 from bcfj_jax.analysis.derivatives.jacobian import Histories, histories
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.xla.programs import program
 from calibration import attitudes
 from calibration.filters import Filter
 from calibration.forward.coordinates import Coordinate, coordinates_of
@@ -284,6 +284,8 @@ def evaluation(model: Model) -> Callable[[np.ndarray], Evaluated]:
     rows, width = 1 if budget(model.scene).apart else _ROWS, len(model.coordinates)
     frame, numbers = divided(model)
     run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0))
+    # Handed over once: a run may take a millisecond, of which NumPy's arrays would take half.
+    numbers = jax.tree.map(lambda x: x if np.isscalar(x) else jax.device_put(x), numbers)
 
     def at(points: np.ndarray) -> Evaluated:
         found = []

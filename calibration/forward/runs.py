@@ -12,11 +12,11 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.channels import Channel, channel, histories
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import Run, outcome, story
+from bcfj_jax.xla.programs import program
 from calibration.forward.model import Model
 
 # Times of a run that is looked at by itself; as many always, so that all share one program.

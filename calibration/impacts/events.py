@@ -25,6 +25,8 @@ _LOUD, _ALONE = 0.04, 0.3
 _RESOLVED = 4
 # Of several contacts the least peak that is fitted, over the largest.
 _FAINT = 0.1
+# A share of the readings that is rounding alone.
+_ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
 
@@ -110,7 +112,7 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         return []
     clock, rises = times[seen], rise(observes, times[seen], values[seen])
     peak, step = float(rises.max()), float(np.median(np.diff(clock)))
-    if not peak > 0.0:
+    if not peak > _ROUNDING * float(np.abs(values[seen]).max()):
         return []
     if quantity(observes) in ("velocity", "place"):
         # A position leaves its line further and further: what counts is how far it has when it turns.
@@ -153,9 +155,10 @@ def steady(rises: np.ndarray) -> tuple[np.ndarray, float, int]:
     A wrong sample (``alone``) is replaced by its neighbours. Where the noise is above _LOUD of the peak, the rises are a
     running mean, a quarter as wide as the one whose peak is highest above the noise.
     """
-    noise, wrong = scatter(rises), np.flatnonzero(alone(rises))
+    noise, lone = scatter(rises), alone(rises)
     rises = rises.copy()
-    rises[wrong] = 0.5 * (rises[wrong - 1] + rises[wrong + 1])
+    # Two wrong samples may be neighbours, as a spike and its echo are.
+    rises[lone] = np.interp(np.flatnonzero(lone), np.flatnonzero(~lone), rises[~lone])
     peak, width = float(rises.max()), 1
     if _SIGMAS * noise > 0.5 * peak or noise > _LOUD * peak:
         widths = np.unique(np.round(np.geomspace(1, max(rises.size // 4, 1), 24)).astype(int)) // 2 * 2 + 1
@@ -200,6 +203,14 @@ def alone(rises: np.ndarray) -> np.ndarray:
         return np.zeros(rises.size, dtype=bool)
     first = int(np.flatnonzero(others > 0.5 * peak)[0])
     return (wrong & ((np.arange(rises.size) < first) | (rises > peak))) | (lone(-rises) & (rises < -0.5 * peak))
+
+
+def wrong(observes: str, clock: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Which readings (N,), NaN where nothing was read, are wrong samples (``alone``); none of a velocity or a position."""
+    found, seen = np.zeros(values.size, dtype=bool), np.flatnonzero(np.isfinite(values))
+    if quantity(observes) in ("normal", "pulse") and seen.size > 2:
+        found[seen[alone(rise(observes, clock[seen], values[seen]))]] = True
+    return found
 
 
 def _mean(rises: np.ndarray, width: int) -> np.ndarray:

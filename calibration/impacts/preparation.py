@@ -13,10 +13,11 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
+from bcfj_jax.data.clock import evened
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
-from calibration.impacts.events import alone, contacts, quantity, rest, rise, steady, telling, turning
+from calibration.impacts.events import contacts, quantity, rest, rise, steady, telling, turning, wrong
 from calibration.impacts.inspection import (
     TOUCHING,
     channel_notes,
@@ -99,9 +100,9 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
         InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
             that is not whole, and whatever leaves nothing to fit.
     """
-    faults, raw, clock = Faults(), {}, np.zeros(part.lines.size)
+    faults, raw, clock, rounded = Faults(), {}, np.zeros(part.lines.size), ""
     with faults:
-        clock = part.numbers(time, "s", f"{where} time", blank=False)
+        clock, rounded = evened(part.numbers(time, "s", f"{where} time", blank=False))
         check_clock(clock, part, time)
     for observes, header in observe.items():
         with faults:
@@ -109,19 +110,19 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
     saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     # Infinity, of a sample beyond what an instrument can show, says no more than that.
     raw = {o: np.where(np.isinf(values), np.nan, values) for o, values in raw.items()}
-    wrong = {o: _wrong(o, values, clock) & ~saturated[o] for o, values in raw.items()}
-    masked = {o: saturated[o] | wrong[o] for o in raw}
+    lone = {o: wrong(o, clock, values) & ~saturated[o] for o, values in raw.items()}
+    masked = {o: saturated[o] | lone[o] for o in raw}
     for o, values in raw.items():
         with faults:
             check_channel(o, values, masked[o], _zero(values, recipe), _place(part, observe[o]))
     faults.refuse(part.name)
     first = next(iter(raw), "")
-    begun = _first_contact(clock, first, np.where(wrong[first], np.nan, raw[first]), where) if recipe.align else None
+    begun = _first_contact(clock, first, np.where(lone[first], np.nan, raw[first]), where) if recipe.align else None
     clock = clock - (begun or 0.0)
     breaks = jumps(clock)
-    notes = [clock_note(clock), *_gap_notes(clock, breaks)]
+    notes = [clock_note(clock), *filter(None, [rounded]), *_gap_notes(clock, breaks)]
     for o, values in raw.items():
-        notes += channel_notes(o, values, saturated[o]) + _wrong_notes(o, values[wrong[o]], clock[wrong[o]])
+        notes += channel_notes(o, values, saturated[o]) + _wrong_notes(o, values[lone[o]], clock[lone[o]])
     times, values = clock, {o: np.where(masked[o], np.nan, v) for o, v in raw.items()}
     if recipe.resample is not None:
         times, values, said = resampled(clock, breaks, values, recipe.resample, where)
@@ -156,14 +157,6 @@ def _place(part: Record, header: str) -> str:
 def _signed(part: Record, header: str, unit: str, where: str) -> np.ndarray:
     sign = -1.0 if header.startswith("-") else 1.0
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
-
-
-def _wrong(observes: str, values: np.ndarray, clock: np.ndarray) -> np.ndarray:
-    """Which readings (N,) are wrong samples: far from rest, alone, where there is no contact (``events.alone``)."""
-    wrong, seen = np.zeros(values.size, dtype=bool), np.flatnonzero(np.isfinite(values))
-    if quantity(observes) in ("normal", "pulse") and seen.size > 2:
-        wrong[seen[alone(rise(observes, clock[seen], values[seen]))]] = True
-    return wrong
 
 
 def _wrong_notes(observes: str, values: np.ndarray, clock: np.ndarray) -> list[str]:

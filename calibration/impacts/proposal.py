@@ -17,14 +17,17 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults
 from bcfj_jax.core.quantities import GRAVITY
-from bcfj_jax.data.clock import TIMES
+from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.data.record import RUN_COLUMNS, Record, run_column, split
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, accelerates, column, scale_of
-from calibration.impacts.events import Event, contacts, rest
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, scale_of
+from calibration.impacts import plates
+from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
+from calibration.impacts.otherwise import refuse_motion, without_time
+from calibration.noise.scatter import scatter
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 _KINDS = ("s", "N", "m/s^2", "m/s", "m")
@@ -68,6 +71,10 @@ _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "coun
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
+# Durations of a contact over those of its event (``contacts``), which leaves out a speed's ends and what follows a place's turn.
+_WHOLE = {"m/s": 1.5, "m": 4.0}
+# Times the noise from which on a contact is seen.
+_SEEN = 12.0
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -125,6 +132,7 @@ class Understood:
         given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
         speeds: of each record [m/s], by that column.
         each: whether each contact is a record, cut from its run.
+        plate: of a force plate, which force is read and where it acts.
     """
 
     path: Path
@@ -139,6 +147,7 @@ class Understood:
     given: tuple[str, str] = ("", "")
     speeds: tuple[float, ...] = ()
     each: bool = False
+    plate: str = ""
 
 
 class Hints(NamedTuple):
@@ -157,6 +166,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         InputError: where there is no clock, no reading or no contact in it.
     """
     where, faults = table.name, Faults(table.faults)
+    if hints.observe is None:
+        refuse_motion(table)
     run = _run_column(table) if hints.runs_by is None else hints.runs_by
     if run:
         run = table.header[table.index(run, "--runs-by")]
@@ -169,6 +180,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     headers = ", ".join(h for h in table.header if h)
+    if "s" not in found and (known := without_time(table.header, found, where)):
+        raise known
     if "s" not in found:
         remedy = f'head one as "time [s]", or say which it is: --time "{_bare(table, 0)} [us]" of init calibration'
         faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
@@ -187,6 +200,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     kind = "contact.normal" if unit in ("N", "m/s^2") else _READ[unit]
     for (label, _), (clock, readings) in zip(parts, raw, strict=False):
         turned = {u: signs.get(u, 1.0) * v for u, v in readings.items()}
+        for u in {"N", "m/s^2"} & turned.keys():
+            pushes = turned[u] if u == "N" else -turned[u]
+            turned[u] = np.where(wrong("contact.normal", clock, pushes), np.nan, turned[u])
         events = contacts(kind, clock, -turned[unit] if unit == "m/s^2" else turned[unit])
         if not events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
@@ -198,8 +214,10 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     known = {column(time)[0], time, run, given[0], *found.values(), *map(_bared, found.values()), *rows}
     others = [h for h in table.header if h and h not in known and column(h)[0] not in known]
     many = (run, len(parts) if run else 1)
+    first = records[0]
+    plate = plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else ""
     return Understood(
-        table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds
+        table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds, plate=plate
     )  # fmt: skip
 
 
@@ -216,11 +234,24 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
     for h in table.header:
         if (unit := column(h)[1]) in ELECTRICAL:
             return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
-    other = next((h for h in table.header if h and column(h)[1] is None and h != found.get("s")), "")
-    k = table.header.index(other) if other else -1
-    k = 1 if other and k == 0 and "s" not in found and len(table.header) > 1 else k
-    said = f', or say which it is: --observe "{_bare(table, k)} [N]" of init calibration' if other else ""
+    bare = [h for h in table.header if h and column(h)[1] is None and h != found.get("s")]
+    bare = bare[1:] if "s" not in found and bare[1:] and bare[0] == table.header[0] else bare
+    other = next((h for h in bare if not _counts(table, h)), next(iter(bare), ""))
+    heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
+    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
+    unit = "lbf" if unit in ("lb", "lbs") else "kgf" if unit == "kg" else unit
+    named = column(heavy or other)[0]
+    said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
     return f'head one with its unit, as in "force [N]"{said}'
+
+
+def _counts(table: Record, header: str) -> bool:
+    """Whether a column counts the samples."""
+    try:
+        values = table.numbers(header, "1", table.name, True)
+    except InputError:
+        return False
+    return values.size > 1 and bool((np.diff(values) == 1.0).all())
 
 
 def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
@@ -231,7 +262,9 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
     if hints.observe is not None:
         header = table.header[table.index(hints.observe, "--observe")]
         said = header if column(header)[1] is not None else hints.observe
-        unit = _unit(table, said) or next((u for u in _READ if _named(said, u)), None)
+        # Who names a column in g as a reading means gravities: a mass is none.
+        gravities = column(said)[1] in GRAVITIES and not _named(said, "N")
+        unit = "m/s^2" if gravities else _unit(table, said) or next((u for u in _READ if _named(said, u)), None)
         if unit not in _READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
@@ -273,7 +306,7 @@ def _read(
     """Clock (N,) [s] and readings (N,) by unit of one run; what is wrong with them is put to ``faults``."""
     readings, clock = {}, np.arange(float(part.lines.size))
     with faults:
-        clock = part.numbers(time, "s", part.name, blank=False) if time else clock
+        clock = evened(part.numbers(time, "s", part.name, blank=False))[0] if time else clock
         check_clock(clock, part, time)
     for unit, header in found.items():
         with faults:
@@ -339,6 +372,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     found: dict[str, str] = {}
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
+    numeric = [h for h in numeric if not plates.is_pressure(table, h)]
     stated = {h: u for h in numeric if (u := _unit(table, h))}
 
     def later(header: str) -> tuple[bool, float]:
@@ -382,6 +416,8 @@ def _unit(table: Record, header: str) -> str | None:
     name, text = column(header)[0], table.unit(header)
     if text in _KINDS:
         return text
+    if text in WEIGHTS and _named(header, "N"):
+        return "N"
     for unit in _KINDS if text else ():
         if text in GRAVITIES and not (unit == "m/s^2" and accelerates(name)):
             continue
@@ -410,6 +446,9 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
             return float(seen[: max(3, values.size // 20)].mean())
         if unit == "m":  # Upwards at first, before it turns?
             return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
+        # A wrong sample has no vote, as far as a contact is seen without: of each three the middle one.
+        middle = np.median([seen[:-2], seen[1:-1], seen[2:]], axis=0) if seen.size > 2 else seen
+        seen = middle if np.ptp(middle) > _SEEN * scatter(seen) else seen
         level = seen - (rest(seen) or 0.0)  # Further upwards from its rest than downwards?
         return float(np.max(level) + np.min(level))
 
@@ -446,6 +485,7 @@ class Sizes(NamedTuple):
 def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
+    whole = _WHOLE.get(next(u for u in _READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events
@@ -461,8 +501,8 @@ def sizes(found: Understood) -> Sizes:
     return Sizes(
         peak=middle([r.events[0].peak for r in has]),
         impulse=middle(pushed),
-        duration=middle([e.duration for e in events]),
-        samples=int(np.median([e.last - e.first + 1 for e in events])),
+        duration=whole * middle([e.duration for e in events]),
+        samples=int(whole * np.median([e.last - e.first + 1 for e in events])),
         step=middle([e.step for e in events]),
         contacts=len(longest),
         speed=ends([s[0] for s in speeds]) if speeds else None,

@@ -30,7 +30,7 @@ from calibration.impacts.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
 
 # Bounds of the clock about the first contact: shares of a contact's duration before and after, by what is read.
-_BEFORE, _AFTER = {"normal": 0.25, "pulse": 0.25, "velocity": 0.5, "place": 1.0}, 0.1
+_BEFORE, _AFTER = {"normal": 0.25, "pulse": 0.25, "velocity": 0.5, "place": 2.0}, 0.1
 # Bounds of a level of rest: so many deviations, and at least this share of the peak.
 _SIGMAS, _SHARE = 5.0, 0.02
 # Bounds of a filter's cut-off, by a contact's duration; how far, by the cut-off, a filter run back spreads a contact.

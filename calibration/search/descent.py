@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.programs import program
+from bcfj_jax.xla.programs import program
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.core.threads import each
 from bcfj_jax.solve.plan import plan
+from bcfj_jax.xla.threads import each
 from calibration.forward.losses import straightened
 from calibration.forward.model import Evaluated, Model, evaluation
 from calibration.search.descent import Evaluate

@@ -18,9 +18,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.io.journal import Chapter, Journal
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla.programs import program
 from calibration.fit import Fit, fit
 from calibration.forward.model import Model, divided, whole
 from calibration.noise import noise_model

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.extras import library
-from bcfj_jax.solve.batched_jvp import with_jacobian
+from bcfj_jax.xla.batched_jvp import with_jacobian
 from calibration.diagnostics.optimum import Optimum
 from calibration.forward.losses import loss_of
 from calibration.forward.model import Model

@@ -308,4 +308,7 @@ def _quantile(means: np.ndarray, spread: np.ndarray, weights: np.ndarray, q: flo
     wide = np.maximum(spread, 1e-300)
     low, high = float(np.min(means - 8.0 * wide)), float(np.max(means + 8.0 * wide))
     beyond = lambda x: float(weights @ ndtr((x - means) / wide)) - q  # noqa: E731
-    return float(brentq(beyond, low, high, xtol=1e-12 * (high - low))) if high > low else low  # pyright: ignore[reportArgumentType]
+    # Where nothing spreads the means, the share steps at one of them, which may be an end.
+    if beyond(low) >= 0.0 or beyond(high) <= 0.0:
+        return low if beyond(low) >= 0.0 else high
+    return float(brentq(beyond, low, high, xtol=1e-12 * (high - low)))  # pyright: ignore[reportArgumentType]

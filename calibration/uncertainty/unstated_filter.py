@@ -49,6 +49,8 @@ _SAMPLES, _HOPELESS = 100, 60.0
 # Samples of all records together up to which they are made finer; beyond them every second filter stands for all.
 _MOST = 6000
 ALLOWED, DECISIVE = 5.99, 10.0
+# Sum of squares, in deviations of the noise, by which a step may move the predictions that tells the fit with a filter.
+_LITTLE = 0.3
 # Name of the kind of interval.
 KIND = "filter"
 # A contact says at least so much of a filter, however residuals correlate.
@@ -122,18 +124,25 @@ class _Sampled:
             between[i, : count - 1], between[i, count - 1] = own, np.median(own)
         self.clocks = [times + between * k / self.parts for k in range(self.parts)]
         self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
-        # Asked some thousand times: which program each needs is found once.
+        # Asked some hundred times: which program each needs is found once.
         self.evaluations = [evaluation(model) for model in self.models]
+        self.last: tuple[np.ndarray, list[np.ndarray]] = (np.zeros(0), [])
+
+    def _read(self, point: np.ndarray) -> list[np.ndarray]:
+        """Readings and their derivatives at every clock, without a filter; those of the last point are kept."""
+        if not np.array_equal(point, self.last[0]):
+            size, rows = self.weights.size, []
+            for evaluated in self.evaluations:
+                found = evaluated(point[None])
+                both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
+                rows.append(both.reshape(*self.weights.shape, point.size + 1))
+            self.last = (point.copy(), rows)
+        return self.last[1]
 
     def at(self, point: np.ndarray, passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N,) and their Jacobian (N, P); not finite where the simulation fails."""
         count, shape = point.size, self.weights.shape
-        rows = []
-        for evaluated in self.evaluations:
-            found = evaluated(point[None])
-            size = int(np.prod(shape))
-            both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
-            rows.append(both.reshape(*shape, count + 1))
+        rows = self._read(point)
         if not all(np.isfinite(row).all() for row in rows):
             return np.full(int(np.prod(shape)), np.nan), np.zeros((int(np.prod(shape)), count))
         read = np.zeros((*shape, count + 1))
@@ -147,6 +156,18 @@ class _Sampled:
         white = (weighed - self.memory[..., None] * before) / np.sqrt(1.0 - self.memory[..., None] ** 2)
         white = np.where(self.weights[..., None] > 0, white, 0.0).reshape(-1, count + 1)
         return white[:, 0], white[:, 1:]
+
+    def stepped(self, one: Tried, passed: Filter, cutoff: float) -> Tried | None:
+        """A fit with a filter by one step from the fit ``one``, where that tells it: the filter does little; else None."""
+        residuals, jacobian = self.at(one.point, passed, cutoff)
+        step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
+        left = residuals + jacobian @ step
+        point = one.point + step
+        bound = np.array([axis.name != "time_offset" for axis in self.model.coordinates])
+        inside = np.all((point[bound] > 0.0) & (point[bound] < 1.0))
+        # What the step leaves out is of second order in it.
+        little = np.sum((jacobian @ step) ** 2) < _LITTLE
+        return Tried(passed, cutoff, point, float(left @ left), left, jacobian) if inside and little else None
 
     def fitted(self, point: np.ndarray, passed: Filter, cutoff: float) -> Tried:
         """The least squares with a filter, from a point on; the clock is not bound, for its bounds know no filter."""
@@ -251,7 +272,8 @@ def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: flo
     for passed in sampled.filters:
         chains.append([plain])
         for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
-            chains[-1].append(sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
+            found = sampled.stepped(plain, passed, float(cutoff))
+            chains[-1].append(found or sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
             best = min(best, chains[-1][-1], key=lambda one: one.square)
             if _excess(chains[-1][-1], best, series) > _HOPELESS:
                 break

@@ -22,7 +22,7 @@ seen = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
 """
 TAIL = """
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 print(json.dumps([found, programs.traced, programs.fetched, seen["cache_misses"], "diffrax" in sys.modules]))
 """
 RUN = """

@@ -11,14 +11,14 @@ import pytest
 
 _SCRIPT = """
 import json, sys
-from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.xla.compile_cache import open_cache
 open_cache()
 import jax.monitoring
 from pathlib import Path
 missed = []
 jax.monitoring.register_event_listener(lambda name, **_: missed.append(name) if name.endswith("cache_misses") else None)
 from bcfj_jax.analysis.derivatives import command
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 wanted = command.Wanted(sys.argv[2].split(","), [], True, 60.0)
 text, good = command.run(sys.argv[1], wanted, Path(sys.argv[3]), lambda _: None, print)
 csv = (Path(sys.argv[3]) / "sensitivity.csv").read_text()

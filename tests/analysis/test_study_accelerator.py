@@ -11,8 +11,8 @@ import pytest
 from bcfj_jax.analysis.studies import api
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import from_table
-from bcfj_jax.core import backend, programs
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.xla import backend, programs
 
 IMPACT = {
     "scene": "impact",

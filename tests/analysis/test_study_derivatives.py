@@ -21,8 +21,8 @@ from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.core.status import OK
 from bcfj_jax.models.joint.scene import PLAIN
-from bcfj_jax.solve.batched_jvp import changes
-from bcfj_jax.solve.plan import plan
+from bcfj_jax.solve.plan import Points, plan
+from bcfj_jax.xla.batched_jvp import changes
 
 pytest.importorskip("pyarrow", reason="the extra study is not installed")
 
@@ -109,7 +109,7 @@ def stiff(order: np.ndarray, accuracy: float = 1e-3) -> batch.Runs:
     params = {name: np.full(len(order), value) for name, value in zip(NAMES, VALUES, strict=True)}
     params["damping"] = params["damping"] * SHARES[order]
     ends = np.full(len(order), TIMES[-1])
-    return batch.run(model, params, ends, np.asarray(TIMES / TIMES[-1]), WRT, plan(model, accuracy), 5)
+    return batch.run(model, Points(params, ends, np.asarray(TIMES / TIMES[-1])), WRT, plan(model, accuracy), 5)
 
 
 def test_a_stiff_batch_has_the_derivatives_of_the_closed_form_whatever_stands_beside(monkeypatch):

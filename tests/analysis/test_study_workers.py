@@ -16,14 +16,14 @@ from conftest import BUILD
 from studies import STUDY
 
 from bcfj_jax.analysis.studies import api, local, specification, worker
-from bcfj_jax.core import programs
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.xla import programs
 
 pytest.importorskip("pyarrow", reason="the extra study is not installed")
 
 PROGRAM = """
 import sys
-from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.xla.compile_cache import open_cache
 open_cache()
 from bcfj_jax.analysis.studies.api import study
 study("study.toml", sys.argv[1], workers=1)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from bcfj_jax import InputError
+from bcfj_jax.cli import app
 from bcfj_jax.data import clock
 from bcfj_jax.data.reading import read
 from bcfj_jax.data.sensitivity import Sensitivities
@@ -143,3 +145,80 @@ def test_a_million_samples_are_read_in_seconds(tmp_path):
     assert time.process_time() - begin < 5.0
     assert record.numbers("Kraft", "N", "here", False)[-1] == (count - 1) % 7 + 0.5
     assert record.lines[-1] == count + 1 and f"{count} rows, lines 2 to {count + 1}" in record.found
+
+
+def test_wrong_samples_side_by_side_and_in_a_contact_are_left_out(tmp_path):
+    """A spike and its echo beside it, of four times the peak; what is proposed is as of the record without them."""
+    texts = []
+    for spikes in ((), ((42, -1500.0), (89, -1497.0), (90, 1499.0), (117, -1411.0), (400, 1499.0), (401, -1499.0))):
+        force = instruments.FORCE.copy()
+        for at, value in spikes:
+            force[at] = value
+        rows = [f"{t:.6f},{f:.4f}" for t, f in zip(instruments.CLOCK, force, strict=True)]
+        (tmp_path / "a.csv").write_text("\n".join(["time [s],force [N]", *rows]) + "\n")
+        out = tmp_path / f"{len(texts)}.toml"
+        init.run(tmp_path / "a.csv", out, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+        texts.append([line for line in out.read_text().splitlines() if not line.startswith(("#", "window"))])
+        # Two samples more or less at its ends are left to the noise.
+        (one,) = problemfile.prepared(out)
+        assert one.times[[0, -1]] == pytest.approx([-5.45e-3, 14.2e-3], abs=0.15e-3)
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize(("unit", "weight"), [("lbs", 4.4482216), ("kg", 9.80665)])
+def test_a_force_in_a_unit_of_mass_is_a_weight_and_said(unit, weight, tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{t:.6f},{f / weight:.6f}" for t, f in zip(instruments.CLOCK, instruments.FORCE, strict=True)]
+    path.write_text("\n".join([f"time [s],load [{unit}]", *rows]) + "\n")
+    init.run(path, tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+    assert f"CHECK: load [{unit}] is taken as the weight of so many {unit}" in (tmp_path / "a.toml").read_text()
+    (one,) = problemfile.prepared(tmp_path / "a.toml")
+    assert one.readings["contact.normal"].raw.max() == pytest.approx(instruments.FORCE.max(), rel=1e-5)
+
+
+def _two_sensors(path):
+    """Hits 1 and 2 of two sensors, B with half of A's force; "part" is 7, then 3."""
+    rows = [
+        f"{sensor},{part},{t:.6f},{share * f:.4f}"
+        for part in (7, 3)
+        for sensor, share in (("A", 1.0), ("B", 0.5))
+        for t, f in zip(instruments.CLOCK - instruments.CLOCK[0], instruments.FORCE, strict=True)
+    ]
+    path.write_text("\n".join(["Sensor,part,time [s],force [N]", *rows]) + "\n")
+
+
+def _init(path, *options):
+    return CliRunner().invoke(
+        app, ["init", "calibration", str(path), "--out", str(path.with_suffix(".toml")), *options]
+    )
+
+
+@pytest.mark.parametrize(("sensor", "share"), [("A", 1.0), ("B", 0.5)])
+def test_rows_and_runs_by_of_the_command_line(sensor, share, tmp_path):
+    path = tmp_path / "a.csv"
+    _two_sensors(path)
+    done = _init(path, "--mass", "0.8 kg", "--speed", "1.2 m/s", "--rows", f"Sensor = {sensor}", "--runs-by", "part")
+    assert done.exit_code == 0, done.output
+    text = path.with_suffix(".toml").read_text()
+    assert f'rows = {{ "Sensor" = "{sensor}" }}' in text and 'runs_by = "part"' in text
+    found = problemfile.prepared(path.with_suffix(".toml"))
+    assert [one.name for one in found] == ["part 7", "part 3"]
+    for one in found:
+        raw = one.readings["contact.normal"].raw
+        np.testing.assert_allclose(raw, share * instruments.FORCE, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--rows", "Sensor"), 'give a column and a value: "Sensor = A"'),
+        (("--rows", "Sensor = C"), "no row has Sensor = C; values there: A, B"),
+        (("--rows", "Sensors = A"), "did you mean 'Sensor'"),
+        (("--runs-by", "prt"), "did you mean 'part'"),
+    ],
+)
+def test_rows_and_columns_that_are_not_there_are_refused(options, said, tmp_path):
+    _two_sensors(tmp_path / "a.csv")
+    done = _init(tmp_path / "a.csv", *options)
+    assert done.exit_code == 2 and said in " ".join(done.output.split()), done.output
+    assert not (tmp_path / "a.toml").exists()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.xla.batched_jvp import together
 from calibration.uncertainty import posterior
 from calibration.uncertainty.posterior import Around, Chains
 

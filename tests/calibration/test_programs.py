@@ -1,4 +1,4 @@
-"""What a calibration compiles: three programs, which the next process reads; with and without them one result."""
+"""What a calibration compiles: a few programs, which the next process reads; with and without them one result."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ import numpy as np
 import pytest
 from compiled import COMPILED
 
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 from calibration import fit, load
 from calibration.forward import model
 from calibration.forward.runs import contacts, failure
 
 DEMO = Path(__file__).parents[2] / "examples" / "chung_ooi_fit.toml"
-# The spheres' stiffness, whether a run can start, the residuals with their Jacobian, and a run that is looked at.
-NAMES = {"two spheres", "at_start", "adam", "calibration", "calibration run"}
+# The spheres' stiffness, whether a run can start, the residuals with their Jacobian, a run that is looked at, and one whose
+# penetrations are held against the sizes of the bodies.
+NAMES = {"two spheres", "at_start", "adam", "calibration", "calibration run", "simulate"}
 # The command in a process of its own, and what that traced, read, compiled and missed in XLA's cache.
 COMMAND = """
 import collections, json, sys
-from bcfj_jax.core.compile_cache import open_cache
+from bcfj_jax.xla.compile_cache import open_cache
 open_cache()
 import jax
 seen = collections.Counter()
 jax.monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
 jax.monitoring.register_event_duration_secs_listener(lambda event, _, **__: seen.update([event.rpartition("/")[2]]))
 from pathlib import Path
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 from calibration import command
 code = command.run(Path(sys.argv[1]), Path(sys.argv[2]), 0, 4)
-unused = sorted({"numpyro", "petab", "pypesto", "matplotlib.pyplot", "scipy.signal"} & sys.modules.keys())
+unused = sorted({"numpyro", "petab", "pypesto", "matplotlib.pyplot"} & sys.modules.keys())
 print(json.dumps([code, programs.traced, programs.fetched, seen["backend_compile_duration"], seen["cache_misses"], unused]))
 """
 

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from calibration.uncertainty import sets
 from calibration.uncertainty.sets import ACTS, QUANTILE, SCALES, Error, Linear, mixture
 
 COUNT, COORDINATES = 60, 3
@@ -135,3 +136,10 @@ def test_intervals_cover_worlds_with_none_one_and_two_errors(noise):
         ends = mixture(Linear(data, jacobian, np.eye(2), 0.0, 38), errors).ends()
         held.append((ends[:, 0] <= 0.0) & (ends[:, 1] >= 0.0))
     assert 0.91 < np.mean(held) < 0.995
+
+
+def test_quantiles_of_means_that_nothing_spreads_are_among_them():
+    weights = np.array([0.9, 0.1])
+    for q, wanted in ((0.025, 0.0), (0.975, 1e-9)):
+        assert sets._quantile(np.array([0.0, 1e-9]), np.zeros(2), weights, q) == pytest.approx(wanted, abs=1e-12)
+    assert sets._quantile(np.zeros(3), np.zeros(3), np.full(3, 1 / 3), 0.975) == pytest.approx(0.0, abs=1e-12)

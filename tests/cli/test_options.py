@@ -23,9 +23,9 @@ from bcfj_jax.analysis.designs import designfile
 from bcfj_jax.analysis.studies import command as studies
 from bcfj_jax.cli import app, plan
 from bcfj_jax.cli.options import asked
-from bcfj_jax.core import programs
 from bcfj_jax.core.progress import Waiting, stage
 from bcfj_jax.io import changes, doctor, outputs, scenefile
+from bcfj_jax.xla import programs
 from calibration import problemfile
 
 STUDY = 'scene = "s.toml"\n[vary.mass]\nlower = "10 g"\nupper = "30 g"\nsteps = 3\n'

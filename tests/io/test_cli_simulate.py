@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 from bcfj_jax.analysis.simulation import pictures, results
 from bcfj_jax.analysis.simulation.results import accuracy_sentences
 from bcfj_jax.cli import app
-from bcfj_jax.core import programs
-from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.io.scenefile import load
 from bcfj_jax.solve.measured_error import Accuracy
 from bcfj_jax.solve.simulation import Run
+from bcfj_jax.xla import programs
+from bcfj_jax.xla.compile_cache import open_cache
 
 pytestmark = pytest.mark.filterwarnings("error")
 

@@ -13,7 +13,7 @@ import pytest
 
 from bcfj_jax import InputError
 from bcfj_jax.io import folder as folders
-from bcfj_jax.io.folder import LOCK, inside, open_folder, session
+from bcfj_jax.io.folder import LOCK, Claim, inside, open_folder, session
 from bcfj_jax.io.guard import guarded
 from bcfj_jax.io.outputs import create, write_text, write_toml
 
@@ -23,10 +23,10 @@ HOLDER = """
 import sys
 import tomllib
 from pathlib import Path
-from bcfj_jax.io.folder import open_folder, session
+from bcfj_jax.io.folder import Claim, open_folder, session
 with session():
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    found = open_folder(out, "simulate", "x", ("a.csv", "b.json"))
+    found = open_folder(out, "x", Claim("simulate", ("a.csv", "b.json")))
     (found / "a.csv").write_text("half")
     print(found, flush=True)
     sys.stdin.read()
@@ -43,7 +43,7 @@ def holder(*arguments):
 
 def run(out, text="whole", goes_on="", fail=None):
     with session():
-        found = open_folder(out, "simulate", "x", FILES, goes_on=goes_on)
+        found = open_folder(out, "x", Claim("simulate", FILES, goes_on=goes_on))
         for name in FILES:
             write_text(found / name, text)
         if fail:
@@ -62,7 +62,7 @@ def test_a_folder_belongs_to_one_process(tmp_path):
     first = holder(out)
     assert first.stdout.readline().strip() == str(out)
     with session(), pytest.raises(InputError, match=r"another process writes there \(bcfj simulate\)"):
-        open_folder(out, "simulate", "x", FILES, wait_s=0.1)
+        open_folder(out, "x", Claim("simulate", FILES, wait_s=0.1))
     assert (out / "a.csv").read_text() == "half"
     first.communicate("")
     assert sorted(p.name for p in out.iterdir()) == ["a.csv"]
@@ -175,7 +175,7 @@ def test_names_do_not_leave_their_folder(tmp_path, name):
 
 def test_the_lock_names_what_will_be_written(tmp_path):
     with session():
-        open_folder(tmp_path, "simulate", "x", FILES)
+        open_folder(tmp_path, "x", Claim("simulate", FILES))
         assert json.loads((tmp_path / LOCK).read_text()) == {"verb": "bcfj simulate", "files": list(FILES)}
     assert not (tmp_path / LOCK).exists()
 
@@ -196,7 +196,7 @@ def test_messages_hold_no_control_characters(tmp_path):
 def test_an_interruption_after_a_stage_leaves_it_and_says_so(tmp_path):
     def staged(fail):
         with session():
-            found = open_folder(tmp_path / "out", "simulate", "x", FILES)
+            found = open_folder(tmp_path / "out", "x", Claim("simulate", FILES))
             write_text(found / FILES[0], "half")
             folders.stays(found, "not checked yet")
             if fail:

@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.cli import app
-from bcfj_jax.core import host, programs
 from bcfj_jax.io import scenefile
 from bcfj_jax.io.scenefile import load, template
 from bcfj_jax.mechanism import checks
+from bcfj_jax.xla import host, programs
 
 pytestmark = pytest.mark.filterwarnings("error")
 

@@ -81,7 +81,7 @@ def test_what_an_import_swallows_is_heard_before_work_begins(tmp_path):
         with contextlib.suppress(BaseException):
             os.kill(os.getpid(), signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            folder.open_folder(tmp_path / "out", "simulate", "impact", ["forces.csv"])
+            folder.open_folder(tmp_path / "out", "impact", folder.Claim("simulate", ["forces.csv"]))
     assert not (tmp_path / "out").exists()
 
 
@@ -161,7 +161,7 @@ def seen(self):
 threading.Thread.start = seen
 plots.get_ready()
 assert thread == [(True, False)], thread
-from bcfj_jax.core import threads
+from bcfj_jax.xla import threads
 threads._ahead[0].join()
 import matplotlib.ft2font
 assert "matplotlib.figure" in sys.modules

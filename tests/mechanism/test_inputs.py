@@ -10,13 +10,13 @@ import pytest
 
 import bcfj_jax as bj
 import calibration
-from bcfj_jax.core import programs
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.status import OK
 from bcfj_jax.core.upward import NAMES, upward
 from bcfj_jax.mechanism.model import Reading, Solution
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import story
+from bcfj_jax.xla import programs
 
 SCENE = bj.scenes.impact()
 PARAMS = SCENE.parameters(mass=0.5)

@@ -29,9 +29,9 @@ from bcfj_jax.analysis.tradeoff import advice
 from bcfj_jax.analysis.tradeoff.settings import settings
 from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import exact
-from bcfj_jax.core import programs
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.observed import observing
+from bcfj_jax.xla import programs
 
 PENDULUM = """\
 [scene]

@@ -21,7 +21,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.model import Proximity
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.measured_error import measured, parted
-from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.seeking import allowed
 from bcfj_jax.solve.work_queue import integrate_queue
 
@@ -218,9 +218,9 @@ def test_one_program_of_a_queue_misses_none():
     far = np.array([0.05, 0.3, 1.0, 3.0, 10.0, 0.5, 0.06, 7.0])
     params = {name: np.broadcast_to(np.asarray(x), far.shape) for name, x in base.items()} | {"ax": -far}
     how = plan(BALLS, "balanced")
-    found, _ = jax.jit(lambda p, e: integrate_queue(BALLS, p, e, jnp.array([0.0, 1.0]), how, jnp.asarray(8), 4))(
-        params, 2.0 * far
-    )
+    found, _ = jax.jit(
+        lambda p, e: integrate_queue(BALLS, Points(p, e, jnp.array([0.0, 1.0])), how, jnp.asarray(8), 4)
+    )(params, 2.0 * far)
     assert np.asarray(found.code).tolist() == [0] * 8
     # Struck centrally: v (a - b)/(a + b) and 2 v a/(a + b).
     assert np.asarray(found.states)[:, -1, 6] == within(np.full(8, -0.5), 3e-3)

@@ -13,7 +13,7 @@ import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.core.status import OK
 from bcfj_jax.solve.measured_error import measured
-from bcfj_jax.solve.plan import plan
+from bcfj_jax.solve.plan import Points, plan
 from bcfj_jax.solve.work_queue import integrate_queue
 
 MODEL = Damped()
@@ -82,7 +82,7 @@ def test_many_at_once():
     params = {name: jnp.full(5, value) for name, value in zip(NAMES, VALUES, strict=True)}
     params["damping"] = params["damping"] * shares
     grid, count, how = jnp.asarray(TIMES / TIMES[-1]), jnp.asarray(5), plan(MODEL, 1e-4)
-    solve = jax.jit(lambda p, ends: integrate_queue(MODEL, p, ends, grid, how, count, 2)[0])
+    solve = jax.jit(lambda p, ends: integrate_queue(MODEL, Points(p, ends, grid), how, count, 2)[0])
     found = solve(params, jnp.full(5, TIMES[-1]))
     assert np.all(found.code == OK)
     for k, share in enumerate(shares):

@@ -10,7 +10,7 @@ from joints import plain_joint
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.core.status import OK, STEPS
-from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.work_queue import equilibria, integrate_queue
 
 SCENE = scenes.impact()
@@ -26,7 +26,7 @@ def queue(low: float = 1e5, high: float = 1e9) -> tuple[dict, jax.Array]:
 @pytest.fixture(scope="module")
 def solve():
     return jax.jit(
-        lambda params, ends, how, count: integrate_queue(SCENE, params, ends, GRID, how, count, 5),
+        lambda params, ends, how, count: integrate_queue(SCENE, Points(params, ends, GRID), how, count, 5),
     )
 
 
@@ -66,7 +66,7 @@ def test_a_run_that_fails_harms_no_other(solve):
     whole, _ = solve(params, ends, plan(SCENE, "balanced"), COUNT)
     bad = {**params, "mass": params["mass"].at[9].set(jnp.nan)}
     how = Plan(plan(SCENE, "balanced").tolerance, 60)
-    found, _ = jax.jit(lambda p, e: integrate_queue(SCENE, p, e, GRID, how, COUNT, 5))(bad, ends)
+    found, _ = jax.jit(lambda p, e: integrate_queue(SCENE, Points(p, e, GRID), how, COUNT, 5))(bad, ends)
     others = np.setdiff1d(np.arange(COUNT), [9])
     assert np.all(np.asarray(found.code)[others] == OK)
     np.testing.assert_array_equal(np.asarray(found.states)[others], np.asarray(whole.states)[others])
@@ -78,7 +78,7 @@ def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
     scene = scenes.bounce()
     params = {name: jnp.full(64, value) for name, value in scene.parameters().items()}
     ends = jnp.linspace(3.0, 0.3, 64)
-    run = jax.jit(lambda p, e: integrate_queue(scene, p, e, jnp.linspace(0.0, 1.0, 101), plan(scene), 64, 8))
+    run = jax.jit(lambda p, e: integrate_queue(scene, Points(p, e, jnp.linspace(0.0, 1.0, 101)), plan(scene), 64, 8))
     found, rounds = run(params, ends)
     steps = np.asarray(found.accepted + found.rejected)
     assert steps.max() > 8 * steps.min()
@@ -89,7 +89,7 @@ def test_places_are_busy_when_runs_cost_up_to_ten_times_as_much_as_others():
 def test_a_run_that_spends_its_steps_says_when():
     how = Plan(plan(SCENE, "reference").tolerance, 12)
     params, ends = queue()
-    found, _ = jax.jit(lambda p, e: integrate_queue(SCENE, p, e, GRID, how, COUNT, 5))(params, ends)
+    found, _ = jax.jit(lambda p, e: integrate_queue(SCENE, Points(p, e, GRID), how, COUNT, 5))(params, ends)
     assert np.all(found.code == STEPS)
     assert np.all((found.end > 0) & (found.end < ends))
     seen = np.isfinite(found.states).all(axis=2)
@@ -103,7 +103,7 @@ def test_equilibria_are_those_that_are_sought_alone():
     params = {name: jnp.full(4, value) for name, value in scene.parameters().items()}
     params["clearance_cage_ball"] = clearances
     grid = jnp.linspace(0.0, 1.0, 5)
-    found = jax.jit(lambda p, e: equilibria(scene, p, e, grid))(params, jnp.full(4, 1.3))
+    found = jax.jit(lambda p, e: equilibria(scene, Points(p, e, grid)))(params, jnp.full(4, 1.3))
     assert np.all(found.code == OK)
     for i in range(4):
         alone = simulate(scene, {name: leaf[i] for name, leaf in params.items()}, 1.3 * grid)

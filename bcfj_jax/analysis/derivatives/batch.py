@@ -8,7 +8,8 @@ several devices each has its own part of the batch and its own queue.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -18,13 +19,13 @@ from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
-from bcfj_jax.core import backend
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Solution
-from bcfj_jax.solve.batched_jvp import along, changes
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import Plan, Points
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.batched_jvp import along, changes
+from bcfj_jax.xla.programs import program
 
 # Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
 _PLACES = 32
@@ -59,25 +60,20 @@ def possible(scene: AbstractModel, how: Plan) -> bool:
     return not (scene.traits.open or how.solver or (scene.traits.history and how.tangents))
 
 
-def run(
-    scene: AbstractModel, params: Mapping[str, Any], ends: np.ndarray, grid: np.ndarray, wrt: tuple[str, ...],
-    how: Plan, size: int, whole: bool = False,
-) -> Runs:  # fmt: skip
+def run(scene: AbstractModel, points: Points, wrt: tuple[str, ...], how: Plan, size: int, whole: bool = False) -> Runs:
     """Run N points, N at most ``size``, with derivatives by ``wrt``.
 
     Args:
         scene: one whose level is chosen.
-        params: leaves (N,).
-        ends: (N,) last time of each [s].
-        grid: (T,) from 0 to 1.
+        points: the runs.
         wrt: names that the parameters have values of.
         how: as ``possible`` allows.
         size: of the program; fewer points need no other one.
         whole: whether all of a force is given back.
     """
-    count = len(ends)
+    count = len(points.ends)
     fill, mesh = filled(count, size)
-    arguments = {k: leaf[fill] for k, leaf in params.items()}, ends[fill], how, np.asarray(count), np.asarray(grid)
+    arguments = Points(points.one(fill), points.ends[fill], np.asarray(points.grid)), how, np.asarray(count)
     batch, _ = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
     found = batch(*arguments)
     rounds = int(np.max(found[4]))
@@ -98,39 +94,28 @@ def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
     return np.where(np.arange(size) < count, np.arange(size), 0), mesh
 
 
-def divided(
-    part: Callable[..., tuple], mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array, *more: Array
-) -> tuple:
-    """``part(params, ends, how, count, *more)`` on every device for its share of the runs; the fifth result is one number."""
+def divided(part: Callable[..., tuple], mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
+    """``part(points, how, count)`` on every device for its share of the runs; the fifth result is one number."""
     if mesh is None:
-        return part(params, ends, how, count, *more)
-    share = ends.size // mesh.size
+        return part(points, how, count)
+    share = points.ends.size // mesh.size
     runs, every = PartitionSpec("runs"), PartitionSpec()
 
-    def mine(params: dict, ends: Array, how: Plan, count: Array, *more: Array) -> tuple:
-        own = jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share)
-        found = part(params, ends, how, own, *more)
+    def mine(points: Points, how: Plan, count: Array) -> tuple:
+        found = part(points, how, jnp.clip(count - share * jax.lax.axis_index("runs"), 0, share))
         return (*found[:4], found[4][None], *found[5:])
 
-    specs = (runs, runs, every, every, *[every for _ in more])
-    return jax.shard_map(mine, mesh=mesh, in_specs=specs, out_specs=runs, check_vma=False)(
-        params, ends, how, count, *more
-    )
+    specs: Any = Points(runs, runs, every), every, every  # pyright: ignore[reportArgumentType]
+    return jax.shard_map(mine, mesh=mesh, in_specs=specs, out_specs=runs, check_vma=False)(points, how, count)
 
 
 def _program(
-    scene: AbstractModel, wrt: tuple[str, ...], whole: bool, mesh: Mesh | None, params: dict, ends: Array, how: Plan,
-    count: Array, grid: Array,
-) -> tuple:  # fmt: skip
-    def part(params: dict, ends: Array, how: Plan, count: Array, grid: Array) -> tuple:
-        return jacobians(scene, wrt, params, ends, grid, how, count, whole)
+    scene: AbstractModel, wrt: tuple[str, ...], whole: bool, mesh: Mesh | None, points: Points, how: Plan, count: Array
+) -> tuple:
+    def part(points: Points, how: Plan, count: Array) -> tuple:
+        return jacobians(scene, wrt, points, how, count, whole)
 
-    return divided(part, mesh, params, ends, how, count, grid)
-
-
-def one_of(params: dict) -> dict:
-    """The first run's parameters."""
-    return {name: leaf[0] for name, leaf in params.items()}
+    return divided(part, mesh, points, how, count)
 
 
 def places() -> int:
@@ -143,34 +128,34 @@ def _at_once(count: int) -> int | None:
     return few if few > 1 else None
 
 
-def jacobians(
-    scene: AbstractModel, wrt: Sequence[str], params: dict, ends: Array, grid: Array, how: Plan, count: Array,
-    whole: bool = False,
-) -> tuple:  # fmt: skip
-    """Force, penetration and rate of N runs with their derivatives per SI unit. Pure.
+@dataclass(frozen=True, eq=False)
+class _Sharing:
+    """How each of N runs is solved with its derivatives by shares of the named parameters, and read."""
 
-    Args:
-        scene, params, ends, grid, how, count: as ``work_queue.integrate_queue``.
-        wrt: names that the parameters have values of.
-        whole: whether all of a force is given back; else the normal part alone.
+    scene: AbstractModel
+    wrt: Sequence[str]
+    grid: Array
+    how: Plan
+    whole: bool
 
-    Returns:
-        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); derivatives (N, T, P, C)
-        of normal force, penetration and rate, (N, P, C, 4) of the curve; then (N,) codes and ends, the rounds of all places,
-        and (N,) attempted steps.
-    """
-    from bcfj_jax.solve.work_queue import (
-        integrate_queue,
-        shifted,
-        sizes,
-    )  # With diffrax, which a kept program needs not.
+    @property
+    def still(self) -> Array:
+        """No share."""
+        return jnp.zeros(len(self.wrt))
 
-    still = jnp.zeros(len(wrt))
+    def moved(self, params: dict, shares: Array) -> dict:
+        """Parameters of a run, with shares of theirs more."""
+        from bcfj_jax.solve.work_queue import shifted  # With diffrax, which a kept program needs not.
 
-    def moved(params: dict, shares: Array) -> dict:
-        return {**params, **shifted(params, wrt, shares)}
+        return {**params, **shifted(params, self.wrt, shares)}
 
-    def kept(value: tuple, slopes: tuple, tangents: Array, unit: Array) -> tuple:
+    def unit(self, params: dict) -> Array:
+        """What the shares are of, (P, 1, 1)."""
+        from bcfj_jax.solve.work_queue import sizes
+
+        return sizes(params, self.wrt)[:, None, None]
+
+    def kept(self, value: tuple, slopes: tuple, tangents: Array, unit: Array) -> tuple:
         """What is kept of some samples, and in which of them forces or derivatives are not finite.
 
         As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is. Slopes (k, S, ...).
@@ -178,14 +163,14 @@ def jacobians(
         force, by = value[0], slopes[0]
         lost = ~jnp.isfinite(force).all(axis=(1, 2))
         steep = ~(jnp.isfinite(by).all(axis=(0, 2, 3)) & jnp.isfinite(tangents).all(axis=(0, 2)))
-        slopes = tuple(x / unit[:, None, None] for x in (by[..., 0], *slopes[1:]))
-        return (force if whole else force[..., :1], *value[1:]), slopes, lost, steep
+        slopes = tuple(jnp.moveaxis(x / unit, 0, 1) for x in (by[..., 0], *slopes[1:]))
+        return (force if self.whole else force[..., :1], *value[1:]), slopes, lost, steep
 
-    def look(one: tuple) -> tuple:
+    def look(self, one: tuple) -> tuple:
         """What a run's contacts read, and how that changes along the tangents; some samples at once."""
-        params, end, rows = one
-        prepare = lambda shares: scene.prepare(moved(params, shares))  # noqa: E731
-        prepared, by_shares, unit = prepare(still), changes(prepare, still), sizes(params, wrt)
+        (params, end, rows), scene, grid = one, self.scene, self.grid
+        prepare = lambda shares: scene.prepare(self.moved(params, shares))  # noqa: E731
+        prepared, by_shares, unit = prepare(self.still), changes(prepare, self.still), self.unit(params)
 
         def some(at: Array) -> tuple:
             times, here = jnp.maximum((end * grid)[at], 0.0), rows[at]
@@ -196,63 +181,87 @@ def jacobians(
 
             tangents = jnp.moveaxis(here[:, 1:], 1, 0)
             value, slopes = along(read, (here[:, 0], prepared), (tangents, by_shares))
-            value, slopes, lost, steep = kept(value, slopes, tangents, unit)
-            return value, tuple(jnp.moveaxis(x, 0, 1) for x in slopes), lost, steep
+            return self.kept(value, slopes, tangents, unit)
 
         # The last sample again fills up.
         take = jnp.minimum(jnp.arange(-(-grid.size // _SAMPLES) * _SAMPLES), grid.size - 1).reshape(-1, _SAMPLES)
         found = jax.lax.map(some, take)
         return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], found)
 
-    def instants(near: Any, one: tuple) -> tuple:
+    def instants(self, near: Any, one: tuple) -> tuple:
+        """A run without a history, searched from another."""
         params, end = one
 
         def at(shares: Array) -> tuple:
-            given, times = moved(params, shares), end * grid
-            solution, ahead = scene.instants(given, times, near)
-            value = by_channel(scene, readings(scene, given, times, solution.states))
+            given, times = self.moved(params, shares), end * self.grid
+            solution, ahead = self.scene.instants(given, times, near)
+            value = by_channel(self.scene, readings(self.scene, given, times, solution.states))
             return (value, solution.states), (value, solution, ahead)
 
-        slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(still)
+        slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(self.still)
         by, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-        value, by, lost, steep = kept(value, by, tangents, sizes(params, wrt))
-        return ahead, (value, tuple(jnp.moveaxis(x, 0, 1) for x in by), lost, steep, solution._replace(states=still))
+        kept = self.kept(value, by, tangents, self.unit(params))
+        return ahead, (*kept, solution._replace(states=self.still))
 
-    def landed(one: tuple) -> tuple:
+    def landed(self, one: tuple) -> tuple:
+        """A run that lands on its contacts, by itself."""
         params, end = one
 
         def at(shares: Array) -> tuple:
-            found, (code, stop, *steps) = histories(scene, moved(params, shares), end * grid, how)
+            found, (code, stop, *steps) = histories(self.scene, self.moved(params, shares), end * self.grid, self.how)
             read = tuple(found[:3])
-            return (read, found.curve, found.state), (read, found.curve, Solution(still, code, stop, *steps))
+            return (read, found.curve, found.state), (read, found.curve, Solution(self.still, code, stop, *steps))
 
-        slopes, (value, curve, solution) = jax.jacfwd(at, has_aux=True)(still)
+        slopes, (value, curve, solution) = jax.jacfwd(at, has_aux=True)(self.still)
         by, along_curve, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-        unit = sizes(params, wrt)
-        value, by, lost, steep = kept(value, by, tangents, unit)
-        by = (*(jnp.moveaxis(x, 0, 1) for x in by), along_curve / unit[:, None, None])
-        return (*value, curve), by, lost, steep, solution
+        unit = self.unit(params)
+        value, by, lost, steep = self.kept(value, by, tangents, unit)
+        return (*value, curve), (*by, along_curve / unit), lost, steep, solution
 
+
+def jacobians(
+    scene: AbstractModel, wrt: Sequence[str], points: Points, how: Plan, count: Array, whole: bool = False
+) -> tuple:
+    """Force, penetration and rate of N runs with their derivatives per SI unit. Pure.
+
+    Args:
+        scene, points, how, count: as ``work_queue.integrate_queue``.
+        wrt: names that the parameters have values of.
+        whole: whether all of a force is given back; else the normal part alone.
+
+    Returns:
+        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); derivatives (N, T, P, C)
+        of normal force, penetration and rate, (N, P, C, 4) of the curve; then (N,) codes and ends, the rounds of all places,
+        and (N,) attempted steps.
+    """
+    from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program needs not.
+
+    params, ends, grid = points
+    each = _Sharing(scene, wrt, grid, how, whole)
     rounds = jnp.asarray(0)
     if scene.traits.history and scene.contacts and not scene.traits.stiff:
         runs = jnp.arange(ends.size), params, ends
         # Those beyond the count cost nothing.
-        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(landed, (one_of(params), ends[0])))
+        nothing = jax.tree.map(
+            lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(each.landed, (points.one(0), ends[0]))
+        )
         if backend.on_cpu():
-            found = jax.lax.map(lambda x: jax.lax.cond(x[0] < count, landed, lambda _: nothing, x[1:]), runs)
+            found = jax.lax.map(lambda x: jax.lax.cond(x[0] < count, each.landed, lambda _: nothing, x[1:]), runs)
         else:
-            found = jax.vmap(landed)(runs[1:])
+            found = jax.vmap(each.landed)(runs[1:])
         value, slopes, lost, steep, solution = found
     elif scene.traits.history:
         width = min(places(), ends.size)
-        solution, rounds = integrate_queue(scene, params, ends, grid, how, count, width, wrt)
-        value, slopes, lost, steep = jax.lax.map(look, (params, ends, solution.states), batch_size=_at_once(ends.size))
+        solution, rounds = integrate_queue(scene, points, how, count, width, wrt)
+        value, slopes, lost, steep = jax.lax.map(
+            each.look, (params, ends, solution.states), batch_size=_at_once(ends.size)
+        )
     else:
         near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
         if jax.tree.leaves(near) and backend.on_cpu():
-            found = jax.lax.scan(instants, near, (params, ends))[1]
+            found = jax.lax.scan(each.instants, near, (params, ends))[1]
         else:
-            found = jax.vmap(lambda *one: instants(near, one)[1])(params, ends)
+            found = jax.vmap(lambda *one: each.instants(near, one)[1])(params, ends)
         value, slopes, lost, steep, solution = found
     if len(value) < 4:
         shape = (ends.size, value[1].shape[-1], 3)

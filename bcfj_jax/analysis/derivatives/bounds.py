@@ -28,10 +28,10 @@ from bcfj_jax.analysis.derivatives.norms import Difference
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import STIFF
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import together
 from bcfj_jax.io.stop import OutOfTime, within
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.xla.threads import together
 
 SAFETY = 1.2
 # |C - T| over |R - T| above which solves are not seen to converge.

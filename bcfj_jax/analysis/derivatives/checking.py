@@ -64,8 +64,7 @@ def beside(problem: Problem, climbed: Climb, histories: Sequence[Comparison], ea
         spend: time for it.
     """
     values, last = problem.values, climbed.last
-    grown = verdicts.growths(problem.times, last, values)
-    if not last.good or any(map(verdicts.chaotic, grown, histories)):
+    if not last.good or any(map(verdicts.chaotic, verdicts.growths(problem.times, last, values), histories)):
         return unasked(problem)
     fine = finer(problem.scene, problem.error * last.tolerance / climbed.levels[0].tolerance)
     # Values alone, by the program of ``simulate``.

@@ -24,7 +24,6 @@ from bcfj_jax.analysis.derivatives.ranking import (
     unknown,
 )  # fmt: skip
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
@@ -34,6 +33,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
+from bcfj_jax.xla.programs import keep_asked
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
@@ -122,10 +122,10 @@ def run(
     given = shown(load(what))
     params, names = complete(given.scene, given.params, wanted.wrt)
     stem = given.source.stem if given.source else what
-    folder = outputs.open_folder(out, "sensitivity", stem, FILES)
+    folder = outputs.open_folder(out, stem, outputs.Claim("sensitivity", FILES))
     options = {**wanted._asdict(), "wrt": list(names), "features": list(wanted.features)}
-    outputs.write_toml(folder / "run.toml", {**given.resolved, "sensitivity": options}, f"{what}, every default, SI")
-    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    resolved, known = {**given.resolved, "sensitivity": options}, outputs.environment(data=given.sources)
+    outputs.write_origin(folder, resolved, f"{what}, every default, SI", known)
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
     told = _Told(folder, given, params, plausibility.at(given.scene, params, given.times), show)

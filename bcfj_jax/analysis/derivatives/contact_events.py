@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import numpy as np
@@ -30,12 +30,12 @@ from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, in
 from bcfj_jax.analysis.features import EVENTS
 from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.errors import InputError, texts
-from bcfj_jax.core.programs import program
-from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, plan
+from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
+from bcfj_jax.solve.simulation import ready
+from bcfj_jax.xla.programs import program
 
 # Contacts of a channel that are looked at, and of a run.
 MOST, _ALL = 128, 1024
@@ -131,15 +131,15 @@ class Solved(NamedTuple):
     missed: np.ndarray
 
 
+@taking(Solving)
 def contact_events(
     scene: AbstractModel,
     params: Params,
     times: Float[ArrayLike, " T"],
     wrt: Sequence[str] = (),
     *,
-    accuracy: str | float = "balanced",
     features: Sequence[str] = (),
-    max_steps: int = MAX_STEPS,
+    **settings: Unpack[SolvingKeys],
 ) -> ContactEvents:
     """When the contacts of a run begin, peak and end, their peaks, impulses and shapes, with derivatives.
 
@@ -155,11 +155,7 @@ def contact_events(
         InputError: for names that are not known, with the nearest, for times that are not right, and for a scene whose
             contacts cannot be followed.
     """
-    check_bits()
-    t = increasing(times)
-    params = inputs.parameters(as_model(scene), params, traced=False)
-    scene.check(params)
-    scene = scene.suited(params, float(t[-1]))
+    scene, params, t = ready(scene, params, times)
     full, names = complete(scene, params, wrt) if len(wrt) else (dict(params), ())
     asked = [
         named(name, scene.members) for name in texts("features", features, 'name features, such as "contact.begin_1"')
@@ -169,7 +165,8 @@ def contact_events(
             raise InputError(
                 f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number"
             )
-    problem, how = Problem(scene, full, t, names, asked, max_steps=max_steps), plan(scene, accuracy, max_steps)
+    how = plan(scene, **settings)
+    problem = Problem(scene, full, t, names, asked, max_steps=how.max_steps)
     return _presented(problem, *(solved_at(problem, how, asked, tighter) for tighter in (1.0, TIGHTER)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Unpack
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +18,16 @@ from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, smooth
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.core.errors import InputError, texts
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import increasing, real
+from bcfj_jax.core.settings import taking
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
+from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
+from bcfj_jax.xla.programs import program
 
 
+@taking(Solving, accuracy="reference")
 def hessian_vector(
     scene: AbstractModel,
     params: Params,
@@ -32,9 +35,7 @@ def hessian_vector(
     feature: str,
     wrt: Sequence[str],
     vector: Float[ArrayLike, " P"],
-    *,
-    accuracy: str | float = "reference",
-    max_steps: int = MAX_STEPS,
+    **settings: Unpack[SolvingKeys],
 ) -> Float[np.ndarray, " P"]:
     """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
 
@@ -56,36 +57,32 @@ def hessian_vector(
         raise InputError(f"scene '{scene.kind}'", found, "take a model without friction, such as impact or bounce")
     t = increasing(times)
     full, names = complete(scene, params, wrt)
-    contacts = scene.members
     (one,) = texts("feature", [feature], 'name one feature, such as "contact.mean"')
-    wanted = named(one, contacts)
+    wanted = named(one, scene.members)
     if not smooth(wanted.kind):
         raise InputError(f"feature '{feature}'", "no second derivatives", "take peak, mean, impulse or another")
     v = real("vector", "vector", vector)
     if v.shape != (len(names),) or not np.isfinite(v).all():
         raise InputError("vector", f"shape {v.shape}", f"give {len(names)} finite number(s), one a parameter")
-    arguments = (dict(full), t, plan(scene, accuracy, max_steps), v)
-    static = (scene, t.tobytes(), names, wanted, tuple(contacts.items()))
+    arguments = (dict(full), plan(scene, **settings), v)
+    static = (scene, t.tobytes(), names, wanted)
     return np.asarray(program("hessian", _product, static, arguments)[0](*arguments))
 
 
 def _product(
-    scene: AbstractModel, samples: bytes, names: tuple[str, ...], wanted: Feature, contacts: tuple, params: dict,
-    times: Array, how: Plan, v: Array,
-) -> Array:  # fmt: skip
+    scene: AbstractModel, samples: bytes, names: tuple[str, ...], wanted: Feature, params: dict, how: Plan, v: Array
+) -> Array:
     """The Hessian of a feature times ``v``."""
-    place = channel_names(dict(contacts)).index(wanted.contacts[0])
+    t = np.frombuffer(samples)
+    place = channel_names(scene.members).index(wanted.contacts[0])
 
     def scalar(theta: Array) -> Array:
         values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
-        found, _ = histories(scene, values, times, how)
+        found, _ = histories(scene, values, jnp.asarray(t), how)
         if wanted.kind == "peak":
-            return _smooth_peak(
-                seen(
-                    np.frombuffer(samples), is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None
-                ).force
-            )
-        return feature_vector(np.frombuffer(samples), found, [wanted], dict(contacts), {})[0]
+            history = seen(t, is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None)
+            return _smooth_peak(history.force)
+        return feature_vector(t, found, [wanted], scene.members, {})[0]
 
     theta = jnp.stack([params[name] for name in names])
     return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)

@@ -19,7 +19,7 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.certificate import Comparison, compare
 from bcfj_jax.analysis.derivatives.norms import Difference, norm
-from bcfj_jax.core.threads import together
+from bcfj_jax.xla.threads import together
 
 Forces = Callable[[np.ndarray], np.ndarray]
 _SEED = 4

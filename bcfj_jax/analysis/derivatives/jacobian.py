@@ -16,13 +16,13 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
 from bcfj_jax.solve.simulation import readings, timed
+from bcfj_jax.xla.programs import program
 
 
 class Histories(NamedTuple):
@@ -81,9 +81,9 @@ def histories(
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
     from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
-    from bcfj_jax.solve.integrate import integrate
+    from bcfj_jax.solve.integrate import integrate_whole
 
-    solution = integrate(scene, params, times, how, mode, True, whole=True)
+    solution = integrate_whole(scene, params, times, how, mode)
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
     curve = jnp.full((force.shape[1], len(Curve._fields)), jnp.nan)
     if solution.whole is not None:

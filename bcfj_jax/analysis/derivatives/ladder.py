@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Unpack
 
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from bcfj_jax.analysis.derivatives.norms import norm
-from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
+from bcfj_jax.analysis.derivatives.sensitivity import Bounding, BoundingKeys, Sensitivity, sensitivity
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import scalar
+from bcfj_jax.core.settings import taking
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
-from bcfj_jax.solve.plan import MAX_STEPS
 
 KNOBS = ("smoothing", "friction_speed")
 
@@ -44,6 +44,7 @@ class Step(NamedTuple):
     status: str
 
 
+@taking(Bounding)
 def smoothing_ladder(
     scene: AbstractModel,
     params: Params,
@@ -52,10 +53,7 @@ def smoothing_ladder(
     values: Sequence[float],
     *,
     knob: Literal["smoothing", "friction_speed"] = "smoothing",
-    accuracy: str | float = "balanced",
-    average: float = 5e-3,
-    levels: int = 6,
-    max_steps: int = MAX_STEPS,
+    **settings: Unpack[BoundingKeys],
 ) -> list[Step]:
     """Derivatives and their certificates at several widths, the sharpest first.
 
@@ -83,8 +81,7 @@ def smoothing_ladder(
     found: list[tuple[float, Sensitivity]] = []
     for value in sorted(widths):
         at = {**params, knob: jnp.asarray(value)}
-        options = {"accuracy": accuracy, "average": average, "levels": levels, "max_steps": max_steps}
-        found.append((value, sensitivity(scene, at, times, wrt, mode="forward", differences="none", **options)))
+        found.append((value, sensitivity(scene, at, times, wrt, mode="forward", differences="none", **settings)))
     return [_step(value, each, found[0][1]) for value, each in found]
 
 

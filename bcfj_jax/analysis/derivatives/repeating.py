@@ -19,11 +19,11 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Level
-from bcfj_jax.core.programs import ask, program
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import timed
+from bcfj_jax.xla.programs import ask, program
 
 # Pitches that a short run has after the start is forgotten, at least.
 _LEAST = 3

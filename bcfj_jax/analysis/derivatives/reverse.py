@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -17,11 +17,12 @@ from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.derivatives.jacobian import histories
 from bcfj_jax.analysis.derivatives.measures import vector
 from bcfj_jax.analysis.derivatives.names import Feature, smooth
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK, STEEP
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan
+from bcfj_jax.xla.programs import program
 
 
 class Gradient(NamedTuple):
@@ -53,40 +54,31 @@ def reversible(wanted: Sequence[Feature]) -> list[Feature]:
     return good
 
 
-def gradient(
-    scene: AbstractModel,
-    params: Params,
-    times: np.ndarray,
-    wrt: tuple[str, ...],
-    how: Plan,
-    wanted: Sequence[Feature],
-    contacts: Mapping[str, int],
-) -> Gradient:
-    """Features and their derivatives by all of ``wrt``, per SI unit. Times are compiled in."""
-    arguments: tuple[dict[str, Array], Plan] = (dict(params), how)
-    static = (scene, times.tobytes(), wrt, tuple(wanted), tuple(contacts.items()))
+def gradient(problem: Problem, how: Plan) -> Gradient:
+    """Features and their derivatives by all of the names, per SI unit. Times are compiled in."""
+    arguments: tuple[dict[str, Array], Plan] = (dict(problem.params), how)
+    static = (problem.scene, problem.times.tobytes(), problem.names, tuple(problem.wanted))
     solve, compile_s = program("gradient", _gradient, static, arguments)
     begin = time.perf_counter()
     slopes, (numbers, force, (code, end, accepted, rejected)) = solve(*arguments)
     tolerance, wall = float(how.tolerance), time.perf_counter() - begin
     stats = {"accepted": int(accepted), "rejected": int(rejected), "tolerance": tolerance}
     stats |= {"wall_s": wall, "compile_s": compile_s}
-    matrix = np.stack([slopes[name] for name in wrt], axis=1)
+    matrix = np.stack([slopes[name] for name in problem.names], axis=1)
     if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
-        code, end = STEEP, times[-1]
+        code, end = STEEP, problem.times[-1]
     return Gradient(tolerance, numbers, matrix, force, int(code), float(end), stats)
 
 
 def _gradient(
-    scene: AbstractModel, times: bytes, wrt: tuple[str, ...], wanted: tuple[Feature, ...], contacts: tuple,
-    params: dict, how: Plan,
-) -> Any:  # fmt: skip
+    scene: AbstractModel, times: bytes, wrt: tuple[str, ...], wanted: tuple[Feature, ...], params: dict, how: Plan
+) -> Any:
     """Derivatives of the features by name, and (features, forces, how the run ended)."""
     t = np.frombuffer(times)
 
     def at(theta: dict):
         found, end = histories(scene, {**params, **theta}, jnp.asarray(t), how, "reverse")
-        numbers = vector(t, found, wanted, dict(contacts), {})
+        numbers = vector(t, found, wanted, scene.members, {})
         return numbers, (numbers, found.force, end)
 
     return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -27,26 +28,26 @@ from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
-from bcfj_jax.analysis.derivatives.names import Feature, complete, default_features, event
+from bcfj_jax.analysis.derivatives.names import complete, default_features, event
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.repeating import settled
-from bcfj_jax.analysis.derivatives.reverse import Gradient, gradient, reversed_certificate, reversible
+from bcfj_jax.analysis.derivatives.reverse import gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
 from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import Quantity, increasing, scalar, whole
+from bcfj_jax.core.quantities import Quantity, scalar, whole
+from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import OK, reason
-from bcfj_jax.core.threads import ahead, together
 from bcfj_jax.io.stop import OutOfTime
-from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
+from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import observing
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, check_bits, force_error, plan
-from bcfj_jax.solve.simulation import compiled
+from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, force_error, plan
+from bcfj_jax.solve.simulation import compiled, ready
+from bcfj_jax.xla.threads import ahead, together
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
@@ -104,23 +105,62 @@ class Sensitivity(NamedTuple):
     plot = presented.plot
 
 
+class BoundingKeys(SolvingKeys, total=False):
+    """``Bounding`` as keywords."""
+
+    average: float
+    levels: int
+
+
+class DerivingKeys(BoundingKeys, total=False):
+    """``Deriving`` as keywords."""
+
+    features: Sequence[str]
+    mode: Literal["auto", "forward", "reverse"]
+    certify: bool
+    differences: Literal["direction", "each", "none"]
+    steady: bool
+    budget: float | None
+    tell: Callable[[Sensitivity], None] | None
+
+
+@dataclass(frozen=True)
+class Bounding(Solving):
+    """Settings of solves that bound each other's derivatives."""
+
+    average: float = 5e-3
+    levels: int = 6
+
+
+@dataclass(frozen=True)
+class Deriving(Bounding):
+    """Settings of ``sensitivity``."""
+
+    features: Sequence[str] = ()
+    mode: Literal["auto", "forward", "reverse"] = "auto"
+    certify: bool = True
+    differences: Literal["direction", "each", "none"] = "direction"
+    steady: bool = False
+    budget: float | None = None
+    tell: Callable[[Sensitivity], None] | None = None
+
+    def checked(self) -> Deriving:
+        """With numbers in SI units and of their ranges; ``InputError`` for others."""
+        for what, value, known in (("mode", self.mode, MODES), ("differences", self.differences, DIFFERENCES)):
+            if value not in known:
+                raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
+        average = scalar("certificate", _AVERAGE, self.average)
+        budget = None if self.budget is None else scalar("certificate", _BUDGET, self.budget)
+        return replace(self, average=average, levels=whole("levels", self.levels, most=100), budget=budget)
+
+
+@taking(Deriving)
 def sensitivity(
     scene: AbstractModel,
     params: Params,
     times: Float[ArrayLike, " T"],
     wrt: Sequence[str],
-    *,
-    accuracy: str | float = "balanced",
-    features: Sequence[str] = (),
-    average: float = 5e-3,
-    mode: Literal["auto", "forward", "reverse"] = "auto",
-    certify: bool = True,
-    differences: Literal["direction", "each", "none"] = "direction",
-    levels: int = 6,
-    max_steps: int = MAX_STEPS,
-    steady: bool = False,
-    budget: float | None = None,
-    tell: Callable[[Sensitivity], None] | None = None,
+    **settings: Unpack[DerivingKeys],
 ) -> Sensitivity:
     """Derivatives of force histories and features by named parameters, with a certificate.
 
@@ -151,44 +191,35 @@ def sensitivity(
     Raises:
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
-    check_bits()
-    t = increasing(times)
-    params = inputs.parameters(as_model(scene), params, traced=False)
-    scene.check(params)
-    scene = scene.suited(params, float(t[-1]))
+    asked = Deriving(**settings).checked()
+    problem = _posed(scene, params, times, wrt, asked)
+    scene, full = problem.scene, problem.params
+    how = plan(scene, asked.accuracy, asked.max_steps)
+    if asked.mode == "reverse" or (asked.mode == "auto" and len(problem.names) > _MANY):
+        return _reverse(problem._replace(wanted=reversible(problem.wanted)), how, asked.certify)
+    # Compiled beside the first solves.
+    if asked.steady and scene.recurs(full):
+        ahead(partial(prepared, scene, full, problem.names, asked.max_steps))
+    elif asked.certify and asked.differences != "none" and asked.budget != 0.0:
+        ahead(partial(compiled, scene, full, problem.times, Plan(how.tolerance)))
+    return _forward(problem, how, asked)
+
+
+def _posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], asked: Deriving) -> Problem:
+    """What is differentiated, checked."""
+    scene, params, t = ready(scene, params, times)
     full, names = complete(scene, params, wrt)
-    asked = texts("features", features, 'name features, such as "contact.peak"')
-    scene = observing(scene, asked)
+    features = texts("features", asked.features, 'name features, such as "contact.peak"')
+    scene = observing(scene, features)
     contacts = scene.members
     if not contacts:
         remedy = "name features of readings, such as a body's: <body>.place.x.largest"
         raise InputError("features", f"scene '{scene.kind}' has no contact to take features of", remedy)
-    wanted = [named(name, contacts) for name in asked] or default_features(contacts)
+    wanted = [named(name, contacts) for name in features] or default_features(contacts)
     if any(event(f.kind) for f in wanted):
         check_followed(scene)
-    for what, value, known in (("mode", mode, MODES), ("differences", differences, DIFFERENCES)):
-        if value not in known:
-            raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
-    average = scalar("certificate", _AVERAGE, average)
-    levels = whole("levels", levels, most=100)
-    budget = None if budget is None else scalar("certificate", _BUDGET, budget)
-    how = plan(scene, accuracy, max_steps)
-    if mode == "reverse" or (mode == "auto" and len(names) > _MANY):
-        able = reversible(wanted)
-        # The others are a certificate's.
-        how = first_plan(scene, how, force_error(accuracy)) if certify else how
-        ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
-        plans = [Plan(how.tolerance * x, max_steps, how.tangents) for x in ratios]
-        solved = [gradient(scene, full, t, names, each, able, contacts) for each in plans]
-        return _reverse(t, names, np.array([float(full[n]) for n in names]), able, contacts, solved, max_steps)
-    error = force_error(accuracy)
-    problem = Problem(scene, full, t, names, wanted, error, _width(t, average), max_steps)
-    # Compiled beside the first solves.
-    if steady and scene.recurs(full):
-        ahead(partial(prepared, scene, full, names, max_steps))
-    elif certify and differences != "none" and budget != 0.0:
-        ahead(partial(compiled, scene, full, t, Plan(how.tolerance)))
-    return _forward(problem, how, levels if certify else 0, differences, Budget(budget), steady, tell or _nobody)
+    width = min(asked.average, 0.1 * float(t[-1] - t[0]))
+    return Problem(scene, full, t, names, wanted, force_error(asked.accuracy), width, asked.max_steps)
 
 
 def _nobody(found: Any) -> None:
@@ -229,11 +260,10 @@ class _First:
         return found._replace(steady=self.steady)
 
 
-def _forward(
-    problem: Problem, how: Plan, levels: int, differences: str, spend: Budget, steady: bool,
-    tell: Callable[[Sensitivity], None],
-) -> Sensitivity:  # fmt: skip
+def _forward(problem: Problem, how: Plan, asked: Deriving) -> Sensitivity:
     """The run's derivatives, then their bounds, then central differences and steady motion; each is told of."""
+    levels, differences, steady = asked.levels if asked.certify else 0, asked.differences, asked.steady
+    spend, tell = Budget(asked.budget), asked.tell or _nobody
     scene, t = problem.scene, problem.times
     with stage("running until the motion repeats itself"):
         short = settled(scene, problem.params, t, problem.names, how)
@@ -376,10 +406,6 @@ def _off_steady(problem: Problem, last: Level, steady: Steady) -> np.ndarray:
     return found
 
 
-def _width(times: np.ndarray, average: float) -> float:
-    return min(average, 0.1 * float(times[-1] - times[0]))
-
-
 def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.ndarray]:
     """(T, C, 3) apart by contact, (T, 3) or (T, k, 3)."""
     apart, start = {}, 0
@@ -389,25 +415,20 @@ def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.
     return apart
 
 
-def _reverse(
-    times: np.ndarray,
-    names: tuple[str, ...],
-    values: np.ndarray,
-    wanted: Sequence[Feature],
-    contacts: Mapping[str, int],
-    solved: Sequence[Gradient],
-    max_steps: int,
-) -> Sensitivity:
-    """Features only; certified where tighter tolerances were solved beside the first, which is reported."""
-    last = solved[0]
-    slopes = {n: {f.name: float(last.slopes[i, k]) for i, f in enumerate(wanted)} for k, n in enumerate(names)}
+def _reverse(problem: Problem, how: Plan, certify: bool) -> Sensitivity:
+    """Features only; certified where tighter tolerances are solved beside the first, which is reported."""
+    scene, names, wanted = problem.scene, problem.names, problem.wanted
+    # The others are a certificate's.
+    how = first_plan(scene, how, problem.error) if certify else how
+    ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
+    solved = [gradient(problem, Plan(how.tolerance * x, problem.max_steps, how.tangents)) for x in ratios]
+    last, failed = solved[0], solved[0].code != OK
     spent = {key: sum(s.stats[key] for s in solved) for key in ("wall_s", "compile_s")}
-    failed = last.code != OK
     return Sensitivity(
-        times, names, _by_contact(last.force, contacts), {},
-        {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)},
-        slopes, reversed_certificate(names, values, wanted, solved) if len(solved) > 1 else None,
-        "failed" if failed else "ok", reason(last.code, max_steps), last.end if failed else float("nan"),
+        problem.times, names, _by_contact(last.force, scene.members), {},
+        {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)}, problem.by_name(last.slopes),
+        reversed_certificate(names, problem.values, wanted, solved) if certify else None,
+        "failed" if failed else "ok", reason(last.code, problem.max_steps), last.end if failed else float("nan"),
         {**last.stats, **spent, "levels": len(solved)},
-        values=dict(zip(names, map(float, values), strict=True)),
+        values=dict(zip(names, map(float, problem.values), strict=True)),
     )  # fmt: skip

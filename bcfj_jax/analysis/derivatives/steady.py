@@ -30,12 +30,12 @@ from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.onward import BEGIN, START, Onward
-from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla.programs import program
 
 # Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101
@@ -299,8 +299,8 @@ def to_the_end(scene: AbstractModel, params: Mapping[str, np.ndarray], last: np.
 def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
     from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program does not need.
 
-    grid, width = jnp.array([0.0, 1.0]), min(places(), ends.size)
-    found, rounds = integrate_queue(scene, params, ends, grid, how, count, width)
+    points = Points(params, ends, jnp.array([0.0, 1.0]))
+    found, rounds = integrate_queue(scene, points, how, count, min(places(), ends.size))
     return found.states[:, -1], found.code, found.end, found.accepted + found.rejected, rounds
 
 

@@ -25,7 +25,9 @@ is the top of the polynomial of degree ``_DEGREE`` through the forces about it, 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -209,7 +211,7 @@ def train(
     prepared = model.prepare(params)
 
     def one(mark: Marks, times: Array, states: Array, rates: Array, reach: Array) -> Train:
-        return _contact(model, prepared, mark, times, states, rates[: count + panels * _PANEL], reach)
+        return _Followed(model, prepared, mark, times, states, rates[: count + panels * _PANEL], reach).train()
 
     each = jax.vmap(one)(marks, times, states, rates, reach)
     begun, ended = jnp.isfinite(marks.begin), jnp.isfinite(marks.end)
@@ -220,87 +222,100 @@ def train(
     return Train(*(jnp.where(k, x, nan) for k, x in zip(known, each, strict=True))), solution, found
 
 
-def _contact(
-    model: AbstractModel, prepared: Params, mark: Marks, times: Array, states: Array, rates: Array, reach: Array
-) -> Train:
+@dataclass(frozen=True, eq=False)
+class _Followed:
     """One contact from its states at N times and about its peak (N + ..., n), and the rates (N, n) of the first.
 
     The first times are the phases'; those of the panels follow, where there are any (``_panels``).
     """
-    from bcfj_jax.solve.landing import look
 
-    fixed = jax.lax.stop_gradient
+    model: AbstractModel
+    prepared: Params
+    mark: Marks
+    times: Array
+    states: Array
+    rates: Array
+    reach: Array
 
-    def read(t: Array, y: Array) -> tuple[Array, Array, Array]:
-        seen = look(model, t, y, prepared)
-        return seen.depth[mark.channel], seen.rate[mark.channel], jnp.abs(seen.force[mark.channel])
+    def read(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Penetration, its rate and the force's size."""
+        from bcfj_jax.solve.landing import look
 
-    def field(t: Array, y: Array) -> Array:
-        return model.vector_field(t, y, prepared)
+        seen, at = look(self.model, t, y, self.prepared), self.mark.channel
+        return seen.depth[at], seen.rate[at], jnp.abs(seen.force[at])
 
-    def tilt(t: Array, y: Array) -> Array:
-        return jax.jvp(lambda t, y: read(t, y)[2], (t, y), (jnp.ones_like(t), field(t, y)))[1]
+    def force(self, times: Array, states: Array) -> Array:
+        """Its size at times (T,) in states (T, n)."""
+        return jax.vmap(lambda t, y: self.read(t, y)[2])(times, states)
 
-    @jax.jit  # Traced once for both of its places.
-    def bent(t: Array, y: Array) -> tuple[Array, Array]:
-        """First and second derivative of the force by time."""
-        return jax.jvp(tilt, (t, y), (jnp.ones_like(t), field(t, y)))
+    def field(self, t: Array, y: Array) -> Array:
+        """The model's."""
+        return self.model.vector_field(t, y, self.prepared)
 
-    def crossed(k: int, there: Array) -> Array:
-        depth, rate, _ = read(times[k], states[k])
-        rate = fixed(rate)
+    def along(self, function: Callable[[Array, Array], Any], t: Array, y: Array) -> tuple[Any, Any]:
+        """A function of time and state, and its derivative along the motion."""
+        return jax.jvp(function, (t, y), (jnp.ones_like(t), self.field(t, y)))
+
+    def crossed(self, k: int, mark: Array) -> Array:
+        """How much later [s] than the k-th time the surfaces meet; 0 where the mark says that they do not."""
+        depth, rate, _ = self.read(self.times[k], self.states[k])
+        rate = jax.lax.stop_gradient(rate)
         # A surface that is touched without speed moves by anything.
-        return jnp.where(there, -depth / jnp.where(rate == 0, jnp.nan, rate), 0.0)
+        return jnp.where(jnp.isfinite(mark), -depth / jnp.where(rate == 0, jnp.nan, rate), 0.0)
 
-    panels = _panels(model)
-    nodes = rates.shape[0]
-    count = nodes - panels * _PANEL
-    phases = _rule(count)[0]
-    first, last = crossed(0, jnp.isfinite(mark.begin)), crossed(count - 1, jnp.isfinite(mark.end))
-    shifts, grid = first + (last - first) * phases, times[:nodes]
-    length = grid[count - 1] + last - (grid[0] + first)
-    rules, lengths = [_weights(count)], [length]
-    if panels:
-        # The corner is where the penetration turns.
-        share, middle = _rule(_PANEL)[0], count + _PANEL
-        slow, change = jax.jvp(
-            lambda t, y: read(t, y)[1],
-            (grid[middle], states[middle]),
-            (jnp.ones(()), field(grid[middle], states[middle])),
-        )
-        turn = -slow / jnp.where(change == 0, jnp.inf, fixed(change))
-        rise, fall = first + (turn - first) * share, turn + (last - turn) * share
-        lengths = [grid[middle] + turn - grid[0] - first, grid[count - 1] + last - grid[middle] - turn]
-        shifts, rules = jnp.concatenate([shifts, rise, fall]), [_weights(_PANEL)] * 2
-    # Shifts are rounding; the rate's own derivative is not known in the shortest steps.
-    along = states[:nodes] + shifts[:, None] * fixed(rates)
-    force = jax.vmap(lambda t, y: read(t, y)[2])(grid + shifts, along)
-    clock = grid - fixed(grid[0]) + shifts
-    inner = slice(count, None) if panels else slice(None)
-    fine, coarse = (jnp.concatenate(list(map(jnp.multiply, part, lengths))) for part in zip(*rules, strict=True))
-    impulse, rough = jnp.sum(fine * force[inner]), jnp.sum(coarse * force[inner])
-    share = fine * force[inner] / impulse
-    center = jnp.sum(share * clock[inner])
-    width = jnp.sqrt(jnp.sum(share * jnp.square(clock[inner] - center)))
-    shown = slice(None, count, (count - 1) // (NODES - 1))
-    still = jax.vmap(lambda t, y: read(t, y)[2])(grid[shown], states[:nodes][shown])
+    def summit(self, nodes: int, length: Array) -> tuple[Array, Array, Array, Array]:
+        """When the force is greatest [s], how great, its bend and slope there; ``length``: of the contact [s]."""
+        fixed = jax.lax.stop_gradient
+        if self.model.traits.stiff:
+            forces = self.force(self.times[nodes:], self.states[nodes:])
+            return summit_of(forces.reshape(SHORTER.size, -1), self.mark.high, self.reach)[:4]
 
-    if model.traits.stiff:
-        forces = jax.vmap(lambda t, y: read(t, y)[2])(times[nodes:], states[nodes:])
-        later, peak, curve, slope, _ = summit_of(forces.reshape(SHORTER.size, -1), mark.high, reach)
-    else:
-        at, near = times[nodes], states[nodes]
-        shift = fixed(_to_peak(bent, field, at, fixed(near), fixed(length)))
-        top = ahead(field, at, near, shift)
+        @jax.jit  # Traced once for both of its places.
+        def bent(t: Array, y: Array) -> tuple[Array, Array]:
+            """First and second derivative of the force by time."""
+            return self.along(lambda t, y: self.along(lambda t, y: self.read(t, y)[2], t, y)[1], t, y)
+
+        at, near = self.times[nodes], self.states[nodes]
+        shift = fixed(_to_peak(bent, self.field, at, fixed(near), fixed(length)))
+        top = ahead(self.field, at, near, shift)
         slope, curve = bent(at + shift, top)
         curve = fixed(curve)
         later = at + shift - slope / jnp.where(curve == 0, jnp.nan, curve)
-        peak = read(at + shift, top)[2]
-    unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
-    return Train(
-        grid[0] + first, later, grid[count - 1] + last, peak, impulse, grid[0] + center, width, force[shown], still, unsure,
-        curve, slope,
-    )  # fmt: skip
+        return later, self.read(at + shift, top)[2], curve, slope
+
+    def train(self) -> Train:
+        """What is told of the contact."""
+        fixed, panels, nodes = jax.lax.stop_gradient, _panels(self.model), self.rates.shape[0]
+        count, states = nodes - panels * _PANEL, self.states[:nodes]
+        first, last = self.crossed(0, self.mark.begin), self.crossed(count - 1, self.mark.end)
+        shifts, grid = first + (last - first) * _rule(count)[0], self.times[:nodes]
+        length = grid[count - 1] + last - (grid[0] + first)
+        rules, lengths = [_weights(count)], [length]
+        if panels:
+            # The corner is where the penetration turns.
+            share, middle = _rule(_PANEL)[0], count + _PANEL
+            slow, change = self.along(lambda t, y: self.read(t, y)[1], grid[middle], states[middle])
+            turn = -slow / jnp.where(change == 0, jnp.inf, fixed(change))
+            rise, fall = first + (turn - first) * share, turn + (last - turn) * share
+            lengths = [grid[middle] + turn - grid[0] - first, grid[count - 1] + last - grid[middle] - turn]
+            shifts, rules = jnp.concatenate([shifts, rise, fall]), [_weights(_PANEL)] * 2
+        # Shifts are rounding; the rate's own derivative is not known in the shortest steps.
+        force = self.force(grid + shifts, states + shifts[:, None] * fixed(self.rates))
+        clock = grid - fixed(grid[0]) + shifts
+        inner = slice(count, None) if panels else slice(None)
+        fine, coarse = (jnp.concatenate(list(map(jnp.multiply, part, lengths))) for part in zip(*rules, strict=True))
+        impulse, rough = jnp.sum(fine * force[inner]), jnp.sum(coarse * force[inner])
+        share = fine * force[inner] / impulse
+        center = jnp.sum(share * clock[inner])
+        width = jnp.sqrt(jnp.sum(share * jnp.square(clock[inner] - center)))
+        shown = slice(None, count, (count - 1) // (NODES - 1))
+        still = self.force(grid[shown], states[shown])
+        later, peak, curve, slope = self.summit(nodes, length)
+        unsure = jnp.abs(impulse - rough) / jnp.where(impulse == 0, jnp.nan, jnp.abs(impulse))
+        return Train(
+            grid[0] + first, later, grid[count - 1] + last, peak, impulse, grid[0] + center, width, force[shown], still,
+            unsure, curve, slope,
+        )  # fmt: skip
 
 
 def summit_of(forces: Array, high: Array, reach: Array) -> tuple[Array, Array, Array, Array, Array]:

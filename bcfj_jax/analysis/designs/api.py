@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -33,13 +33,14 @@ from bcfj_jax.analysis.designs.result import (
     Design,
     Slice,
 )
-from bcfj_jax.analysis.designs.search import Search
+from bcfj_jax.analysis.designs.search import Search, SearchKeys
 from bcfj_jax.analysis.designs.space import Free, space
 from bcfj_jax.analysis.designs.tolerance import robust, robustness
 from bcfj_jax.analysis.features import KINDS, NAMED, OF_TURN
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import increasing
+from bcfj_jax.core.settings import taking
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, of_numbers
 from bcfj_jax.mechanism.observed import observing
@@ -53,6 +54,7 @@ _SLICE = 25
 _OF_A_TURN = tuple(name for name in OF_TURN if KINDS[name].turn == "same")
 
 
+@taking(Search)
 def design(
     scene: AbstractModel,
     params: Params,
@@ -60,7 +62,7 @@ def design(
     objective: str | Mapping[str, float] | Combine,
     free: Mapping[str, Free | Sequence[Any]],
     tell: Callable[[Design], None] | None = None,
-    **options: Any,
+    **options: Unpack[SearchKeys],
 ) -> Design:
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
 

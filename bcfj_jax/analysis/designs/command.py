@@ -14,11 +14,11 @@ from bcfj_jax.analysis.designs.result import FAILED, Design
 from bcfj_jax.analysis.designs.search import Search
 from bcfj_jax.analysis.designs.view import fact_rows, page, reason, value_rows, verdict
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import Picture
+from bcfj_jax.xla.programs import keep_asked
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
 
@@ -51,11 +51,10 @@ def run(
     asked = load(what, more)
     check(asked)
     stem = Path(what).stem
-    folder = outputs.open_folder(out, "design", stem, FILES)
+    folder = outputs.open_folder(out, stem, outputs.Claim("design", FILES))
     source = [p for p in (Path(what), asked.given.source) if p and p.suffix == ".toml"]
-    outputs.write_toml(folder / "run.toml", asked.resolved, f"{what}, every default, SI")
     known = outputs.environment(seed=asked.search.seed, data=list(dict.fromkeys(source)))
-    outputs.write_json(folder / "environment.json", known)
+    outputs.write_origin(folder, asked.resolved, f"{what}, every default, SI", known)
     if asked.note:
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")

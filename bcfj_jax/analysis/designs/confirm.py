@@ -15,11 +15,11 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.designs.objective import Objective, measured
-from bcfj_jax.core.programs import program
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import LEVELS, force_error
 from bcfj_jax.solve.simulation import Run, simulate
+from bcfj_jax.xla.programs import program
 
 # Share of the gain that must be seen again: with the same model, and with one that has more in it.
 SAME, OTHER = 0.9, 0.5

@@ -26,12 +26,12 @@ from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.engine import columns, refusal
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
-from bcfj_jax.core.threads import cores, each
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.plan import Plan
+from bcfj_jax.solve.plan import Plan, Points
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla.programs import program
+from bcfj_jax.xla.threads import cores, each
 
 
 class Values(NamedTuple):
@@ -275,8 +275,8 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
         size = len(points)
         params = {name: jnp.full(size, value) for name, value in fixed.items()}
         params |= {name: points[:, k] for k, name in enumerate(names)}
-        ends, grid = jnp.full(size, times[-1]), times / times[-1]
-        value, slopes, code, *_ = jacobians(scene, names, params, ends, grid, how, count)
+        runs = Points(params, jnp.full(size, times[-1]), times / times[-1])
+        value, slopes, code, *_ = jacobians(scene, names, runs, how, count)
         moved = (jnp.moveaxis(slopes[0], 2, -1), jnp.moveaxis(slopes[1], 2, -1), jnp.moveaxis(slopes[3], 1, -1))
         return (value[0][..., 0], value[1], value[3]), moved, code, near
 

@@ -127,7 +127,7 @@ class Design(NamedTuple):
         """Write ``design.json``, ``starts.png`` and ``slices.png``, of which the folder may hold none yet; the folder."""
         names = ("design.json", "starts.png", "slices.png")
         with outputs.session():
-            where = outputs.open_folder(Path(folder), "design", "", names)
+            where = outputs.open_folder(Path(folder), "", outputs.Claim("design", names))
             outputs.write_json(where / names[0], self.content())
             draw_starts(self, where / names[1])
             if self.slices:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -19,6 +19,26 @@ SENSES = {"minimise": 1.0, "maximise": -1.0}
 SIGMAS = {"normal": 3.0, "uniform": np.sqrt(3.0)}
 _KAPPA = Quantity("kappa", "1", "weight of the linear worst change", 0.0)
 _NORM = Quantity("norms", "1", "exponent of a norm", 1.0, open_low=True)
+
+
+class SearchKeys(TypedDict, total=False):
+    """``Search`` as keywords."""
+
+    features: Sequence[str]
+    sense: Literal["minimise", "maximise"]
+    kappa: float
+    distribution: Literal["normal", "uniform"]
+    samples: int
+    starts: int
+    norms: Sequence[float] | None
+    iterations: int
+    accuracy: str | float
+    max_steps: int
+    confirm: AbstractModel | Literal["auto"] | None
+    certify: bool
+    slices: bool
+    seed: int
+    steady: bool
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ to, and no hysteresis.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +17,15 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from bcfj_jax.analysis.nonlinear.sections import Period, drive_period, impacts, revolutions_to_keep
+from bcfj_jax.analysis.nonlinear.sections import Sectioning, SectioningKeys, drive_period, impacts
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import real, whole
+from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import reason
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, as_model
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
+from bcfj_jax.solve.plan import Plan, Points, Solving, SolvingKeys, plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.solve.work_queue import integrate_queue
 
@@ -84,10 +86,10 @@ def map_bifurcation(
     return jax.tree.map(np.array, jax.jit(jax.vmap(orbit))(jnp.asarray(values, float)))
 
 
+@taking(Sectioning)
 def bifurcation(
-    scene: AbstractModel, params: Params, name: str, values: ArrayLike, revolutions: int = 40, *, transients: int = 20,
-    phase: float = 0.0, period: Period = None, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
-    places: int = 8,
+    scene: AbstractModel, params: Params, name: str, values: ArrayLike, revolutions: int = 40, *, places: int = 8,
+    **settings: Unpack[SectioningKeys],
 ) -> Diagram:  # fmt: skip
     """Stroboscopic sections of a driven scene against one parameter: clearance, drive speed, friction.
 
@@ -102,10 +104,11 @@ def bifurcation(
     """
     name = scene.canonical(name)
     batch, each = _batch(scene, params, name, values)
-    turns = revolutions_to_keep(revolutions, transients, phase)
-    ends = np.array([turns[-1] * drive_period(scene, one, period) for one in each])
+    asked = Sectioning(**settings)
+    turns = asked.turns(revolutions)
+    ends = np.array([turns[-1] * drive_period(scene, one, asked.period) for one in each])
     shares = turns / turns[-1]
-    reasons, seen = _solve(scene, batch, ends, np.concatenate([[0.0], shares]), (accuracy, max_steps, places))
+    reasons, seen = _solve(scene, batch, ends, np.concatenate([[0.0], shares]), asked, places)
     force, depth, rate = (
         {contact: _without(getattr(r, part), reasons)[:, 1:] for contact, r in seen.items()}
         for part in ("force", "penetration", "rate")
@@ -113,10 +116,27 @@ def bifurcation(
     return Diagram(name, np.asarray(batch[name]), ends[:, None] * shares, force, depth, rate, reasons)
 
 
+class TouchingKeys(SolvingKeys, total=False):
+    """``Touching`` as keywords."""
+
+    contact: str
+    samples: int
+    places: int
+
+
+@dataclass(frozen=True)
+class Touching(Solving):
+    """Settings of ``impact_bifurcation``."""
+
+    contact: str = "contact"
+    samples: int = 10_001
+    places: int = 8
+
+
+@taking(Touching)
 def impact_bifurcation(
-    scene: AbstractModel, params: Params, name: str, values: ArrayLike, end: float, kept: int, *,
-    contact: str = "contact", samples: int = 10_001, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
-    places: int = 8,
+    scene: AbstractModel, params: Params, name: str, values: ArrayLike, end: float, kept: int,
+    **settings: Unpack[TouchingKeys],
 ) -> tuple[np.ndarray, list[str]]:  # fmt: skip
     """Approach speeds at the last touches of a scene without a drive, against one parameter.
 
@@ -134,14 +154,17 @@ def impact_bifurcation(
     Raises:
         InputError: for a parameter or a contact the scene does not have, and for values it cannot take.
     """
-    known = [one.name for one in scene.contacts]
-    if contact not in known:
-        raise InputError(f"scene '{scene.kind}'", f"no contact '{contact}'", nearest(contact, known))
+    asked, known = Touching(**settings), [one.name for one in scene.contacts]
+    if asked.contact not in known:
+        raise InputError(f"scene '{scene.kind}'", f"no contact '{asked.contact}'", nearest(asked.contact, known))
     batch, each = _batch(scene, params, scene.canonical(name), values)
-    grid, kept = np.linspace(0.0, 1.0, whole("samples", samples, least=2, most=limits.SAMPLES)), whole("kept", kept)
+    grid, kept = (
+        np.linspace(0.0, 1.0, whole("samples", asked.samples, least=2, most=limits.SAMPLES)),
+        whole("kept", kept),
+    )
     ends = np.full(len(each), float(end))
-    reasons, seen = _solve(scene, batch, ends, grid, (accuracy, max_steps, places))
-    read = seen[contact]
+    reasons, seen = _solve(scene, batch, ends, grid, asked, asked.places)
+    read = seen[asked.contact]
     speeds = np.full((len(each), kept), np.nan)
     for row, text in enumerate(reasons):
         if not text:
@@ -165,22 +188,20 @@ def _batch(scene: AbstractModel, params: Params, name: str, values: ArrayLike) -
 
 
 def _solve(
-    scene: AbstractModel, batch: dict[str, Array], ends: np.ndarray, grid: np.ndarray,
-    budget: tuple[str | float, int, int],
-) -> tuple[list[str], dict[str, Reading]]:  # fmt: skip
-    """Why runs failed, and what their contacts read at shares of their ends; accuracy, steps and places are the budget."""
-    accuracy, max_steps, places = budget
-    how, places = plan(scene, accuracy, max_steps), whole("places", places, most=limits.MEMBERS)
+    scene: AbstractModel, batch: dict[str, Array], ends: np.ndarray, grid: np.ndarray, asked: Solving, places: int
+) -> tuple[list[str], dict[str, Reading]]:
+    """Why runs failed, and what their contacts read at shares of their ends."""
+    how, places = plan(scene, asked.accuracy, asked.max_steps), whole("places", places, most=limits.MEMBERS)
     grids = jnp.asarray(ends), jnp.asarray(grid)
     codes, seen = jax.device_get(_run(scene, places, batch, *grids, Plan(how.tolerance, how.max_steps)))
-    return [reason(int(code), max_steps) for code in codes], seen
+    return [reason(int(code), how.max_steps) for code in codes], seen
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _run(
     scene: AbstractModel, places: int, batch: dict[str, Array], ends: Array, grid: Array, how: Plan
 ) -> tuple[Array, dict[str, Reading]]:
-    found, _ = integrate_queue(scene, batch, ends, grid, how, jnp.asarray(ends.size), min(places, ends.size))
+    found, _ = integrate_queue(scene, Points(batch, ends, grid), how, ends.size, min(places, ends.size))
     seen = jax.vmap(lambda p, end, states: readings(scene, p, end * grid, states))(batch, ends, found.states)
     return found.code, seen
 

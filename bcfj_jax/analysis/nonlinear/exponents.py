@@ -12,7 +12,8 @@ check.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import diffrax as dfx
 import jax
@@ -24,6 +25,7 @@ from jax.flatten_util import ravel_pytree
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import whole
+from bcfj_jax.core.settings import taking
 
 Step = Callable[[Any], Any]
 Field = Callable[[Array, Array], Array]
@@ -65,7 +67,24 @@ def from_growth(growth: np.ndarray, interval: float, batches: int, reason: str =
     return Exponent(float(mean[-1]), error, mean, growth, interval, reason)
 
 
-def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[int, int, int, int]:
+class CountingKeys(TypedDict, total=False):
+    """``Counting`` as keywords."""
+
+    transients: int
+    batches: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Counting:
+    """Settings of the mean that an exponent is: ``map_exponent`` explains them."""
+
+    transients: int = 0
+    batches: int = 20
+    seed: int = 0
+
+
+def counts(iterations: int, *, transients: int = 0, batches: int = 20, seed: int = 0) -> tuple[int, int, int, int]:
     """The numbers that make a mean, as ``int``; ``InputError`` for no iterations, or more batches than iterations."""
     iterations = whole("iterations", iterations, most=limits.SAMPLES)
     transients = whole("transients", transients, least=0, most=limits.SAMPLES)
@@ -74,9 +93,10 @@ def counts(iterations: int, transients: int, batches: int, seed: int) -> tuple[i
     return iterations, transients, int(batches), whole("seed", seed, least=0)
 
 
+@taking(Counting)
 def map_exponent(
-    step: Step, state: Any, iterations: int, *, transients: int = 0, interval: float = 1.0, batches: int = 20, seed: int = 0
-) -> Exponent:  # fmt: skip
+    step: Step, state: Any, iterations: int, *, interval: float = 1.0, **settings: Unpack[CountingKeys]
+) -> Exponent:
     """Largest Lyapunov exponent of a differentiable map by its tangent.
 
     Args:
@@ -95,15 +115,16 @@ def map_exponent(
     Raises:
         InputError: ``counts``.
     """
-    iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
+    iterations, transients, batches, seed = counts(iterations, **settings)
     flat, start = _flat(step, state)
     growth = _renormalised(lambda y, w: jax.jvp(flat, (y,), (w,)), start, transients + iterations, seed)
     return from_growth(growth[transients:], interval, batches)
 
 
+@taking(Counting)
 def flow_exponent(
-    field: Field, state: Any, intervals: int, *, interval: float, transients: int = 0, tolerance: float = 1e-7,
-    max_steps: int = 100_000, batches: int = 20, seed: int = 0,
+    field: Field, state: Any, intervals: int, *, interval: float, tolerance: float = 1e-7, max_steps: int = 100_000,
+    **settings: Unpack[CountingKeys],
 ) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent [1/s] of a flow, state and tangent solved side by side by Tsit5.
 
@@ -124,7 +145,7 @@ def flow_exponent(
     Raises:
         InputError: ``counts``.
     """
-    intervals, transients, batches, seed = counts(intervals, transients, batches, seed)
+    intervals, transients, batches, seed = counts(intervals, **settings)
 
     def both(t: Array, rows: Array) -> Array:
         return jnp.stack(jax.jvp(lambda y: field(t, y), (rows[0],), (rows[1],)))
@@ -162,9 +183,10 @@ def _renormalised(along: Callable[[Array, Array], Any], start: Array, iterations
     return _grown(once, (start, w / jnp.linalg.norm(w)), iterations)
 
 
+@taking(Counting)
 def two_trajectories(
-    step: Step, state: Any, iterations: int, *, separation: float = 1e-7, scales: Any = 1.0, transients: int = 0,
-    interval: float = 1.0, batches: int = 20, seed: int = 0,
+    step: Step, state: Any, iterations: int, *, separation: float = 1e-7, scales: Any = 1.0, interval: float = 1.0,
+    **settings: Unpack[CountingKeys],
 ) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent from two orbits, brought back to a separation after every step.
 
@@ -180,7 +202,7 @@ def two_trajectories(
     Raises:
         InputError: ``counts``, or a separation that is not positive.
     """
-    iterations, transients, batches, seed = counts(iterations, transients, batches, seed)
+    iterations, transients, batches, seed = counts(iterations, **settings)
     if not separation > 0.0:
         raise InputError("separation", f"{separation:g}", "give more than 0")
     flat, start = _flat(step, state)

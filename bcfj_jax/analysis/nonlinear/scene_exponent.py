@@ -10,8 +10,9 @@ damping begins at once, ``kelvin_voigt`` without smoothing, would, and is not ri
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 import diffrax as dfx
 import jax
@@ -22,11 +23,12 @@ from jax import Array
 from bcfj_jax.analysis.nonlinear.exponents import Exponent, counts, from_growth
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar
+from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import OK, reason
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, problem, seeker
-from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
+from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
 
@@ -36,9 +38,26 @@ _TIMES = (
 )
 
 
+class FollowingKeys(SolvingKeys, total=False):
+    """``Following`` as keywords."""
+
+    batches: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Following(Solving):
+    """Settings of ``scene_exponent``."""
+
+    accuracy: str | float = 1e-5
+    batches: int = 10
+    seed: int = 0
+
+
+@taking(Following)
 def scene_exponent(
     scene: AbstractModel, params: Params, intervals: int, *, interval: float | None = None, settle: float | None = None,
-    accuracy: str | float = 1e-5, max_steps: int = MAX_STEPS, batches: int = 10, seed: int = 0,
+    **settings: Unpack[FollowingKeys],
 ) -> Exponent:  # fmt: skip
     """Largest Lyapunov exponent of a scene [1/s], along the motion that its start settles to.
 
@@ -66,7 +85,8 @@ def scene_exponent(
             for times that are not positive, and as ``simulate``.
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
-    intervals, _, batches, seed = counts(intervals, 0, batches, seed)
+    asked = Following(**settings)
+    intervals, _, batches, seed = counts(intervals, batches=asked.batches, seed=asked.seed)
     if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)
         interval = pitch if interval is None else interval
@@ -80,13 +100,13 @@ def scene_exponent(
         found = f"{settle:g} s, but the load rises for {settled - interval:g} s"
         raise InputError("settle", found, "give a longer settle")
     scene.check(params)
-    how = plan(scene, accuracy, max_steps)
+    how = plan(scene, asked.accuracy, asked.max_steps)
     turning = -(-intervals // 10)
     spans = jnp.asarray(settle), jnp.asarray(interval)
     plain = Plan(how.tolerance, how.max_steps)
     growth, codes = jax.device_get(_growth(scene, turning + intervals, seed, dict(params), spans, plain))
     bad = np.flatnonzero(codes != OK)
-    why = reason(int(codes[bad[0]]), max_steps) if bad.size else ""
+    why = reason(int(codes[bad[0]]), how.max_steps) if bad.size else ""
     return from_growth(growth[turning:] if not why else np.full(intervals, np.nan), interval, batches, why)
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +20,10 @@ from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar, whole
+from bcfj_jax.core.settings import taking
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
-from bcfj_jax.solve.plan import MAX_STEPS
+from bcfj_jax.solve.plan import Solving, SolvingKeys
 from bcfj_jax.solve.simulation import simulate
 
 
@@ -89,10 +91,31 @@ def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.n
     return np.arange(first, revolutions + 1) + phase / (2.0 * math.pi)
 
 
+class SectioningKeys(SolvingKeys, total=False):
+    """``Sectioning`` as keywords."""
+
+    transients: int
+    phase: float
+    period: Period
+
+
+@dataclass(frozen=True)
+class Sectioning(Solving):
+    """Settings of ``stroboscopic``."""
+
+    transients: int = 20
+    phase: float = 0.0
+    period: Period = None
+
+    def turns(self, revolutions: int) -> np.ndarray:
+        """``revolutions_to_keep``."""
+        return revolutions_to_keep(revolutions, self.transients, self.phase)
+
+
+@taking(Sectioning)
 def stroboscopic(
-    scene: AbstractModel, params: Params, revolutions: int = 40, *, transients: int = 20, phase: float = 0.0,
-    period: Period = None, accuracy: str | float = "balanced", max_steps: int = MAX_STEPS,
-) -> Section:  # fmt: skip
+    scene: AbstractModel, params: Params, revolutions: int = 40, **settings: Unpack[SectioningKeys]
+) -> Section:
     """States and contact readings of a driven scene, once per revolution of its drive.
 
     Sampled by the drive's phase: with a ``flexible`` drive the seat itself is ahead or behind. The load must have
@@ -109,8 +132,9 @@ def stroboscopic(
         InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
-    times = revolutions_to_keep(revolutions, transients, phase) * drive_period(scene, params, period)
-    run = simulate(scene, params, times, accuracy=accuracy, max_steps=max_steps)
+    asked = Sectioning(**settings)
+    times = asked.turns(revolutions) * drive_period(scene, params, asked.period)
+    run = simulate(scene, params, times, accuracy=asked.accuracy, max_steps=asked.max_steps)
     assert run.trajectory is not None
     return Section(run.times, run.trajectory, run.force, run.penetration, run.rate, run.reason)
 

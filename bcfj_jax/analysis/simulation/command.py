@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from bcfj_jax.analysis.simulation import results
-from bcfj_jax.core.programs import keep_asked
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.folder import LEAST_FREE
-from bcfj_jax.io.outputs import open_folder
+from bcfj_jax.io.outputs import Claim, open_folder
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.simulation import simulate
+from bcfj_jax.xla.programs import keep_asked
 
 # Of a contact's sample in both tables [bytes].
 _BYTES = 100
@@ -29,43 +30,46 @@ def movies(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"animation{export.checked(word)}" for word in dict.fromkeys(words))
 
 
-def run(
-    what: str,
-    out: Path | None,
-    say: Callable[[str], None],
-    show: Callable[[str], None],
-    measure_error: bool = True,
-    animations: Sequence[str] = (),
-    frames: Sequence[str] = (),
-) -> bool:
+class Wanted(NamedTuple):
+    """What is asked beside a run.
+
+    Attributes:
+        measure_error: whether the run is made once more, ten times finer, to measure its force error.
+        animations: files beside, as ``movies`` names them.
+        frames: bodies, or "world", in whose axes the forces of all contacts are written, too.
+    """
+
+    measure_error: bool = True
+    animations: Sequence[str] = ()
+    frames: Sequence[str] = ()
+
+
+def run(what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]) -> bool:
     """Simulate a scene file and write what ``results.files`` names: the numbers first, then the pictures.
 
     Args:
         what: a scene file, or a built-in scene's name.
+        wanted: what is asked beside.
         out: folder for the results, None for one made up.
         say, show: receive progress and warnings; the results.
-        measure_error: whether the run is made once more, ten times finer, to measure its force error.
-        animations: files beside, as ``movies`` names them.
-        frames: bodies, or "world", in whose axes the forces of all contacts are written, too.
 
     Returns:
         Whether the run reached its end.
     """
     given = quickest(load(what))
-    framed = results.framed(given.scene, frames)
+    framed, animations = results.framed(given.scene, wanted.frames), wanted.animations
     names = list(dict.fromkeys(channel.name for channel in (*given.reads, *framed)))
     stem = given.source.stem if given.source else what
     channels = sum(max(1, members) for members in given.scene.members.values())
     size = LEAST_FREE + _BYTES * channels * len(given.times)
-    folder = open_folder(out, "simulate", stem, (*results.files(given, framed), *animations), size=size)
+    folder = open_folder(out, stem, Claim("simulate", (*results.files(given, framed), *animations), size=size))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     get_ready()
     # A large model compiles the looks for seconds, and its contacts carry: samples show them.
     looked = given.resolved_peaks or (not given.scene.traits.large and given.solver != "bdf")
     found = simulate(
         given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
-        solver=given.solver, measure_error=measure_error, read=names,
-        resolved_peaks=looked,
+        solver=given.solver, measure_error=wanted.measure_error, read=names, resolved_peaks=looked,
     )  # fmt: skip
     written = results.write(folder, given, found, stem, framed)
     show(f"{written.text}\nresults in {folder}")

@@ -282,8 +282,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     warnings += envelope.of_the_start(scene, params, run.times, run.force) + given.scene.warnings(params, run)
     source = str(given.source) if given.source else f"the built-in scene '{stem}'"
     head = f"{source}, as it was run: every default, SI\n{page.choice_sentence(run)}".strip()
-    outputs.write_toml(folder / "run.toml", given.resolved, head)
-    outputs.write_json(folder / "environment.json", outputs.environment(data=[given.source] if given.source else []))
+    outputs.write_origin(folder, given.resolved, head, outputs.environment(data=given.sources))
     whole, extra = scene.whole(params, run)
     found: dict[str, Any] = {"forces.csv": outputs.force_columns(run), "contacts.csv": outputs.contact_columns(run)}
     found |= {name: _readings(reads, run) for name, reads in ((READINGS[0], given.reads), (FRAMED, framed)) if reads}

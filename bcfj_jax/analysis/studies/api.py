@@ -17,14 +17,15 @@ from bcfj_jax.analysis.studies.block import compute as run_points
 from bcfj_jax.analysis.studies.design import needs
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import ENVIRONMENT, Store, facts_of, merge, opened, write_parquet
-from bcfj_jax.core import backend, presented
+from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import whole
-from bcfj_jax.core.threads import cores
 from bcfj_jax.io import outputs, report, usercode
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.threads import cores
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -143,7 +144,7 @@ def prepare(found: Study, folder: Path) -> Store:
     said = folder / RUN
     # Several runs may share the folder; only one begins it.
     with outputs.session():
-        outputs.open_folder(folder, "study", "", _WRITES, goes_on=RUN, wait_s=_WAIT_S)
+        outputs.open_folder(folder, "", outputs.Claim("study", _WRITES, goes_on=RUN, wait_s=_WAIT_S))
         if said.exists():
             if specification.load(said).resolved != found.resolved:
                 remedy = "give --set and --seed as it was begun, or another folder: nothing is overwritten"

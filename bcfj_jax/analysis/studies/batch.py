@@ -7,8 +7,9 @@ One program a size of batch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,29 +29,17 @@ from bcfj_jax.analysis.engine import differentiated, planned, simulated
 from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.core import backend
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.status import NO_FORCE, OK, reason
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.programs import program
 
 _OF_FORCE = ("peak", "mean", "impulse")
 # Points whose histories are in memory at once while features are taken: on a CPU, on an accelerator.
 _AT_ONCE = {True: 8, False: 256}
-
-
-class Points(NamedTuple):
-    """Points of one scene: parameters, leaves (N,); last time of each (N,) [s]; the times' shares of it (T,), 0 to 1."""
-
-    params: Mapping[str, np.ndarray]
-    ends: np.ndarray
-    grid: np.ndarray
-
-    def one(self, i: Any) -> dict[str, Any]:
-        """Parameters of one point."""
-        return {name: leaf[i] for name, leaf in self.params.items()}
 
 
 class Batch(NamedTuple):
@@ -127,7 +116,7 @@ def run(
     ends, grid, count = points.ends, points.grid, len(points.ends)
     fill, mesh = derivatives.filled(count, size)
     host = forces or any(map(on_host, wanted))
-    arguments = {name: leaf[fill] for name, leaf in points.params.items()}, ends[fill], how, np.asarray(count)
+    arguments = Points(points.one(fill), ends[fill], np.asarray(grid)), how, np.asarray(count)
     static = _Static(scene, np.asarray(grid).tobytes(), tuple(wanted), host)
     batch, _ = program("batch", _program, (static, mesh), arguments)
     found = batch(*arguments)
@@ -168,18 +157,15 @@ def values_of(scene: AbstractModel, times: np.ndarray, value: Histories, wanted:
     return measure(times, value, none_of(value), wanted, scene.members, scene.traits.turning)[0]
 
 
-def _program(static: _Static, mesh: Mesh | None, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-    def part(params: dict, ends: Array, how: Plan, count: Array) -> tuple:
-        return _part(static, params, ends, how, count)
-
-    return derivatives.divided(part, mesh, params, ends, how, count)
+def _program(static: _Static, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
+    return derivatives.divided(partial(_part, static), mesh, points, how, count)
 
 
-def _part(static: _Static, params: dict, ends: Array, how: Plan, count: Array) -> tuple:
+def _part(static: _Static, points: Points, how: Plan, count: Array) -> tuple:
     """What one device does."""
     from bcfj_jax.solve.work_queue import equilibria, integrate_queue  # With diffrax, which a kept program needs not.
 
-    scene, grid = static.scene, np.frombuffer(static.grid)
+    scene, grid, (params, ends, _) = static.scene, np.frombuffer(static.grid), points
 
     def look(one: tuple) -> tuple:
         params, end, states = one
@@ -189,9 +175,9 @@ def _part(static: _Static, params: dict, ends: Array, how: Plan, count: Array) -
 
     rounds = jnp.asarray(0)
     if has_history(scene):
-        solution, rounds = integrate_queue(scene, params, ends, jnp.asarray(grid), how, count, min(places(), ends.size))
+        solution, rounds = integrate_queue(scene, points, how, count, min(places(), ends.size))
     else:
-        solution = equilibria(scene, params, ends, jnp.asarray(grid))
+        solution = equilibria(scene, points)
     features, *read = jax.lax.map(
         look, (params, ends, solution.states), batch_size=min(_AT_ONCE[backend.on_cpu()], ends.size)
     )
@@ -208,7 +194,7 @@ def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Bat
     """As ``run``, with derivatives of the features."""
     scene, (given, ends, grid) = study.given.scene, points
     params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
-    found = derivatives.run(scene, params, ends, grid, wrt, how, size, study.histories)
+    found = derivatives.run(scene, Points(params, ends, grid), wrt, how, size, study.histories)
     rows = np.full((len(ends), len(study.columns)), np.nan)
     for i in np.flatnonzero(found.code == OK):
         value, slopes = (

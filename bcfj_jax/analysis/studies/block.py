@@ -18,13 +18,13 @@ from jax import Array
 from bcfj_jax.analysis.engine import refusal, said
 from bcfj_jax.analysis.studies.batch import has_history, of_study, together
 from bcfj_jax.analysis.studies.specification import Study
-from bcfj_jax.core import backend
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import ORDERED, check_order, check_value
 from bcfj_jax.io.journal import key_of
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, plan
+from bcfj_jax.xla import backend
+from bcfj_jax.xla.programs import program
 
 # Points of a block: of the motion of a large model, of all else. Enough to fill the places of a batch several times over,
 # few enough that little is lost with one; and numbers of state that a block may hold at once.

@@ -30,7 +30,7 @@ _PAUSE_S = 1.0
 def _blocks(study: str, size: int, code: Files) -> Any:
     import tomllib
 
-    from bcfj_jax.core.compile_cache import open_cache
+    from bcfj_jax.xla.compile_cache import open_cache
 
     open_cache()
     from bcfj_jax.io import usercode

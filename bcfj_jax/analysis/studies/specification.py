@@ -31,7 +31,6 @@ from bcfj_jax.analysis.engine import columns
 from bcfj_jax.analysis.features import OF_TURN
 from bcfj_jax.analysis.studies.design import KINDS, Design
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.quantities import CATALOGUE, scalar
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
@@ -39,6 +38,7 @@ from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, of_numbers
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.models import scenes
+from bcfj_jax.xla.programs import program
 
 MOST_POINTS = 100_000_000
 

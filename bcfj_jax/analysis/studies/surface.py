@@ -22,7 +22,7 @@ from bcfj_jax.analysis.studies import kriging
 from bcfj_jax.analysis.studies.finished import Finished, Source, read
 from bcfj_jax.analysis.studies.kriging import Fitted, Hyper
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.programs import program
+from bcfj_jax.xla.programs import program
 
 # Observations: the likelihood takes their cube in time and their square in memory.
 MOST = 2000

@@ -72,7 +72,7 @@ def go_with(parent: int) -> None:
 
 def main() -> int:
     """Entry point."""
-    from bcfj_jax.core.compile_cache import open_cache
+    from bcfj_jax.xla.compile_cache import open_cache
 
     given = sys.argv[: sys.argv.index("--code")] if "--code" in sys.argv else sys.argv
     folder, number = Path(given[1]), int(given[2])

@@ -62,8 +62,8 @@ def run(
     given, budget = shown(load(what)), wanted.budget
     todo = settings(given, wanted.only, wanted.derivatives)
     stem = given.source.stem if given.source else what
-    folder = outputs.open_folder(out, "tradeoff", stem, FILES, goes_on=JOURNAL)
-    known = outputs.environment(data=[given.source] if given.source else [])
+    folder = outputs.open_folder(out, stem, outputs.Claim("tradeoff", FILES, goes_on=JOURNAL))
+    known = outputs.environment(data=given.sources)
     key = key_of("tradeoff", given.resolved, wanted.derivatives, known["packages"], known["device"])
     told = _Told(folder, show)
     plots.get_ready()
@@ -73,8 +73,7 @@ def run(
         spent = time.monotonic() - begin_s + min(_REPORT_S, 0.25 * budget)
         found = study(given, todo, journal, max(budget - spent, 0.0), say, told)
     options = {**wanted._asdict(), "only": list(wanted.only)}
-    outputs.write_toml(folder / "run.toml", {**given.resolved, "tradeoff": options}, f"{what}, every default, SI")
-    outputs.write_json(folder / "environment.json", known)
+    outputs.write_origin(folder, {**given.resolved, "tradeoff": options}, f"{what}, every default, SI", known)
     with stage("drawing"):
         text = write(told.growing, found, stem, given.scene.model_form)
     if found.interrupted:

@@ -15,13 +15,13 @@ from jax import Array
 
 from bcfj_jax.contact.laws import FRICTION
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.programs import ask
 from bcfj_jax.io import scenefile
 from bcfj_jax.io.outputs import plain
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve import named
 from bcfj_jax.solve.plan import LEVELS, force_error, plan
+from bcfj_jax.xla.programs import ask
 
 AS_GIVEN = "as given"
 # Laws of the coefficient of restitution that the field uses most.

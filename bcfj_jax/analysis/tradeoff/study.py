@@ -27,10 +27,10 @@ from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
 from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, singles, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.threads import cores
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, check, within
+from bcfj_jax.xla.threads import cores
 
 OK, FAILED, UNCOMPARED = "ok", "failed", "not compared: no reference yet"
 NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"

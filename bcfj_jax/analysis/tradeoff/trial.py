@@ -22,7 +22,6 @@ import jax
 import numpy as np
 
 from bcfj_jax.analysis.engine import differentiated, simulated
-from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import reason
 from bcfj_jax.io import usercode
@@ -31,6 +30,7 @@ from bcfj_jax.io.scenefile import SceneFile, from_table, shown
 from bcfj_jax.io.stop import check
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, timed
+from bcfj_jax.xla.compile_cache import open_cache
 
 # Parameters that derivatives are taken by, the first few that a scene has and that are not 0.
 _MAIN = (

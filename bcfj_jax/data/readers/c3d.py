@@ -1,4 +1,4 @@
-"""C3D by ezc3d: force plates (force and moment in the plate's axes), analog channels, and points, a table each."""
+"""C3D by ezc3d: force plates (force, moment and centre of pressure), analog channels, and points, a table each."""
 
 from __future__ import annotations
 
@@ -24,18 +24,28 @@ def read(file: str, wanted: str) -> Content:
     del wanted
     import ezc3d
 
-    content: Any = ezc3d.c3d(file, extract_forceplat_data=True)
+    note = ""
+    try:
+        content: Any = ezc3d.c3d(file, extract_forceplat_data=True)
+    except ValueError as error:
+        content = ezc3d.c3d(file)
+        note = f"its force plates are not described in full ({error}): its analog channels are given"
     has, head, tables = content["parameters"], content["header"], Tables()
     rate = float(head["analogs"]["frame_rate"])
     plates = content["data"].get("platform", [])
     for k, plate in enumerate(plates):
-        force, moment = np.asarray(plate["force"]), np.asarray(plate["moment"])
-        units = str(plate.get("unit_force", "N")), str(plate.get("unit_moment", "N m"))
-        axes = [("F", force, units[0]), ("M", moment, units[1].replace("Nmm", "N mm"))]
+        units = {
+            key: str(plate.get(f"unit_{key}", "")).replace("Nmm", "N mm") for key in ("force", "moment", "position")
+        }
+        read = [
+            ("F", "force", "xyz", "force"),
+            ("M", "moment", "xyz", "moment"),
+            ("COP ", "center_of_pressure", "xy", "position"),
+        ]
         channels = [
-            Sampled(f"{letter}{axis}", unit, values[j], 0.0, 1.0 / rate)
-            for letter, values, unit in axes
-            for j, axis in enumerate("xyz")
+            Sampled(f"{letter}{axis}", units[unit] or None, np.asarray(plate[key])[j], 0.0, 1.0 / rate)
+            for letter, key, axes, unit in read
+            for j, axis in enumerate(axes)
         ]
         tables |= sampled(f"plate {k + 1}", channels)
     analogs = np.asarray(content["data"]["analogs"])
@@ -59,7 +69,7 @@ def read(file: str, wanted: str) -> Content:
             for i, axis in enumerate("xyz")
         ]
         tables |= sampled("points", channels)
-    return Content(tables)
+    return Content(tables, note)
 
 
 def _texts(parameter: Any) -> list[str]:

@@ -16,10 +16,10 @@ import numpy as np
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from bcfj_jax.core.programs import program
 from bcfj_jax.core.shapes import Drawing, Mesh, joined
 from bcfj_jax.mechanism.model import AbstractModel, Params, Scenery
 from bcfj_jax.solve.simulation import Run
+from bcfj_jax.xla.programs import QUICK, program
 
 # Frames of an animation, and the least that are worth one; frames from which the size of a scene is taken.
 FRAMES, _FEWEST, _SIZED = 300, 40, 24
@@ -146,8 +146,7 @@ def animation(model: AbstractModel, params: Params, run: Run, title: str = "", c
     # As many as were asked for, so that one program serves every run.
     full = np.concatenate([picked, np.full(max(0, min(count, len(run.times)) - picked.size), picked[-1])])
     arguments = (dict(params), np.maximum(run.times[full], 0.0), run.trajectory[full])
-    quick = {"xla_backend_optimization_level": 0}
-    found = program("scenery", _scenery, (model,), arguments, quick)[0](*arguments)
+    found = program("scenery", _scenery, (model,), arguments, QUICK)[0](*arguments)
     found = jax.tree.map(lambda x: np.asarray(x)[: picked.size], found)
     tracks, index = _tracks(model, found)
     arrows = _forces(model, found, index)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.kept import kept
+from bcfj_jax.xla.kept import kept
 
 
 def frame(axis: Array) -> tuple[Array, Array]:

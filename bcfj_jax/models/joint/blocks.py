@@ -21,14 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.kept import kept
-from bcfj_jax.core.small import block_diagonal
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.slopes import Freed, Slopes, effective, free, slopes
 from bcfj_jax.models.joint.system import cross_columns
+from bcfj_jax.xla.kept import kept
+from bcfj_jax.xla.small import block_diagonal
 
 
 class Bristled(NamedTuple):

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.inside import Tracer
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import deflection
 from bcfj_jax.models.joint.deflection import Fault, shown
@@ -114,7 +114,7 @@ _CHECKS: tuple[tuple[tuple[str, ...], Callable[..., Fault | None]], ...] = (
 
 def _single(value: Any) -> bool:
     """Whether a value is one number. NaN is none: a run with it fails and says so."""
-    return not isinstance(value, Tracer) and np.ndim(value) == 0 and not np.isnan(value)
+    return not is_traced(value) and np.ndim(value) == 0 and not np.isnan(value)
 
 
 def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> None:

@@ -26,8 +26,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps.balls import sector
-from bcfj_jax.core.kept import kept
 from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
+from bcfj_jax.xla.kept import kept
 
 
 class Geometry(NamedTuple):

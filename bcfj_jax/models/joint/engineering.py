@@ -20,10 +20,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.stiffness import ISO_76
-from bcfj_jax.core.programs import ask
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.coefficients import patch
 from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.xla.programs import ask
 
 # Greatest half-width of a contact over the radius of the ball or the inner sphere.
 LIMIT = 0.3

@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import Choice, Params
 from bcfj_jax.models.joint import periodic
 from bcfj_jax.models.joint.model_error import Statics, statics
 from bcfj_jax.models.joint.scene import PILOTS, WINDOW_END, Joint
+from bcfj_jax.xla.programs import program
 
 # What estimates are multiplied by: of what equilibrium leaves out, of how far the last pitch is from repeating.
 _STATIC, _REPEAT = 12.0, 1.5

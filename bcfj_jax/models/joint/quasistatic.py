@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.kept import kept
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
@@ -27,6 +26,7 @@ from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance,
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.xla.kept import kept
 
 # Stiffness of the grounding springs, in ball loads T/(z Rp) + |axial load| per metre (and 1e-3 N/m, so that no load
 # is no singular matrix): a play of 100 um takes 1e-6 of a ball's load.

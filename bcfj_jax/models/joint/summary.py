@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.core.programs import program
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import energy
 from bcfj_jax.models.joint.constants import constants
@@ -17,6 +16,7 @@ from bcfj_jax.models.joint.moments import Moments, moments
 from bcfj_jax.models.joint.observe import resultants
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import view
+from bcfj_jax.xla.programs import QUICK, program
 
 
 class Whole(NamedTuple):
@@ -45,9 +45,7 @@ class Whole(NamedTuple):
 def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:
     """Everything in ``Whole``, of flat states (T, n) at the times [s]; NaN where a state is. On the host."""
     arguments = (dict(params), times, states)
-    # Run once on a few thousand states: to compile quickly matters more than to run quickly.
-    quick = {"xla_backend_optimization_level": 0}
-    return program("whole", _whole, (scene,), arguments, quick)[0](*arguments)
+    return program("whole", _whole, (scene,), arguments, QUICK)[0](*arguments)
 
 
 def _whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:

@@ -23,7 +23,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.kept import kept
 from bcfj_jax.core.numerics import smooth_rise
 from bcfj_jax.models.joint.attitude import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.bands import Band, act, band
@@ -33,6 +32,7 @@ from bcfj_jax.models.joint.contacts import ContactForce, Geometry, grooves, join
 from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
 from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, PILOTS, WINDOW_END, Joint
+from bcfj_jax.xla.kept import kept
 
 
 class State(NamedTuple):

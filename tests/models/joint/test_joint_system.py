@@ -11,12 +11,12 @@ import pytest
 from joints import GROOVES, LITTLE, QUICK, constants, plain_joint
 from oracles import within
 
-from bcfj_jax.core.small import inverse, inverse3, inverse6
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.law_pair import LawPair
 from bcfj_jax.models.joint.scene import USUAL
 from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.xla.small import inverse, inverse3, inverse6
 
 UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
 OPTIONS = {

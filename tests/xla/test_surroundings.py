@@ -13,9 +13,9 @@ from conftest import BUILD
 
 import bcfj_jax
 from bcfj_jax.analysis.studies import specification
-from bcfj_jax.core import backend
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import guard, outputs, plots
+from bcfj_jax.xla import backend
 
 
 def bcfj(*arguments, stdout=subprocess.PIPE, **variables):

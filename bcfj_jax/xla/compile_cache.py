@@ -25,7 +25,7 @@ def use_cache(folder: str | os.PathLike[str] | None = None) -> None:
     if folder is not None:
         os.environ["BCFJ_CACHE"] = os.fspath(folder)
     open_cache()
-    from bcfj_jax.core.programs import keep_asked
+    from bcfj_jax.xla.programs import keep_asked
 
     atexit.register(keep_asked)
 
@@ -43,7 +43,7 @@ def open_cache() -> None:
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
-    from bcfj_jax.core import programs
+    from bcfj_jax.xla import programs
 
     given = os.environ.get("BCFJ_CACHE")
     kept = _folder(given)
@@ -64,7 +64,7 @@ def _folder(given: str | None) -> Path | None:
 
     import platformdirs
 
-    from bcfj_jax.core.programs import say_once
+    from bcfj_jax.xla.programs import say_once
 
     if given == "off":
         return None

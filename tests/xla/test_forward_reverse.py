@@ -9,7 +9,7 @@ import pytest
 from jax.sharding import Mesh, PartitionSpec
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.solve.forward_reverse import forward_and_reverse, reverse_only
+from bcfj_jax.xla.forward_reverse import forward_and_reverse, reverse_only
 
 
 def toy(x):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
-from bcfj_jax.core import programs, threads
 from bcfj_jax.core.progress import Waiting, stage
+from bcfj_jax.xla import programs, threads
 
 
 @pytest.mark.parametrize("cores", [1, 2])

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core import inside
-from bcfj_jax.core.inside import Primitive, ad
+from bcfj_jax.xla import inside
+from bcfj_jax.xla.inside import Primitive, ad
 
 
 def kept(*values: Array) -> Any:
@@ -27,7 +27,7 @@ def kept(*values: Array) -> Any:
 def once(wanted: Array, function: Callable[[], Any], otherwise: Any) -> Any:
     """``function()`` where wanted, else what is given: a branch of which XLA makes one kernel, where it can.
 
-    A loop that turns once at most; ``core.backend`` says which loops become one kernel. One kernel of a hundred small ones
+    A loop that turns once at most; ``xla.backend`` says which loops become one kernel. One kernel of a hundred small ones
     saves what calling them costs. Not to be differentiated in reverse.
     """
     return jax.lax.while_loop(lambda x: x[0], lambda x: (jnp.zeros_like(x[0]), function()), (wanted, otherwise))[1]

@@ -20,8 +20,8 @@ import pytest
 from joints import plain_joint
 
 import bcfj_jax as bj
-from bcfj_jax.core import compile_cache, programs
 from bcfj_jax.solve.measured_error import Accuracy
+from bcfj_jax.xla import compile_cache, programs
 
 TIMES = np.linspace(0.0, 5e-5, 50)
 
@@ -270,7 +270,7 @@ import jax
 misses = []
 jax.monitoring.register_event_listener(lambda name, **_: misses.append(name) if name.endswith("cache_misses") else None)
 import sys
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 from bcfj_jax.cli import main
 try:
     main()

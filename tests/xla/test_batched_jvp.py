@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.solve.batched_jvp import together
+from bcfj_jax.xla.batched_jvp import together
 
 CALLS = []
 

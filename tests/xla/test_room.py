@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 
 CHILD = """
 from pathlib import Path
 import jax, jax.numpy as jnp, numpy as np
 import bcfj_jax
-from bcfj_jax.core import programs
+from bcfj_jax.xla import programs
 
 def sorted_often(n, x):
     for _ in range(10):

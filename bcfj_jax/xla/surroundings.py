@@ -9,9 +9,9 @@ import os
 import re
 import sys
 
-from bcfj_jax.core.backend import own_flags
-from bcfj_jax.core.compile_cache import open_cache
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.xla.backend import own_flags
+from bcfj_jax.xla.compile_cache import open_cache
 
 _CHECKS = ("nan", "raise", "off")
 _MOST = 10_000

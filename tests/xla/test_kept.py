@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.core.kept import kept, once
+from bcfj_jax.xla.kept import kept, once
 
 
 def fenced(x):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.core.inside import ClosedJaxpr, Jaxpr, Literal
+from bcfj_jax.xla.inside import ClosedJaxpr, Jaxpr, Literal
 
 
 class Unknown(Exception):

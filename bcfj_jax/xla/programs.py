@@ -1,7 +1,7 @@
 """Compiled programs: made once a process, and kept between processes as exported StableHLO (``jax.export``).
 
 A program is a pure function of static structure and arrays. ``program`` traces and compiles it on first use. Where a
-folder is set (``core.compile_cache``), the traced program is written there, and the next process reads it instead of
+folder is set (``xla.compile_cache``), the traced program is written there, and the next process reads it instead of
 tracing; XLA's own cache then has the machine code. A kept program is found by a digest of all that it depends on: name,
 structure, shapes, the package's sources, versions, XLA's options. Its file holds the digest of its content, and a file
 that does not match is made anew. Nothing is pickled. What holds a user's own code is not kept: its text alone does not
@@ -38,8 +38,8 @@ import jax.export
 import jax.monitoring
 import numpy as np
 
-from bcfj_jax.core import host
 from bcfj_jax.core.progress import stage
+from bcfj_jax.xla import host
 
 _LOG = logging.getLogger("bcfj_jax.programs")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -53,6 +53,8 @@ _SECONDS, _LONG = "seconds.json", 1.0
 # Those of built-in scenes, measured (benchmarks/solve/compile_seconds.py): seconds of one core.
 _MEASURED = Path(__file__).with_name("compile_seconds.json")
 _MAGIC = b"bcfj-jax program 1\n"
+# Options for a program that runs once: to compile quickly matters more than to run quickly.
+QUICK = {"xla_backend_optimization_level": 0}
 
 
 class Settings:
@@ -118,7 +120,7 @@ def program(
 def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], arguments: tuple[Any, ...]) -> Any:
     """What a small program gives, for a question that is asked once before a run, such as whether it can start.
 
-    A kept program answers. Without one the function is traced, and NumPy answers the first times (``core.host``), so
+    A kept program answers. Without one the function is traced, and NumPy answers the first times (``xla.host``), so
     that a run that is refused compiles nothing; who asks more often, as a study does, gets a compiled program. What was
     answered so is compiled and kept by ``keep_asked``. Arguments as ``program``'s.
     """

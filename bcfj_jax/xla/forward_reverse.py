@@ -19,9 +19,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
-from bcfj_jax.core import inside
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.inside import NOT_MAPPED, Primitive, ShapedArray, ad
+from bcfj_jax.xla import inside
+from bcfj_jax.xla.inside import NOT_MAPPED, Primitive, ShapedArray, ad
 
 X = TypeVar("X")
 Y = TypeVar("Y")

@@ -1,0 +1,30 @@
+"""NumPy's own files: a matrix, the fields of a structured array, or the arrays of an archive by their names."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bcfj_jax.data.columns import Columns, Content, Refused, matrix, vector
+
+KINDS, LIBRARY = (".npy", ".npz"), ""
+
+
+def sniff(head: bytes) -> bool:
+    """Whether the file begins as an array does; an archive is any zip's, by its name alone."""
+    return head.startswith(b"\x93NUMPY")
+
+
+def read(file: str, wanted: str) -> Content:
+    """One table; pickled objects are refused, which could run anything."""
+    del wanted
+    content = np.load(file, allow_pickle=False)
+    arrays = {"column": content} if isinstance(content, np.ndarray) else {k: content[k] for k in content.files}
+    columns: Columns = {}
+    for name, values in arrays.items():
+        fields = {field: values[field] for field in values.dtype.names or ()} or {name: values}
+        for key, part in fields.items():
+            own = vector(part)
+            columns |= {key: own} if own else matrix(key, part)
+    if not columns:
+        raise Refused("it holds neither vectors nor a matrix of numbers", "save columns as vectors: numpy.savez")
+    return Content({"": columns})

@@ -1,0 +1,77 @@
+"""Lines of a proposed problem file, and what a user says beside the record."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+from bcfj_jax.data.textfile import Stated
+from bcfj_jax.io.units import quantity
+from calibration.impacts.proposal import Hints, Understood
+
+# The struck body where it cannot move.
+FIXED = "fixed"
+
+
+class Line(NamedTuple):
+    """A line of the file, and what is said behind it."""
+
+    text: str
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text:<60}  # {self.note}" if self.note else self.text
+
+
+class Said(NamedTuple):
+    """What is said beside the record.
+
+    Attributes:
+        scene: impact, bounce or oblique_impact; "" takes what the record looks like.
+        mass, speed: texts with units, where they are known.
+        table: which table inside the file.
+        struck: mass of the body that is struck, with a unit, or "fixed".
+        stated: how the record is written, where it is not to be found; the problem file then says so, too.
+        hints: which columns are what.
+    """
+
+    scene: str = ""
+    mass: str | None = None
+    speed: str | None = None
+    table: str | None = None
+    struck: str | None = None
+    stated: Stated = Stated()
+    hints: Hints = Hints()
+
+    def number(self, key: str, unit: str) -> float | None:
+        """A mass or a speed, SI."""
+        said = getattr(self, key)
+        return None if said is None else quantity(said, unit, f"--{key}")
+
+    @property
+    def other(self) -> float | None:
+        """Mass of the body that is struck [kg], if that is free and known."""
+        return None if self.struck in (None, FIXED) else quantity(self.struck, "kg", "--struck-mass")
+
+
+def toml(value: Any) -> str:
+    """A value as TOML has it."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def quoted(text: str) -> str:
+    """A text of TOML: headers of measured files may hold quotes and backslashes."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
+    """Lines that say where a record is and how it is read."""
+    every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
+    stated = {key: v for key, v in vars(said.stated).items() if v is not None}
+    return [
+        Line(f"file = {quoted(file)}", every),
+        *([f"table = {quoted(found.table)}"] if found.table else []),
+        *(f"{key} = {quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
+        f"time = {quoted(found.time)}",
+        *(f"rows = {{ {quoted(header)} = {toml(value)} }}" for header, value in found.rows.items()),
+    ]

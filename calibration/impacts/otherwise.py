@@ -1,0 +1,65 @@
+"""Records that are no impact, and the way to a fit of them: bodies in motion, and results without a clock."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from bcfj_jax import InputError
+from bcfj_jax.data.record import Record
+from bcfj_jax.io.units import column
+
+PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
+_NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
+_WORDS = {
+    "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
+    "rebound": re.compile(r"(?i)rebound|r[üu]ck(?:prall|sprung)|restitution"),
+    "speed": re.compile(r"(?i)speed|velocity|slip|geschw"),
+}
+_EACH = "give each row as an [[experiment]] with {} and features = {{ {} }}: docs/howto/problem_file.md"
+
+
+class InMotion(InputError):
+    """A record of a body's places and attitudes: no channel of it is an impact along one axis."""
+
+    def __init__(self, table: Record, columns: dict[str, str]) -> None:
+        super().__init__(
+            table.name,
+            "it holds places and attitudes of a body in motion",
+            "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene",
+        )
+        self.table, self.columns = table, columns
+
+
+def refuse_motion(table: Record) -> None:
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds.
+
+    Raises:
+        InMotion: with the headers by coordinate.
+    """
+    found: dict[str, str] = {}
+    for header in table.header:
+        name = re.sub(r"^(?:pos(?:ition)?|place|cube|body)[ _.]", "", column(header)[0].strip().lower())
+        key = _NAMED.get(name, name)
+        if key in (*PLACES, *ATTITUDE):
+            found.setdefault(key, header)
+    if {*PLACES, *ATTITUDE} <= found.keys():
+        raise InMotion(table, found)
+
+
+def without_time(header: tuple[str, ...], kinds: Mapping[str, str], where: str) -> InputError | None:
+    """What a table without a clock is, by its headers and by the readings found, header by unit; None for nothing known."""
+    names = {h: column(h)[0].replace("_", " ") for h in header}
+    named = {key: next((h for h, name in names.items() if w.search(name)), "") for key, w in _WORDS.items()}
+    if h := named["rebound"]:
+        e = 'of heights e = sqrt(rebound/drop); "contact.impulse" is m v (1 + e)'
+        remedy = _EACH.format('parameters = { drop_height = "100 mm" }', '"contact.impulse" = "0.9 N s"')
+        return InputError(where, f"'{h}' is a result of each impact, and no column is a time", f"{remedy} ({e})")
+    if (h := named["friction"]) and (speed := kinds.get("m/s", named["speed"])):
+        remedy = _EACH.format("its speed as a parameter of a driven scene", '"contact.mean" = "5 N"')
+        return InputError(where, f"'{h}' against '{speed}' is a curve of steady states, without a time", remedy)
+    if {"N", "m"} <= kinds.keys():
+        found = f"'{kinds['N']}' against '{kinds['m']}' is a curve without a time"
+        remedy = 'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command'
+        return InputError(where, found, remedy)
+    return None

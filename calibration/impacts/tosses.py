@@ -1,0 +1,204 @@
+"""Motion capture of a body tossed on a plane: its places and attitudes become a scene with a box, and a fit of its contact.
+
+Every run starts from a state of its own, which is free within what its first rows and the sensor's noise leave open.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.record import Record
+from calibration.attitudes import rotation
+from calibration.impacts.otherwise import ATTITUDE, PLACES
+from calibration.noise.scatter import scatter
+
+# Rows from which a first state is told, and the deviations of it that its bounds leave open.
+_FIRST, _OPEN = 8, 6.0
+# Bounds of an inertia, of that of a full cube.
+_INERTIAS = 0.7, 1.7
+# A body at rest moves by less [m].
+_STILL = 1e-3
+# Beyond the noise: a marker's place on the body [m], an attitude and its rate by the marker's spread.
+_LEAST = {"place": 5e-4, "velocity": 0.02, "attitude": 0.01, "spin": 0.3}
+
+
+class State(NamedTuple):
+    """A first state: values and half widths of their bounds by a free body's coordinates and speeds, SI."""
+
+    values: dict[str, float]
+    halves: dict[str, float]
+
+
+def first(clock: np.ndarray, places: np.ndarray, attitudes: np.ndarray, axis: int) -> State:
+    """The state of the first row of a flight, by its first rows.
+
+    Args:
+        clock, places, attitudes: (N,) [s], (3, N) [m], (4, N) scalar first, without gaps.
+        axis: upwards, 0 to 2.
+    """
+    rows = slice(0, min(_FIRST, clock.size))
+    t, span = clock[rows] - clock[0], float(clock[rows][-1] - clock[0])
+    values, halves = {}, {}
+    for k, name in enumerate(PLACES):
+        falls = 0.5 * GRAVITY * t**2 if k == axis else 0.0
+        speed, place = np.polyfit(t, places[k, rows] + falls, 1)
+        noise = scatter(places[k])
+        values |= {name: float(place), f"v{name}": float(speed)}
+        halves |= {
+            name: max(_OPEN * noise, _LEAST["place"]),
+            f"v{name}": max(_OPEN * noise / span, _LEAST["velocity"]),
+        }
+    q = attitudes / np.linalg.norm(attitudes, axis=0)
+    turned = np.asarray(rotation(jnp.asarray(q[:, 1:_FIRST]), jnp.asarray(np.repeat(q[:, :1], _FIRST - 1, axis=1))))
+    spin = (turned @ t[1:]) / (t[1:] @ t[1:])
+    noise = max(scatter(row) for row in q)
+    values |= {f"w{name}": float(w) for name, w in zip(PLACES, spin, strict=True)}
+    halves |= {f"w{name}": max(2.0 * _OPEN * noise / span, _LEAST["spin"]) for name in PLACES}
+    values |= {name: float(v) for name, v in zip(ATTITUDE, q[:, 0], strict=True)}
+    halves |= {n: max(_OPEN * noise, _LEAST["attitude"]) for n in ATTITUDE}
+    return State(values, halves)
+
+
+def read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Clock (N,), places (3, N) [m] and attitudes (4, N) of the rows that are whole.
+
+    Raises:
+        InputError: for fewer rows than a first state needs.
+    """
+    clock = table.numbers(time, "s", table.name, False)
+    found = np.array(
+        [table.numbers(headers[k], "m" if k in PLACES else "1", table.name, True) for k in (*PLACES, *ATTITUDE)]
+    )
+    whole = np.asarray(np.isfinite(found).all(axis=0))
+    if np.count_nonzero(whole) < 2 * _FIRST or not whole[0]:
+        raise InputError(table.name, f"fewer than {2 * _FIRST} rows have all places and attitudes", "give a whole toss")
+    return clock[whole], found[:3, whole], found[3:, whole]
+
+
+def upwards(clock: np.ndarray, places: np.ndarray) -> int:
+    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards.
+
+    Raises:
+        InputError: where none is.
+    """
+    bends = [2.0 * float(np.polyfit(clock[:_FIRST], row[:_FIRST], 2)[0]) for row in places]
+    nearest = int(np.argmin(np.abs(np.array(bends) + GRAVITY)))
+    if abs(bends[nearest] + GRAVITY) > 0.5 * GRAVITY:
+        shown = ", ".join(f"{b:.3g}" for b in bends)
+        raise InputError(
+            "record",
+            f"its first rows fall along no axis: {shown} m/s^2 along x, y, z",
+            "begin it in flight, up positive",
+        )
+    return nearest
+
+
+class Toss(NamedTuple):
+    """One run: its clock (N,) [s], places (3, N) [m] and first state."""
+
+    clock: np.ndarray
+    places: np.ndarray
+    state: State
+
+
+def resting(tosses: list[Toss], axis: int) -> float | None:
+    """The height at which the body comes to rest [m], half the height of a box on a plane at 0; None where it does not."""
+    ends = [t.places[:, -max(_FIRST, t.clock.size // 10) :] for t in tosses]
+    still = [float(np.median(end[axis])) for end in ends if np.ptp(end, axis=1).max() < _STILL]
+    return float(np.median(still)) if still and min(still) > 0.0 else None
+
+
+def held(tosses: list[Toss]) -> str:
+    """The component of the first attitudes that stays as it is in every run: the length of a quaternion says nothing."""
+    return max(ATTITUDE, key=lambda n: min(abs(t.state.values[n]) for t in tosses))
+
+
+def scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None) -> str:
+    """The scene file: a box that flies, a plane, gravity."""
+    m = mass or 1.0
+    size, inertia = (f'"{1e3 * half:.4g} mm"', f"{full(half, mass):.3g}") if half else ('"? mm"', '"? kg m^2"')
+    start = ", ".join(f"{n} = {v:.6g}" for n, v in tosses[0].state.values.items())
+    weight = m * GRAVITY
+    known = "as given" if mass else "unknown from places: stiffness is for a mass of 1 kg"
+    up = PLACES[axis]
+    return f"""# A body tossed on a plane; written by bcfj init calibration.
+[scene]
+kind = "mechanism"
+[[body]]
+name = "body"
+joint = "free"
+start = {{ {start} }}  # of the first run; wx, wy, wz in the world's axes
+[[contact]]
+name = "corner"
+between = ["ground", "body"]
+gap = {_box(up)}  # eight corners
+friction = "coulomb"
+[[load]]
+kind = "gravity"
+direction = "-{up}"
+[parameters]
+mass = "{m:.4g} kg"  # {known}
+inertia = {inertia}  # of a full cube, about every axis; CHECK
+half_length = {size}  # CHECK: half the height at which it rests
+half_width = {size}
+half_height = {size}
+gravity = {GRAVITY}
+stiffness = {weight / 1e-4:.3g}  # a tenth of a millimetre under its weight
+exponent = 1.0
+damping = 5.0
+friction_dynamic = 0.3
+friction_speed = "20 mm/s"
+[time]
+end = {float(max(t.clock[-1] for t in tosses)):.6g}
+samples = {max(t.clock.size for t in tosses)}
+"""
+
+
+def full(half: float, mass: float | None) -> float:
+    """Moment of inertia of a full cube about every axis [kg m^2]; a hollow one has 5/3 of it."""
+    return 2.0 / 3.0 * (mass or 1.0) * half**2
+
+
+def free(tosses: list[Toss], half: float | None, mass: float | None) -> list[str]:
+    """Lines of what is searched: the contact, the inertia, and each run's first state within bounds that hold all."""
+    weight, fixed = (mass or 1.0) * GRAVITY, held(tosses)
+    lines = [
+        f"stiffness = {{ lower = {weight / 2e-3:.2g}, upper = {weight / 1e-5:.2g} }}  # N/m; 2 mm to 10 um under its weight",
+        "damping = { lower = 0.05, upper = 50.0 }  # s/m",
+        "friction_dynamic = { lower = 0.02, upper = 1.0 }",
+    ]
+    if half:
+        ends = (share * full(half, mass) for share in _INERTIAS)
+        lines.append(
+            "inertia = {{ lower = {:.3g}, upper = {:.3g} }}  # kg m^2; of a full to a hollow cube".format(*ends)
+        )
+    for n in tosses[0].state.values:
+        if n != fixed:
+            low, high = (f(f2(t, n) for t in tosses) for f, f2 in ((min, _low), (max, _high)))
+            lines.append(f'"body.{n}" = {{ lower = {low:.6g}, upper = {high:.6g}, each = true }}')
+    return lines
+
+
+def own(toss: Toss, fixed: str) -> list[str]:
+    """Lines of one run: its first state's bounds, and the component of its attitude that stays."""
+    bounds = ", ".join(
+        f'"body.{n}" = [{_low(toss, n):.6g}, {_high(toss, n):.6g}]' for n in toss.state.values if n != fixed
+    )
+    return [f'parameters = {{ "body.{fixed}" = {toss.state.values[fixed]:.6g} }}', f"bounds = {{ {bounds} }}"]
+
+
+def _low(toss: Toss, name: str) -> float:
+    return toss.state.values[name] - toss.state.halves[name]
+
+
+def _high(toss: Toss, name: str) -> float:
+    return toss.state.values[name] + toss.state.halves[name]
+
+
+def _box(up: str) -> str:
+    return '"box_on_plane"' if up == "z" else f'{{ kind = "box_on_plane", axis = "{up}" }}'

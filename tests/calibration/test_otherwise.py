@@ -1,0 +1,126 @@
+"""Records that are no impact: a slow test is proposed as one, all else is refused with the way to a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bcfj_jax import InputError, reading_history, scenes
+from bcfj_jax.data import clock
+from benchmarks.calibration import instruments
+from calibration import fit, init, load
+from calibration.problemfile import prepared
+
+RNG = np.random.default_rng(5)
+
+
+def write(path, columns):
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n")
+    return path
+
+
+def press(path, restitution):
+    """A triangle of 0.5 mm in 2 s onto a pad of 2e5 N/m touched at 0.1 mm; unloading is steeper by 1/e^2 (Walton, Braun)."""
+    times = np.linspace(0.0, 2.0, 201)
+    places = 5e-4 * np.minimum(times, 2.0 - times)
+    depth, deepest = places - 1e-4, 4e-4
+    loaded = 2e5 * np.maximum(depth, 0.0)
+    back = np.maximum(2e5 * (deepest - (deepest - depth) / restitution**2), 0.0)
+    force = np.where(times < 1.0, loaded, np.minimum(loaded, back)) + 0.5 * RNG.standard_normal(times.size)
+    return write(path, {"time [s]": times, "displacement [mm]": 1e3 * places, "force [N]": force})
+
+
+@pytest.mark.parametrize(("restitution", "shape"), [(0.7, "restitution"), (1.0, "exponent")])
+def test_a_slow_test_is_proposed_with_its_driven_scene(restitution, shape, tmp_path):
+    said = []
+    init.run(press(tmp_path / "pad.csv", restitution), tmp_path / "pad.toml", init.Said(), said.append)
+    assert "force and displacement are those of a slow test, no impact; --scene impact takes one all the same" in said
+    found = load(tmp_path / "pad.toml")
+    assert [f.name for f in found.free] == ["stiffness", shape, "clearance_contact"]
+    assert (tmp_path / "pad_scene.toml").exists()
+    # With --scene it is what the user says.
+    init.run(tmp_path / "pad.csv", tmp_path / "hit.toml", init.Said("impact", "1 kg"), said.append)
+    assert 'scene = "impact"' in (tmp_path / "hit.toml").read_text()
+
+
+@pytest.mark.full
+def test_a_loop_of_loading_and_unloading_is_identified(tmp_path):
+    init.run(press(tmp_path / "pad.csv", 0.7), tmp_path / "pad.toml", init.Said(), lambda line: None)
+    found = fit(load(tmp_path / "pad.toml"))
+    assert found.verdict == "identified", found.reasons
+    for name, true in (("stiffness", 2e5), ("restitution", 0.7), ("clearance_contact", 1e-4)):
+        low, high = found.parameters[name].ci95 or (np.nan, np.nan)
+        assert low < true < high and high - low < 0.1 * true, name
+
+
+def test_nothing_is_overwritten_and_nothing_half_written(tmp_path):
+    path = press(tmp_path / "pad.csv", 0.7)
+    (tmp_path / "pad.toml").write_text("mine")
+    with pytest.raises(InputError, match="nothing is overwritten"):
+        init.run(path, tmp_path / "pad.toml", init.Said(), lambda line: None)
+    assert (tmp_path / "pad.toml").read_text() == "mine" and not (tmp_path / "pad_scene.toml").exists()
+
+
+TIMES = np.linspace(0.0, 3.0, 301)
+OTHERS = {
+    "brake": (
+        {"time [s]": TIMES, "displacement [mm]": 5 * np.sin(6 * TIMES), "force [N]": 20 * np.sign(np.cos(6 * TIMES))},
+        r"the force pulls as it pushes.*drive = .*--scene impact",
+    ),
+    "curve": (
+        {"displacement [mm]": TIMES, "force [N]": 10 * np.maximum(TIMES - 1, 0)},
+        r"'force \[N\]' against 'displacement \[mm\]' is a curve without a time; add a column \"time \[s\]\"",
+    ),
+    "stribeck": (
+        {"speed [m/s]": TIMES, "friction coefficient": 0.3 - 0.05 * TIMES},
+        r"'friction coefficient' against 'speed \[m/s\]' is a curve of steady states.*features = ",
+    ),
+    "rebound": (
+        {"drop height [mm]": 10 + TIMES, "rebound height [mm]": 6 + TIMES},
+        r"'rebound height \[mm\]' is a result of each impact.*drop_height.*features = .*contact\.impulse",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_no_impact_is_refused_with_the_way(name, tmp_path):
+    columns, message = OTHERS[name]
+    with pytest.raises(InputError, match=message):
+        init.run(write(tmp_path / "a.csv", columns), tmp_path, init.Said(), lambda line: None)
+
+
+@pytest.mark.parametrize("digits", [3, 4])
+def test_a_clock_rounded_until_times_stand_twice_is_even_and_said(digits, tmp_path):
+    rows = [f"{t:.{digits}f},{f:.3f}" for t, f in zip(instruments.CLOCK + 5e-3, instruments.FORCE, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["time [s],force [N]", *rows]) + "\n")
+    init.run(tmp_path / "a.csv", tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+    (one,) = prepared(tmp_path / "a.toml")
+    assert f"times are rounded to {10.0**-digits:.3g} s" in "; ".join(one.notes)
+    step = np.diff(one.times)
+    assert step == pytest.approx(5e-5, rel=2e-3)
+
+
+def test_times_that_stand_twice_for_another_reason_are_refused():
+    even = 1e-3 * np.arange(100.0)
+    for wrong in (np.sort(np.r_[even, even[40]]), np.sort(np.r_[even[:50], even[:50] + 0.01]), even):
+        assert clock.evened(wrong)[1] == ""
+
+
+def test_a_place_from_first_touch_on_keeps_its_whole_contact(tmp_path):
+    """A contact of 240 us read as a place alone, which begins in it: the window holds all of it, the clock's bounds its touch."""
+    law = {"stiffness": 1e9, "exponent": 1.5, "damping": 0.03, "mass": 0.1, "approach_speed": 4.2}
+    times, scene = 3e-6 * np.arange(100), scenes.impact()
+    places = reading_history(scene, scene.parameters(**law), times, ["body.place.x"])["body.place.x"]
+    places = 1e3 * (np.asarray(places) + 2e-7 * RNG.standard_normal(times.size))
+    path = write(tmp_path / "a.csv", {"time [us]": 1e6 * times, "position [mm]": places})
+    init.run(path, tmp_path / "a.toml", init.Said(mass="0.1 kg", speed="4.2 m/s"), lambda line: None)
+    (one,) = prepared(tmp_path / "a.toml")
+    assert one.times.size == times.size
+    # Touch is at the record's first sample.
+    (experiment,) = load(tmp_path / "a.toml").experiments
+    low, high = experiment.bounds["time_offset"]
+    assert low < one.times[0] < high
+    assert {f.name: f.lower < law[f.name] < f.upper for f in load(tmp_path / "a.toml").free if f.name in law} == {
+        "stiffness": True, "exponent": True, "damping": True,
+    }  # fmt: skip

@@ -1,0 +1,108 @@
+"""Motion capture of a tossed body: the first state, the scene and the problem file of a record of places and attitudes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bcfj_jax as bj
+from bcfj_jax import InputError
+from calibration import fit, init, load
+from calibration.impacts import tosses
+
+HALF, MASS, FRICTION, STIFFNESS, DAMPING = 0.05, 0.4, 0.25, 2e4, 3.0
+START = dict(x=0.1, y=-0.2, z=0.16, vx=-0.9, vy=0.5, vz=0.2, wx=3.0, wy=-2.0, wz=1.0, q0=0.8, q1=0.3, q2=-0.4, q3=0.33)
+TIMES = np.arange(0.0, 0.9, 1.0 / 150.0)
+NAMES = [f"body.place.{a}" for a in "xyz"] + [f"body.attitude.q{k}" for k in range(4)]
+PLACE_NOISE, TURN_NOISE = 2e-4, 2e-3
+
+
+def toss(seed=0, up="z", **start):
+    """Clock, places (3, N), attitudes (4, N) of a cube by the simulator, with the noise of motion capture."""
+    scene = bj.Mechanism(
+        "toss",
+        [bj.Body("body", joint="free", start={**START, **start})],
+        [bj.Contact("corner", ("ground", "body"), bj.gaps.BoxOnPlane(up), friction="coulomb")],
+        [bj.loads.Gravity(f"-{up}")],
+        given=dict(mass=MASS, inertia=2 / 3 * MASS * HALF**2, stiffness=STIFFNESS, exponent=1.0, damping=DAMPING,
+                   half_length=HALF, half_width=HALF, half_height=HALF, friction_dynamic=FRICTION, friction_speed=0.02),
+    )  # fmt: skip
+    found = bj.reading_history(scene, scene.parameters(), TIMES, NAMES)
+    rng = np.random.default_rng(seed)
+    places = np.array([found[n] for n in NAMES[:3]]) + PLACE_NOISE * rng.standard_normal((3, TIMES.size))
+    turned = Rotation.from_rotvec(TURN_NOISE * rng.standard_normal((TIMES.size, 3)))
+    turned = turned * Rotation.from_quat(np.array([found[n] for n in NAMES[3:]]).T, scalar_first=True)
+    return places, turned.as_quat(scalar_first=True).T
+
+
+def write(path, places, attitudes, names=("x [m]", "y [m]", "z [m]", "q0", "q1", "q2", "q3"), time=TIMES):
+    rows = [",".join(f"{v:.7g}" for v in row) for row in zip(time, *places, *attitudes, strict=True)]
+    path.write_text("\n".join([",".join(["time [s]", *names]), *rows]) + "\n")
+    return path
+
+
+def test_the_first_state_is_within_its_bounds_whatever_the_signs():
+    truth = {**START}
+    length = np.linalg.norm([truth[f"q{k}"] for k in range(4)])
+    for seed in range(5):
+        places, attitudes = toss(seed)
+        signs = np.random.default_rng(seed).choice([-1.0, 1.0], TIMES.size)
+        found = tosses.first(TIMES, places, attitudes * signs, 2)
+        turned = np.sign(found.values["q0"])
+        for name, value in truth.items():
+            wanted = turned * value / length if name[0] == "q" else value
+            assert abs(found.values[name] - wanted) < found.halves[name], (seed, name)
+
+
+def test_a_record_of_a_toss_becomes_a_box_on_a_plane(tmp_path):
+    said = []
+    path = write(tmp_path / "toss.csv", *toss())
+    init.run(path, tmp_path / "toss.toml", init.Said(mass="0.4 kg"), said.append)
+    assert any("CHECK its size and inertia" in line for line in said)
+    problem = load(tmp_path / "toss.toml")
+    names = {f.name for f in problem.free}
+    # The largest component of the attitude is held: the length of a quaternion says nothing.
+    assert names == {"stiffness", "damping", "friction_dynamic", "inertia", *(f"body.{n}" for n in START if n != "q0")}
+    assert all(f.each for f in problem.free if f.name.startswith("body."))
+    assert problem.params["half_height"] == pytest.approx(HALF, rel=0.02)
+    for name, value in START.items():
+        bounds = problem.experiments[0].bounds.get(f"body.{name}")
+        if bounds and name[0] != "q":
+            assert bounds[0] < value < bounds[1], name
+
+
+def test_many_tosses_have_a_first_state_each_and_other_words_for_columns(tmp_path):
+    for k in range(2):
+        places, attitudes = toss(k, x=0.1 * k)
+        write(
+            tmp_path / f"run{k}.csv",
+            1e3 * places,
+            attitudes,
+            ("pos_x [mm]", "pos_y [mm]", "pos_z [mm]", "qw", "qx", "qy", "qz"),
+        )
+    init.run(tmp_path / "run*.csv", tmp_path / "all.toml", init.Said(), lambda line: None)
+    one, two = load(tmp_path / "all.toml").experiments
+    assert one.bounds["body.x"][1] < 0.05 < two.bounds["body.x"][0]
+    assert "stiffness is for a mass of 1 kg" in (tmp_path / "all_scene.toml").read_text()
+
+
+def test_what_is_no_flight_and_what_is_an_impact_all_the_same(tmp_path):
+    places, attitudes = toss()
+    late = write(tmp_path / "late.csv", places, attitudes, time=TIMES + 1.0)
+    with pytest.raises(InputError, match=r"its clock begins at 1 s; let every toss begin at 0 s"):
+        init.run(late, tmp_path, init.Said(), lambda line: None)
+    rests = write(tmp_path / "rests.csv", places[:, -60:], attitudes[:, -60:], time=TIMES[:60])
+    with pytest.raises(InputError, match="its first rows fall along no axis"):
+        init.run(rests, tmp_path, init.Said(), lambda line: None)
+    with pytest.raises(InputError, match="places and attitudes of a body in motion"):
+        init.run(rests, tmp_path, init.Said("impact"), lambda line: None)
+    assert not list(tmp_path.glob("*.toml"))
+
+
+@pytest.mark.slow
+def test_friction_of_a_toss_is_found_with_its_first_state_free(tmp_path):
+    init.run(write(tmp_path / "toss.csv", *toss()), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), lambda line: None)
+    found = fit(load(tmp_path / "toss.toml"), starts=4)
+    low, high = found.parameters["friction_dynamic"].ci95 or (np.nan, np.nan)
+    assert low < FRICTION < high and high - low < 0.2 * FRICTION
