@@ -17,7 +17,7 @@ import equinox as eqx
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.core.quantities import CATALOGUE, GRAVITY
 from calibration.diagnostics import law_errors, signatures
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
@@ -232,7 +232,10 @@ def of_fixed(
     ]
     for table, name in every:
         own, known = np.asarray(getattr(model.data, table)[name], dtype=float), tolerances.get(name)
-        if name in free or name in _KNOWN or (known is None and budget(model.scene).rough):
+        # What may be 0, such as a place where a body starts, has no share of itself.
+        own_range = None if name in CATALOGUE else model.scene.quantities.get(name)
+        signed = own_range is not None and own_range.low < 0.0
+        if name in free or name in _KNOWN or (known is None and (signed or budget(model.scene).rough)):
             continue
         tolerance = _SHARE * np.abs(own) if known is None else known
         if not np.any(tolerance):

@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import lsim
 from shown import brief, drawn
 
+import bcfj_jax as bj
 from bcfj_jax import InputError, scenes, simulate
 from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
@@ -219,3 +220,32 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         # What is fitted or stated is no error; neither is one of a record without a contact.
         assert [e.name for e in errors] == ["bend of the gain", "lag", "resonance", "drift", "rest"]
         assert not systematic.of_sensor(model, readings, [one._replace(touching=force > 99.0)], frozenset())
+
+
+def test_what_may_be_zero_has_no_share_of_itself():
+    """A fixed place and speed of a body's start have an error only where it is said; a mass has one."""
+    place, speed = bj.Quantity("place", "m", "where it starts"), bj.Quantity("speed", "m/s", "how it starts")
+    scene = bj.Mechanism(
+        "swing",
+        [bj.Body("b", "slide", axis="x", mass="weight", start={"position": "place", "velocity": "speed"})],
+        loads=[bj.loads.JointSpring("spring", "b", stiffness="k")],
+        own=[
+            place,
+            speed,
+            bj.Quantity("weight", "kg", "mass", 0.0, open_low=True),
+            bj.Quantity("k", "N/m", "spring", 0.0),
+        ],
+        given={"place": 0.1, "speed": 0.3, "weight": 1.0, "k": 50.0},
+    )
+    times = np.linspace(0.0, 2.0, 101)
+    read = bj.simulate(scene, scene.parameters(), times, read=["b.place.x"]).readings["b.place.x"]
+    noisy = read + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
+    swing = Problem(
+        scene,
+        scene.parameters(),
+        (Experiment("swing", times, (Channel("b.place.x", noisy, 1e-3),)),),
+        (Free("k", 10.0, 200.0),),
+    )
+    for tolerances, wanted in (({}, {"weight"}), ({"place": 1e-3}, {"weight", "place"})):
+        found = fit(replace(swing, tolerances=tolerances), starts=4)
+        assert {line.error for line in found.systematic.lines} & {"place", "speed", "weight"} == wanted
