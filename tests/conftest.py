@@ -83,6 +83,21 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
+@pytest.fixture(scope="module")
+def optimised():
+    """Programs compiled as users compile them, for bounds on motion that is sensitive to rounding."""
+    made = programs._compiled
+
+    def compiled(call, wanted):
+        return made(call, wanted._replace(options={"xla_backend_optimization_level": 3, **wanted.options}))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(programs, "_compiled", compiled)
+        programs._loaded.clear()
+        yield
+    programs._loaded.clear()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def bounded_memory():
     """Programs of earlier files go where a worker has grown large: two that keep all of the slow tier's need over 24 GB."""

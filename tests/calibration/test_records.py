@@ -6,6 +6,7 @@ The records are SciPy's, of F = K d^n (1 + a d') without regularisation.
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -232,7 +233,7 @@ def test_a_scale_that_no_channel_shows_is_said_before_the_fit(observe, known, fr
     def stop(*_: object) -> None:
         raise Stop
 
-    monkeypatch.setitem(fit.__globals__, "search", stop)
+    monkeypatch.setattr(sys.modules["calibration.fit"], "search", stop)
     caplog.set_level(logging.INFO, "calibration")
     with pytest.raises(Stop):
         fit(load(problem(observe, known, LAW + free)), starts=4)

@@ -14,6 +14,7 @@ from bcfj_jax import scenes, simulate
 from bcfj_jax.solve.measured_error import measured
 from benchmarks.references import slider_crank as reference
 
+pytestmark = pytest.mark.usefixtures("optimised")
 B6 = reference.SliderCrank()
 SCENE, LATCHED = scenes.slider_crank(), scenes.slider_crank(law="lankarani_nikravesh")
 # Turns of the crank until which forces keep what is asked, by clearance [m]. Later the two differ: a force is off by ten

@@ -77,6 +77,7 @@ CALLS = {
         _logistic, 0.3, [3.2, 3.5], transients=N(10), kept=N(4)
     ),
     "nonlinear.period_number": lambda out: nonlinear.period_number(np.tile([1.0, 2.0], 8), 1e-9, most=N(4)),
+    "calibration.Candidate": lambda out: calibration.Candidate("next", np.arange(3.0), {"contact.normal": 1.0}, runs=N(2)),
     "calibration.fit": lambda out: calibration.fit(_problem(), seed=N(0), starts=N(4)),
 }  # fmt: skip
 
