@@ -25,7 +25,7 @@ from calibration import problemfile
 from calibration.impacts import otherwise, scenes, slow_tests
 from calibration.impacts.events import apart, contacts
 from calibration.impacts.inspection import clock_note
-from calibration.impacts.lines import FIXED, Line, Said, quoted, read_as
+from calibration.impacts.lines import FIXED, Line, Said, read_as, toml
 from calibration.impacts.plausible import effective
 from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
 
@@ -230,7 +230,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         "[[experiment]]",
         *read_as(found, said, file),
         *([Line('contacts = "each"', "every contact is a record, each with a speed of its own")] if found.each else []),
-        *([f"runs_by = {quoted(found.runs[0])}"] if _asked_runs(found, said) else []),
+        *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
         Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         *_window(s, kind),
@@ -264,7 +264,7 @@ def _parameters(
         entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     missing = [key for key, value, *_ in entries if value is None]
     texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
-    texts |= {"struck_mass": quoted(struck)} if struck else {}
+    texts |= {"struck_mass": toml(struck)} if struck else {}
     origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
     note = "FILL IN the question marks" if missing else "; ".join(origins)
     if asks:  # A line each: one of them is to be taken in.
@@ -284,7 +284,7 @@ def _columned(found: Understood, known: _Known, kind: str) -> list[Line]:
     key = "drop_height" if unit == "m" else "approach_speed"
     how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
     note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
-    return [Line(f"columns = {{ {key} = {quoted(header)} }}", note)]
+    return [Line(f"columns = {{ {key} = {toml(header)} }}", note)]
 
 
 def rows_of(text: str | None) -> dict[str, Any]:
@@ -421,7 +421,7 @@ def _taken(columns: dict[str, str]) -> list[str]:
 
 def _observed(found: Understood, kind: str) -> Line:
     columns = _columns(found, kind)
-    text = ", ".join(f'"{name}" = {quoted(columns[name])}' for name in _taken(columns))
+    text = ", ".join(f'"{name}" = {toml(columns[name])}' for name in _taken(columns))
     flipped = columns.get("contact.normal", "").startswith("-")
     return Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
 

@@ -33,7 +33,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_class_signature = "separated"
-autodoc_preserve_defaults = True
+autodoc_preserve_defaults = False
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 # Types of other packages have no page here, since nothing is fetched; nor have types of inner modules.

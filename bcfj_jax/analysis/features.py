@@ -409,9 +409,12 @@ def _settling(s: Seen) -> Any:
 
 
 def _rolling(s: Seen) -> Any:
-    # Of a share of the load rating: (C/P)^3 with P the 3-mean of the load.
-    xp = backend(s.times, s.force)
-    return (s.times[-1] - s.times[0]) / xp.trapezoid(s.force * s.force * s.force, s.times)
+    # Of a share of the load rating: (C/P)^3 with P the 3-mean of the load; without end where nothing is borne.
+    borne = backend(s.times, s.force).trapezoid(s.force * s.force * s.force, s.times)
+    loaded = still(borne) > 0.0
+    return either(
+        loaded, lambda: (s.times[-1] - s.times[0]) / either(loaded, lambda: borne, lambda: 1.0), lambda: math.inf
+    )
 
 
 def _touches(k: int) -> Callable[[Seen], float]:

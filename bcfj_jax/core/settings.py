@@ -37,8 +37,6 @@ def taking(kind: type, **defaults: Any) -> Callable[[F], F]:
                     raise TypeError(f"{function.__name__}() got an unexpected keyword argument '{name}'")
             return function(*given, **{**defaults, **named})
 
-        # What reads a function's source by its signature would find other arguments there.
-        del checked.__wrapped__
         checked.__dict__["__signature__"] = signature
         return cast(F, checked)
 

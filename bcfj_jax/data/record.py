@@ -164,8 +164,8 @@ class Record:
         Raises:
             InputError: for a unit that does not convert, with what to give where it is electrical.
         """
-        if si_unit == "N" and unit in WEIGHTS:
-            return WEIGHTS[unit]
+        if unit is not None and si_unit == "N":
+            unit = WEIGHTS.get(unit, unit)
         if unit is None or (unit not in ELECTRICAL and self.sensitivities.of(name, unit) is None):
             return 1.0 if unit is None else scale_of(unit, si_unit, place)
         factor = self.sensitivities.of(name, unit)

@@ -55,8 +55,8 @@ _IN_GRAVITIES = re.compile(
 _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
-# Masses in which forces are stated by their weight, to newtons.
-WEIGHTS = {"kg": 9.80665, "lb": 4.4482216152605, "lbs": 4.4482216152605}
+# Masses in which forces are stated by their weight, and its unit.
+WEIGHTS = {"kg": "kgf", "lb": "lbf", "lbs": "lbf"}
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -139,13 +139,15 @@ def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
 
 
 def integrate(
-    model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward", differentiable: bool = False
-) -> Solution:
+    model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward",
+    differentiable: bool | Literal["whole"] = False,
+) -> Solution:  # fmt: skip
     """Integrate from time 0 and return the states at ``times`` (a time before 0 reads the initial state).
 
     Pure: jit, vmap, and the derivatives of one ``mode`` go through; those of a stiff model only where
     ``differentiable`` asks for the solver that is meant for them. Never raises for a failed run: its states are NaN
-    from there on and ``code`` says why.
+    from there on and ``code`` says why. "whole" is differentiable, and asks for what is
+    of the continuous curves of an explicit run as well (``Continuous``).
 
     Raises:
         InputError: for derivatives by a solver that has none, and for a model that is not chosen yet.
@@ -161,7 +163,7 @@ def integrate(
         return model.instants(params, times)[0]
     if differentiable and how.solver in named.VALUES_ONLY:
         raise InputError("solver", f"'{how.solver}' has no derivatives", "leave it out, or take sdirk2 or bdf")
-    posed = problem(model, params, times[-1], how, differentiable)
+    posed = problem(model, params, times[-1], how, bool(differentiable))
     if traits.stiff and differentiable:
         if mode == "forward":
             return _with_tangents(posed, times, how)
@@ -173,17 +175,8 @@ def integrate(
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
     if differentiable and model.contacts:
-        return _with_landing(posed, times, how, mode)
+        return _with_landing(posed, times, how, mode, differentiable == "whole")
     return _solved(posed, times, how, mode)
-
-
-def integrate_whole(model: AbstractModel, params: Params, times: Array, how: Plan, mode: Way) -> Solution:
-    """As ``integrate`` where ``differentiable``; of an explicit run with what is of the continuous curves (``Continuous``)."""
-    traits = model.traits
-    if traits.open or traits.stiff or not (traits.history and model.contacts) or how.solver in named.VALUES_ONLY:
-        return integrate(model, params, times, how, mode, True)
-    times = jnp.maximum(times, 0.0)
-    return _with_landing(problem(model, params, times[-1], how, True), times, how, mode, True)
 
 
 def landed(model: AbstractModel, params: Params, times: Array, how: Plan, most: int) -> tuple[Solution, Instants]:
@@ -244,7 +237,7 @@ def _with_integrals(problem: Problem, channels: int) -> Problem:
     )
 
 
-def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool = False) -> Solution:
+def _with_landing(problem: Problem, times: Array, how: Plan, mode: Way, whole: bool) -> Solution:
     """An explicit run that lands on its contacts where it is differentiated, and does not where only values are wanted."""
     if mode == "reverse":
         return _landed(problem, times, how, 1, mode, whole)[0]

@@ -55,13 +55,8 @@ class Said(NamedTuple):
 
 
 def toml(value: Any) -> str:
-    """A value as TOML has it."""
+    """A value as TOML has it: headers of measured files may hold quotes and backslashes."""
     return json.dumps(value, ensure_ascii=False)
-
-
-def quoted(text: str) -> str:
-    """A text of TOML: headers of measured files may hold quotes and backslashes."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
@@ -69,9 +64,9 @@ def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
     every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
     stated = {key: v for key, v in vars(said.stated).items() if v is not None}
     return [
-        Line(f"file = {quoted(file)}", every),
-        *([f"table = {quoted(found.table)}"] if found.table else []),
-        *(f"{key} = {quoted(v) if isinstance(v, str) else v}" for key, v in stated.items()),
-        f"time = {quoted(found.time)}",
-        *(f"rows = {{ {quoted(header)} = {toml(value)} }}" for header, value in found.rows.items()),
+        Line(f"file = {toml(file)}", every),
+        *([f"table = {toml(found.table)}"] if found.table else []),
+        *(f"{key} = {toml(v)}" for key, v in stated.items()),
+        f"time = {toml(found.time)}",
+        *(f"rows = {{ {toml(header)} = {toml(value)} }}" for header, value in found.rows.items()),
     ]

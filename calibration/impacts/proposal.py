@@ -239,9 +239,8 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
     other = next((h for h in bare if not _counts(table, h)), next(iter(bare), ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
-    unit = "lbf" if unit in ("lb", "lbs") else "kgf" if unit == "kg" else unit
     named = column(heavy or other)[0]
-    said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
+    said = f', or say which it is: --observe "{named} [{WEIGHTS.get(unit, unit)}]" of init calibration' if named else ""
     return f'head one with its unit, as in "force [N]"{said}'
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from bcfj_jax import InputError
 from bcfj_jax.data.reading import read
 from calibration.impacts import otherwise, slow_tests, tosses
-from calibration.impacts.lines import Line, Said, quoted, read_as
+from calibration.impacts.lines import Line, Said, read_as, toml
 from calibration.impacts.proposal import Understood
 
 
@@ -37,10 +37,10 @@ def slow(found: Understood, said: Said, path: Path, file: str) -> Proposed:
     lines = [
         f"# A slow test, {found.path.name}: the body is driven, its mass does not count. Next: bcfj calibrate {quote(path.name)}",
         *([f"# Read as {found.said}."] if found.said else []),
-        Line(f"scene = {quoted(scene_of(path).name)}", "in which the body follows the measured displacement"),
+        Line(f"scene = {toml(scene_of(path).name)}", "in which the body follows the measured displacement"),
         "[[experiment]]",
         *read_as(found, said, file),
-        Line(f'observe = {{ "contact.normal" = {quoted(found.columns["N"])} }}'),
+        Line(f'observe = {{ "contact.normal" = {toml(found.columns["N"])} }}'),
         Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
         "[free]",
         free,
@@ -64,21 +64,21 @@ def toss(moved: otherwise.InMotion, record: Path, said: Said, path: Path, file: 
         runs.append(tosses.Toss(clock, places, tosses.first(clock, places, attitudes, max(axes))))
     half, mass, fixed = tosses.resting(runs, max(axes)), said.number("mass", "kg"), tosses.held(runs)
     names = {"place": otherwise.PLACES, "attitude": otherwise.ATTITUDE}
-    observed = ", ".join(f'"body.{what}.{n}" = {quoted(headers[n])}' for what, keys in names.items() for n in keys)
+    observed = ", ".join(f'"body.{what}.{n}" = {toml(headers[n])}' for what, keys in names.items() for n in keys)
     lines: list[Line | str] = [
         f"# A body in motion, {record.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(path.name)}",
-        Line(f"scene = {quoted(scene_of(path).name)}", "a box on a plane: CHECK its size and inertia there"),
+        Line(f"scene = {toml(scene_of(path).name)}", "a box on a plane: CHECK its size and inertia there"),
         Line('sensor = "exact"', "each run has its own first state in place of a clock and zero"),
     ]
     for one, run_ in zip(paths, runs, strict=True):
         place = file if len(paths) == 1 else (Path(file).parent / one.name).as_posix()
         lines += [
             "[[experiment]]",
-            f"file = {quoted(place)}",
-            *([f"table = {quoted(said.table)}"] if said.table else []),
+            f"file = {toml(place)}",
+            *([f"table = {toml(said.table)}"] if said.table else []),
         ]
         lines += [
-            f"time = {quoted(time)}",
+            f"time = {toml(time)}",
             f"observe = {{ {observed} }}",
             'noise = "estimate"',
             *tosses.own(run_, fixed),

@@ -1,8 +1,8 @@
 """Whether a record tells a low-pass that nobody stated from the law: amplifiers and recorders smooth what they store.
 
 The fit is repeated with low-passes of several kinds, each with its cut-off held at ever lower frequencies and all other
-coordinates free. With S the sum of squares there and S_min the least of all, the plain fit among them, a cut-off is not
-excluded where
+coordinates free; where a filter does little, by one step from the plain fit. With S the sum of squares there and S_min the
+least of all, the plain fit among them, a cut-off is not excluded where
 
     m ln(S / S_min) < 5.99,    m = n (1 - c) / (1 + c),
 
@@ -126,23 +126,19 @@ class _Sampled:
         self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
         # Asked some hundred times: which program each needs is found once.
         self.evaluations = [evaluation(model) for model in self.models]
-        self.last: tuple[np.ndarray, list[np.ndarray]] = (np.zeros(0), [])
 
-    def _read(self, point: np.ndarray) -> list[np.ndarray]:
-        """Readings and their derivatives at every clock, without a filter; those of the last point are kept."""
-        if not np.array_equal(point, self.last[0]):
-            size, rows = self.weights.size, []
-            for evaluated in self.evaluations:
-                found = evaluated(point[None])
-                both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
-                rows.append(both.reshape(*self.weights.shape, point.size + 1))
-            self.last = (point.copy(), rows)
-        return self.last[1]
+    def read(self, point: np.ndarray) -> list[np.ndarray]:
+        """Readings and their derivatives (E, C, T, 1 + P) at every clock, without a filter."""
+        size, rows = self.weights.size, []
+        for evaluated in self.evaluations:
+            found = evaluated(point[None])
+            both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
+            rows.append(both.reshape(*self.weights.shape, point.size + 1))
+        return rows
 
-    def at(self, point: np.ndarray, passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N,) and their Jacobian (N, P); not finite where the simulation fails."""
-        count, shape = point.size, self.weights.shape
-        rows = self._read(point)
+    def passed(self, rows: list[np.ndarray], passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N,) and their Jacobian (N, P) of what was ``read``; not finite where the simulation failed."""
+        count, shape = rows[0].shape[-1] - 1, self.weights.shape
         if not all(np.isfinite(row).all() for row in rows):
             return np.full(int(np.prod(shape)), np.nan), np.zeros((int(np.prod(shape)), count))
         read = np.zeros((*shape, count + 1))
@@ -157,9 +153,9 @@ class _Sampled:
         white = np.where(self.weights[..., None] > 0, white, 0.0).reshape(-1, count + 1)
         return white[:, 0], white[:, 1:]
 
-    def stepped(self, one: Tried, passed: Filter, cutoff: float) -> Tried | None:
-        """A fit with a filter by one step from the fit ``one``, where that tells it: the filter does little; else None."""
-        residuals, jacobian = self.at(one.point, passed, cutoff)
+    def stepped(self, one: Tried, rows: list[np.ndarray], passed: Filter, cutoff: float) -> Tried | None:
+        """The fit with a filter by one step from the fit ``one``, which reads ``rows``; None where a step does not tell it."""
+        residuals, jacobian = self.passed(rows, passed, cutoff)
         step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
         left = residuals + jacobian @ step
         point = one.point + step
@@ -176,7 +172,7 @@ class _Sampled:
         def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             if u.tobytes() not in seen:
                 seen.clear()
-                residuals, jacobian = self.at(u, passed, cutoff)
+                residuals, jacobian = self.passed(self.read(u), passed, cutoff)
                 failed = np.full_like(residuals, FAILED_RESIDUAL)
                 seen[u.tobytes()] = (residuals, jacobian) if np.isfinite(residuals).all() else (failed, jacobian)
             return seen[u.tobytes()]
@@ -268,11 +264,11 @@ def ambiguity(
 def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: float) -> list[list[Tried]]:
     """Of each filter the plain fit, and fits at ever lower cut-offs, as far down as they may explain the record."""
     count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO)) + 1
-    chains, best = [], plain
+    chains, best, rows = [], plain, sampled.read(plain.point)
     for passed in sampled.filters:
         chains.append([plain])
         for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
-            found = sampled.stepped(plain, passed, float(cutoff))
+            found = sampled.stepped(plain, rows, passed, float(cutoff))
             chains[-1].append(found or sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
             best = min(best, chains[-1][-1], key=lambda one: one.square)
             if _excess(chains[-1][-1], best, series) > _HOPELESS:

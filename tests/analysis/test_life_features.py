@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -157,3 +159,13 @@ def test_the_table_of_a_file():
     with pytest.raises(InputError, match="reads no materials"):
         life.with_materials(bj.scenes.string(n=2), {"hardness": 1e9})
     assert set(materials.SOURCES) == set(materials.STEEL)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_contact_that_bears_nothing_lives_without_end_and_wears_nothing():
+    times, nothing = np.linspace(0.0, 1.0, 11), np.zeros(11)
+    seen = features.Seen(times, nothing, None)
+    assert features.KINDS["rolling_life"].of(seen) == math.inf
+    assert features.KINDS["wear_volume"].of(seen) == features.KINDS["peak_pressure"].of(seen) == 0.0
+    slope = jax.grad(lambda x: features.KINDS["rolling_life"].of(features.Seen(times, x * jnp.ones(11), None)))
+    assert float(slope(2.0)) == pytest.approx(-3.0 / 16.0) and float(slope(0.0)) == 0.0

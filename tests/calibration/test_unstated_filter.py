@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from calibration import Filter
+import bcfj_jax as bj
+from calibration import Channel, Experiment, Filter, Free, Problem, fit
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.coordinates import Coordinate
 from calibration.search.refinement import End
@@ -143,3 +144,30 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     found = unstated_filter.ambiguity(model, (), series, end, halves)
     assert found is not None and np.array_equal(found.low, [-np.inf] * 2) and np.array_equal(found.high, [np.inf] * 2)
     assert unstated_filter.ambiguity(model, (), [series[0]._replace(longest=np.inf)], end, halves) is None
+
+
+@pytest.mark.full
+def test_one_step_is_the_fit_with_a_filter_that_does_little():
+    """Against the search from the same point; a filter that does much is no step away."""
+    scene = bj.scenes.impact(smoothing=False)
+    params = scene.parameters(stiffness=1e8, exponent=1.5, damping=0.1, mass=0.1, approach_speed=1.0)
+    times = np.linspace(0.0, 1.6e-3, 161)
+    force = bj.simulate(scene, params, times, accuracy=1e-8).force["contact"][:, 0]
+    values = force + 5e-3 * force.max() * np.random.default_rng(0).standard_normal(force.size)
+    free = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("damping", 1e-3, 1.0))
+    record = Experiment("drop", times, (Channel("contact.normal", values, 5e-3 * force.max()),))
+    at = fit(Problem(scene, params, (record,), free), starts=4, systematic=False).optimum
+    contact = 1e-3
+    sampled = unstated_filter._Sampled(at.model, at.experiments, contact)
+    plain = Tried(None, np.inf, at.end.point, at.end.cost, at.end.residuals, at.end.jacobian)
+    rows, steps = sampled.read(plain.point), 0
+    deviations = np.sqrt(np.diag(np.linalg.inv(plain.jacobian.T @ plain.jacobian)))
+    for passed in unstated_filter.FILTERS[:6]:
+        for cutoff in (45.0 / contact, 15.0 / contact):
+            step = sampled.stepped(plain, rows, passed, cutoff)
+            if step is not None:
+                searched, steps = sampled.fitted(plain.point, passed, cutoff), steps + 1
+                assert step.square == pytest.approx(searched.square, abs=0.02)
+                assert np.all(np.abs(step.point - searched.point) < 0.1 * deviations)
+    assert steps >= 6
+    assert sampled.stepped(plain, rows, unstated_filter.FILTERS[0], 0.7 / contact) is None

@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import inspect
 import re
+import typing
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,12 @@ def test_a_verb_shows_its_keywords_and_takes_no_others(verb):
     assert verb.__doc__
     with pytest.raises(TypeError, match=re.escape(f"{verb.__name__}() got an unexpected keyword argument 'acuracy'")):
         verb(None, None, None, acuracy=1)
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
+def test_a_verb_shows_its_own_source_and_types(verb):
+    assert f"def {verb.__name__}(" in inspect.getsource(verb)
+    assert "return" in typing.get_type_hints(verb)
 
 
 def test_keywords_are_typed_as_the_settings_are():

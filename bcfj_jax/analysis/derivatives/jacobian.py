@@ -81,9 +81,9 @@ def histories(
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
     from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
-    from bcfj_jax.solve.integrate import integrate_whole
+    from bcfj_jax.solve.integrate import integrate
 
-    solution = integrate_whole(scene, params, times, how, mode)
+    solution = integrate(scene, params, times, how, mode, "whole")
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
     curve = jnp.full((force.shape[1], len(Curve._fields)), jnp.nan)
     if solution.whole is not None:

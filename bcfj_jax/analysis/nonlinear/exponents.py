@@ -84,13 +84,16 @@ class Counting:
     seed: int = 0
 
 
-def counts(iterations: int, *, transients: int = 0, batches: int = 20, seed: int = 0) -> tuple[int, int, int, int]:
+def counts(iterations: int, asked: Counting) -> tuple[int, int, int, int]:
     """The numbers that make a mean, as ``int``; ``InputError`` for no iterations, or more batches than iterations."""
     iterations = whole("iterations", iterations, most=limits.SAMPLES)
-    transients = whole("transients", transients, least=0, most=limits.SAMPLES)
-    if whole("batches", batches, least=0) > iterations:
+    transients, batches = (
+        whole("transients", asked.transients, least=0, most=limits.SAMPLES),
+        whole("batches", asked.batches, least=0),
+    )
+    if batches > iterations:
         raise InputError("batches", f"{batches} of {iterations} iterations", "give no more batches than iterations")
-    return iterations, transients, int(batches), whole("seed", seed, least=0)
+    return iterations, transients, batches, whole("seed", asked.seed, least=0)
 
 
 @taking(Counting)
@@ -115,7 +118,7 @@ def map_exponent(
     Raises:
         InputError: ``counts``.
     """
-    iterations, transients, batches, seed = counts(iterations, **settings)
+    iterations, transients, batches, seed = counts(iterations, Counting(**settings))
     flat, start = _flat(step, state)
     growth = _renormalised(lambda y, w: jax.jvp(flat, (y,), (w,)), start, transients + iterations, seed)
     return from_growth(growth[transients:], interval, batches)
@@ -145,7 +148,7 @@ def flow_exponent(
     Raises:
         InputError: ``counts``.
     """
-    intervals, transients, batches, seed = counts(intervals, **settings)
+    intervals, transients, batches, seed = counts(intervals, Counting(**settings))
 
     def both(t: Array, rows: Array) -> Array:
         return jnp.stack(jax.jvp(lambda y: field(t, y), (rows[0],), (rows[1],)))
@@ -202,7 +205,7 @@ def two_trajectories(
     Raises:
         InputError: ``counts``, or a separation that is not positive.
     """
-    iterations, transients, batches, seed = counts(iterations, **settings)
+    iterations, transients, batches, seed = counts(iterations, Counting(**settings))
     if not separation > 0.0:
         raise InputError("separation", f"{separation:g}", "give more than 0")
     flat, start = _flat(step, state)

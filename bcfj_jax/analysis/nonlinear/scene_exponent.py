@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.nonlinear.exponents import Exponent, counts, from_growth
+from bcfj_jax.analysis.nonlinear.exponents import Counting, Exponent, counts, from_growth
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import Quantity, scalar
 from bcfj_jax.core.settings import taking
@@ -86,7 +86,7 @@ def scene_exponent(
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
     asked = Following(**settings)
-    intervals, _, batches, seed = counts(intervals, batches=asked.batches, seed=asked.seed)
+    intervals, _, batches, seed = counts(intervals, Counting(batches=asked.batches, seed=asked.seed))
     if scene.traits.turning and (interval is None or settle is None):
         turn, pitch = scene.period(params)
         interval = pitch if interval is None else interval

@@ -75,22 +75,6 @@ def drive_period(scene: AbstractModel, params: Params, period: Period = None) ->
 _PHASE = Quantity("phase", "rad", "drive angle of the section", 0.0, math.nextafter(2.0 * math.pi, 0.0))
 
 
-def revolutions_to_keep(revolutions: int, transients: int, phase: float) -> np.ndarray:
-    """Drive angles of the section over 2 pi, (N,): transients, transients + 1 .. revolutions, each plus the phase.
-
-    Raises:
-        InputError: for a phase outside [0, 2 pi), a negative number of transients, and for nothing to keep.
-    """
-    phase = scalar("section", _PHASE, phase)
-    revolutions = whole("revolutions", revolutions, most=limits.SAMPLES)
-    transients = whole("transients", transients, least=0)
-    if revolutions < max(transients, 1):
-        found = f"{revolutions} revolutions, of which {transients} are transients"
-        raise InputError("revolutions", found, "give more revolutions than transients")
-    first = max(transients, 0 if phase > 0.0 else 1)
-    return np.arange(first, revolutions + 1) + phase / (2.0 * math.pi)
-
-
 class SectioningKeys(SolvingKeys, total=False):
     """``Sectioning`` as keywords."""
 
@@ -108,8 +92,19 @@ class Sectioning(Solving):
     period: Period = None
 
     def turns(self, revolutions: int) -> np.ndarray:
-        """``revolutions_to_keep``."""
-        return revolutions_to_keep(revolutions, self.transients, self.phase)
+        """Drive angles of the section over 2 pi, (N,): transients, transients + 1 .. revolutions, each plus the phase.
+
+        Raises:
+            InputError: for a phase outside [0, 2 pi), a negative number of transients, and for nothing to keep.
+        """
+        phase = scalar("section", _PHASE, self.phase)
+        revolutions = whole("revolutions", revolutions, most=limits.SAMPLES)
+        transients = whole("transients", self.transients, least=0)
+        if revolutions < max(transients, 1):
+            found = f"{revolutions} revolutions, of which {transients} are transients"
+            raise InputError("revolutions", found, "give more revolutions than transients")
+        first = max(transients, 0 if phase > 0.0 else 1)
+        return np.arange(first, revolutions + 1) + phase / (2.0 * math.pi)
 
 
 @taking(Sectioning)
@@ -129,7 +124,7 @@ def stroboscopic(
         period: of a drive that swings: [s], or a function of the parameters.
 
     Raises:
-        InputError: ``drive_period``, ``revolutions_to_keep``, ``simulate``.
+        InputError: ``drive_period``, ``Sectioning.turns``, ``simulate``.
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
     asked = Sectioning(**settings)
