@@ -52,7 +52,7 @@ class _Place(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """How the runs ended; the last row takes what belongs to none."""
+    """How the runs ended, (N,)."""
 
     code: Array
     end: Array
@@ -163,8 +163,11 @@ class _Queue(NamedTuple):
     def written(self, states: Array, before: _Place, values: Array) -> Array:
         """All states with the samples of a round; rows written too far are written again."""
         if not backend.on_cpu():
-            # One kernel for all places.
-            return states.at[before.run[:, None], before.sample[:, None] + jnp.arange(self.read)].set(values)
+            # One kernel for all places. What places without a run would write is dropped: thousands that write to one
+            # row wait for each other.
+            run = jnp.where(before.run < self.total, before.run, self.total + 1)
+            at = run[:, None], before.sample[:, None] + jnp.arange(self.read)
+            return states.at[at].set(values, mode="drop")
         # One by one, in place: a scatter would copy all states in every round.
         for i in range(self.places):
             at = (before.run[i], before.sample[i], *[0] * len(self.shape))
@@ -182,7 +185,7 @@ class _Queue(NamedTuple):
             waiting, place, outcome = now
             at = jnp.where(ended, place.run, self.total)
             news = _Outcome(code, place.time, place.accepted, place.rejected)
-            outcome = jax.tree.map(lambda x, new: x.at[at].set(new), outcome, news)
+            outcome = jax.tree.map(lambda x, new: x.at[at].set(new, mode="drop"), outcome, news)
             if self.places >= self.total:
                 # No run waits. What goes on in a place without one is not read.
                 return waiting, place._replace(run=jnp.where(ended, self.total, place.run)), outcome
@@ -195,8 +198,8 @@ class _Queue(NamedTuple):
 
     def solved(self) -> tuple[_Outcome, Array, Array]:
         """How the runs ended, their states (N + 1, T + ``read``, ...), and the number of rounds."""
-        total, none = self.total, jnp.zeros(self.total + 1, int)
-        outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total + 1), none, none)
+        total, none = self.total, jnp.zeros(self.total, int)
+        outcome = _Outcome(none + NOT_FINITE, jnp.zeros(total), none, none)
         # ``read`` rows beyond the last sample, which the last step's writing may reach.
         states = jnp.full((total + 1, self.points.grid.size + self.read, *self.shape), jnp.nan)
         carry = (jnp.asarray(self.places), self.filled(jnp.arange(self.places)), outcome, states, jnp.asarray(0))
@@ -225,11 +228,11 @@ def integrate_queue(
     total, rows = ends.size, grid.size
     outcome, states, rounds = queue.solved()
     # Beyond the last sample that was reached stands what was written too far.
-    reached = ends[:, None] * grid <= jnp.where(outcome.code[:-1] == OK, jnp.inf, outcome.end[:-1])[:, None]
+    reached = ends[:, None] * grid <= jnp.where(outcome.code == OK, jnp.inf, outcome.end)[:, None]
     states = jnp.where(reached.reshape(total, rows, *[1] * len(queue.shape)), states[:-1, :rows], jnp.nan)
     finite = jnp.all(jnp.isfinite(states[:, :, 0] if wrt else states), axis=(1, 2))
-    code = jnp.where((outcome.code[:-1] == OK) & ~finite, NOT_FINITE, outcome.code[:-1])
-    return Solution(states, code, outcome.end[:-1], outcome.accepted[:-1], outcome.rejected[:-1]), rounds
+    code = jnp.where((outcome.code == OK) & ~finite, NOT_FINITE, outcome.code)
+    return Solution(states, code, outcome.end, outcome.accepted, outcome.rejected), rounds
 
 
 def sizes(params: Params, names: Sequence[str]) -> Array:
