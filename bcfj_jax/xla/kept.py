@@ -3,7 +3,6 @@
 XLA on a CPU fuses a value into everything that reads it, and computes it anew for each entry that does: a contact's normal
 force once for every component of its force and moment, and a chain of such values by the product of their readers.
 ``optimization_barrier`` is taken out before fusion. A loop is not fused, so the value passes through one that never turns.
-Elsewhere the value is handed on as it is: a GPU waits for the host at every loop.
 """
 
 from __future__ import annotations
@@ -46,8 +45,7 @@ _KEPT = Primitive("kept")
 _KEPT.multiple_results = True
 _KEPT.def_impl(lambda *values: list(values))
 _KEPT.def_abstract_eval(lambda *values: list(values))
-inside.register_lowering(_KEPT, inside.lowered_by(lambda *values: list(values), multiple_results=True))
-inside.register_lowering(_KEPT, inside.lowered_by(_loop, multiple_results=True), platform="cpu")
+inside.register_lowering(_KEPT, inside.lowered_by(_loop, multiple_results=True))
 inside.batchers[_KEPT] = lambda values, axes: (_KEPT.bind(*values), axes)
 
 

@@ -30,7 +30,7 @@ from bcfj_jax.xla.programs import program
 # Runs under way at one time on a core: with its tangents and matrices a run takes several times a run's place in a cache.
 _PLACES = 32
 # On an accelerator: beyond, a step costs as much a run.
-MANY = 8192
+MANY = 16384
 # Samples that are read at once.
 _SAMPLES = 64
 # Runs that are read at once: on a CPU, on an accelerator.
