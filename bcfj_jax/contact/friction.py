@@ -81,7 +81,6 @@ class Plain(bj.laws.AbstractFriction):
 
     def reach(self, c: Coefficients) -> Array:
         """Size of the state, in which its errors are measured; of a law without a state nobody reads it."""
-        del c
         return jnp.ones(())
 
     @classmethod
@@ -243,7 +242,6 @@ class FrictionalLag(AbstractFriction):
 
     def reach(self, c: Coefficients) -> Array:
         """1: from mu_s to mu_d."""
-        del c
         return jnp.ones(())
 
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:

@@ -74,12 +74,10 @@ class Linear(bj.laws.AbstractLaw):
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
         """Time derivatives of the states while the surfaces overlap. Arguments as ``force``."""
-        del penetration, rate, c
         return ()
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
         """Of each state, the change whose effect is about that of an error as large as the penetration to expect [m]."""
-        del penetration, c
         return ()
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
@@ -105,7 +103,6 @@ class Hertz(AbstractLaw):
         return self.elastic.needs
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
-        del rate
         return self.elastic.force(penetration, c)
 
 
@@ -305,7 +302,6 @@ class StandardLinearSolid(AbstractLaw):
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
         """The relaxed force follows the elastic one: q' = (f - q)/tau."""
-        del rate
         return ((self.elastic.force(penetration, c) - c["relaxed_force"]) / c["relaxation_time"],)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
@@ -362,7 +358,6 @@ class AbstractPlastic(AbstractLaw):
         return height, width, deepest - unloaded / width
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
-        del rate
         height, _, equivalent = self._unloaded(penetration, c)
         return height * self.elastic.force(equivalent, c)
 
@@ -404,7 +399,6 @@ class WaltonBraun(AbstractPlastic):
 
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
         """1 and e^2."""
-        del deepest
         return jnp.ones(()), jnp.maximum(c["restitution"], LOWEST_RESTITUTION) ** 2
 
 

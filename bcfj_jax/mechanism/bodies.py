@@ -320,11 +320,7 @@ def _items(start: Any) -> tuple[tuple[str, Size], ...]:
 
 
 def refuse_impossible(where: str, moments: tuple[Any, ...]) -> None:
-    """Refuse principal moments of inertia that no body has: each is at most the sum of the other two.
-
-    Raises:
-        InputError: with the greatest and the sum.
-    """
+    """Refuse principal moments of inertia that no body has: each is at most the sum of the other two."""
     greatest, others = max(moments), sum(moments) - max(moments)
     if greatest > others * (1.0 + 1e-9):
         found = f"({', '.join(f'{float(x):g}' for x in moments)}) kg m^2: {greatest:g} is more than the others' sum, {others:g}"
@@ -494,7 +490,6 @@ def _basis(n: Any, p: Params) -> tuple[Vector, Vector, Vector]:
     """(e1, e2, n), right-handed; of z it is x, y, z."""
     if callable(n):
         raise InputError("axis", "is a function", "give an axis, and turn the joint by tilt = (axis, angle)")
-    del p
     order = {(0.0, 0.0, 1.0): (0, 1), (1.0, 0.0, 0.0): (1, 2), (0.0, 1.0, 0.0): (2, 0)}
     if n in order:
         i, j = order[n]

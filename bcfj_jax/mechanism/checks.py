@@ -31,11 +31,7 @@ _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free'
 
 
 def check_structure(scene: Dynamics) -> None:
-    """Refuse bodies, contacts and loads that do not make a mechanism.
-
-    Raises:
-        InputError: for a loop of ideal joints, a cycle in the tree, a body that is not there, names given twice.
-    """
+    """Refuse bodies, contacts and loads that do not make a mechanism."""
     where = f"mechanism '{scene.kind}'"
     if not scene.bodies:
         raise InputError(where, "has no bodies", "list at least one")
@@ -196,11 +192,7 @@ def names_read(scene: Dynamics, params: Params, where: str) -> frozenset[str]:
 
 
 def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
-    """Refuse three moments of inertia that no body has; traced and batched ones pass.
-
-    Raises:
-        InputError: naming the body.
-    """
+    """Refuse three moments of inertia that no body has; traced and batched ones pass."""
     for body in scene.bodies:
         moments = scene.inertia(body, params)
         if isinstance(moments, tuple) and not any(is_traced(x) or np.ndim(x) for x in moments):
@@ -208,12 +200,7 @@ def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
 
 
 def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
-    """Refuse values that no run can answer; batched and traced ones pass.
-
-    Raises:
-        InputError: for a value that is missing or out of range, a quantity of the user's that nothing reads, code of
-            the user's that raises, bodies that start deep inside each other.
-    """
+    """Refuse values that no run can answer; batched and traced ones pass."""
     where = where or f"scene '{scene.kind}'"
     inputs.values(scene, params, where)
     read = _read(scene, tuple(params), where)

@@ -51,7 +51,6 @@ class Approach(eqx.Module):
 
     def first(self, gap: Number, rate: Number, p: Params) -> Number:
         """Memory at time 0 [m/s]."""
-        del gap, p
         return jnp.maximum(rate, SLOWEST)
 
     def learning(self, gap: Number, rate: Number, memory: Number, p: Params) -> Number:
@@ -62,7 +61,6 @@ class Approach(eqx.Module):
             memory: speed that is remembered [m/s].
             p: the mechanism's parameters.
         """
-        del p
         closing = positive(rate)
         return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
 

@@ -230,7 +230,6 @@ class Dynamics(AbstractModel):
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Of a mechanism whose every joint is driven, and whose contacts remember nothing: nothing is integrated."""
-        del params
         nothing = jnp.zeros((times.shape[0], 0))
         return Solution(nothing, jnp.asarray(OK), times[-1], jnp.asarray(0), jnp.asarray(0)), near
 

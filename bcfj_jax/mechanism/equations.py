@@ -76,7 +76,6 @@ class Equations:
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
         """A force at ``arm`` from a body's origin whose moment about that is known; world."""
-        del arm
         for j, (w, v) in part.partials.items():
             self.push(j, plus(dot(v, force), dot(w, moment)))
 

@@ -39,11 +39,7 @@ class Described(Protocol):
 
 
 def named(scene: Described, given: Any, where: str) -> dict[str, Any]:
-    """Values by the scene's own names of parameters; of two names of one parameter the last counts.
-
-    Raises:
-        InputError: for what is no table, and a name that the scene does not have, with the nearest that it has.
-    """
+    """Values by the scene's own names of parameters; of two names of one parameter the last counts."""
     if not isinstance(given, Mapping):
         raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
     # Once: an equinox module makes a method anew each time that it is asked for.
@@ -90,9 +86,6 @@ def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
         scene: whose they are.
         given: by name numbers, arrays, traced values, or texts with a unit such as "20 um".
         where: place, for the message; by default the scene.
-
-    Raises:
-        InputError: as ``named``; for what is no number of the parameter's unit, and a number out of its range.
     """
     where = where or f"scene '{scene.kind}'"
     by_name, defaults, found = named(scene, given, where), dict(scene.defaults), {}
@@ -147,11 +140,7 @@ def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> In
 
 
 def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> None:
-    """Refuse parameters among which one with a default has no value, neither its own nor the shared one.
-
-    Raises:
-        InputError: naming it.
-    """
+    """Refuse parameters among which one with a default has no value, neither its own nor the shared one."""
     for name in dict(scene.defaults):
         shared = name.rpartition(".")[2]
         readers = [key for key in scene.quantities if key.endswith(f".{name}")]
@@ -162,11 +151,7 @@ def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> 
 
 
 def merged(values: Any, more: Mapping[str, Any]) -> dict[str, Any]:
-    """Two tables as one; the second counts.
-
-    Raises:
-        InputError: where the first is no table.
-    """
+    """Two tables as one; the second counts."""
     if values is not None and not isinstance(values, Mapping):
         remedy = 'give a table by names, or names: scene.parameters({"contact.mass": 1.0}), scene.parameters(mass=1.0)'
         raise InputError("parameters", f"{quoted(values)} is no table", remedy)

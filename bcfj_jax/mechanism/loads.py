@@ -93,12 +93,7 @@ class Pull(bj.loads.AbstractLoad):
     name: eqx.AbstractVar[str]
 
     def __new__(cls, *args: Any, **more: Any) -> Any:
-        """Refuse a class that leaves something out.
-
-        Raises:
-            InputError: naming class and what it lacks, with an example.
-        """
-        del args, more
+        """Refuse a class that leaves something out."""
         complete(cls, [*getattr(cls, "__abstractmethods__", ()), *getattr(cls, "__abstractvars__", ())], cls.example)
         return super().__new__(cls)
 
@@ -112,7 +107,6 @@ class Pull(bj.loads.AbstractLoad):
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """Times [s] at which steps have to end, since the load bends there; None: looks at it find them."""
-        del p
         return [] if self.timeless else None
 
     @property
@@ -135,7 +129,6 @@ class Gravity(AbstractLoad):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """m g at each centre of mass."""
-        del t
         way = sizes.axis(self.direction, "gravity direction")
         found = []
         for body, mass in bodies.mass.items():
@@ -282,7 +275,6 @@ class Spring(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The pull on both."""
-        del t
         (a, b), arm, rate = self._apart(bodies, p)
         (k, c, free), way = self._sizes(p), unit(arm)
         pull = times(k, minus(length(arm), free)) + times(c, dot(way, rate))
@@ -311,7 +303,6 @@ class Bush(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """The forces on both."""
-        del t
         (a, b), arm, rate = self._apart(bodies, p)
         k, c, turning = self._sizes(p)
         first, second = self.between
@@ -333,7 +324,6 @@ class CoordinateLoad(AbstractLoad):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """None: it acts on a coordinate (``on_coordinate``)."""
-        del t, bodies, p
         return []
 
     @abstractmethod
@@ -427,7 +417,6 @@ class JointFriction(CoordinateLoad):
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         """-m(w^2) w."""
-        del t, position
         sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
         held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
         told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
@@ -478,7 +467,6 @@ class Load(AbstractLoad):
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """As given."""
-        del p
         return None if self.breaks is None else [np.asarray(self.breaks)]
 
     def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
@@ -528,11 +516,7 @@ def kept(load: Any) -> Any:
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
-    """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None.
-
-    Raises:
-        InputError: for what is no quantity, a default that is no number or of another shape than the quantity says.
-    """
+    """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None."""
     found = []
     for entry in given:
         quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
@@ -547,11 +531,7 @@ def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
 
 
 def checked(where: str, given: Any) -> AbstractLoad:
-    """A load that was given as itself.
-
-    Raises:
-        InputError: for a class in the place of its object, a function, and anything else.
-    """
+    """A load that was given as itself."""
     if isinstance(given, AbstractLoad):
         return given
     remedy = f"give a load of bj.loads, or an object of a class such as:\n{AbstractLoad.example.strip()}"
@@ -564,11 +544,7 @@ def checked(where: str, given: Any) -> AbstractLoad:
 
 
 def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action:
-    """An action of a user's load.
-
-    Raises:
-        InputError: for what is no ``Action``, and for a body that is not there.
-    """
+    """An action of a user's load."""
     if not isinstance(given, Action):
         remedy = 'return a list such as [bj.loads.Action("mass", force=(0.0, -10.0, 0.0))]'
         raise InputError(where, f"{quoted(given)} is no Action", remedy)

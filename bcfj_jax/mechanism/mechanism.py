@@ -201,7 +201,6 @@ class Mechanism(Dynamics):
 
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which the expected speed crosses the expected penetration."""
-        del params
         first = sum(k or 1 for *_, k in self._placed)
         if not first:
             return jnp.asarray(1e-2 * DEPTH / SPEED)

@@ -117,9 +117,6 @@ class Observed(AbstractModel):
 def observing(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
     """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration,
     "journal.wear_volume" for the rate of wear.
-
-    Raises:
-        InputError: for a reading that the model has not, with the nearest that it has; a wear without friction.
     """
     contacts, wanted = model.members, {}
     known = [*contacts, *(f"{c}_{k + 1}" for c, count in contacts.items() for k in range(count))]

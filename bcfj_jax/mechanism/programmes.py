@@ -39,21 +39,13 @@ def risen(shape: str, fraction: ArrayLike) -> Array:
 
 
 def checked_shape(where: str, shape: Any) -> None:
-    """Refuse a shape that is not known.
-
-    Raises:
-        InputError: with the nearest that is.
-    """
+    """Refuse a shape that is not known."""
     if shape not in SHAPES:
         raise InputError(where, f"no shape {quoted(shape)}", nearest(str(shape), SHAPES))
 
 
 def checked_table(where: str, table: Any, least: int = 2) -> Table:
-    """A table as two rows of plain numbers.
-
-    Raises:
-        InputError: for one that has not two rows of one length, is too short, or whose times do not increase.
-    """
+    """A table as two rows of plain numbers."""
     remedy = "give [[times], [values]]"
     try:
         knots, values = (np.asarray(row, dtype=float) for row in table)
@@ -72,11 +64,7 @@ def checked_table(where: str, table: Any, least: int = 2) -> Table:
 
 
 def given_table(where: str, table: Any) -> Table | None:
-    """``checked_table`` of a table that may be None.
-
-    Raises:
-        InputError: as ``checked_table``, and for one that is traced.
-    """
+    """``checked_table`` of a table that may be None."""
     refuse_traced(where, table)
     return None if table is None else checked_table(where, table)
 

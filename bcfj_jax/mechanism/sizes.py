@@ -32,11 +32,7 @@ _POSITIVE = {"mass", "inertia", "inertia_x", "inertia_y", "inertia_z"}
 
 
 def plain(where: str, given: Any) -> Any:
-    """What was given as a size or several: Python's numbers and tuples; names, functions and None stay.
-
-    Raises:
-        InputError: for what is none of these, and for traced values, which are passed as parameters.
-    """
+    """What was given as a size or several: Python's numbers and tuples; names, functions and None stay."""
     refuse_traced(where, given)
     return _plain(where, given)
 
@@ -102,11 +98,7 @@ def stated(size: Size, part: str, key: str, unit: str) -> dict[str, tuple[Quanti
 
 
 def axis(direction: Any, where: str) -> Any:
-    """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept.
-
-    Raises:
-        InputError: for anything else, and for a vector without length.
-    """
+    """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept."""
     if callable(direction):
         return direction
     if isinstance(direction, str):

@@ -76,17 +76,14 @@ class BallBetweenPlanes(AbstractGap):
 
     def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
-        del c
         return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Outward: from a's marker to the ball's centre."""
-        del c
         return subtract(b.place, a.place)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """The ball."""
-        del look
         return (), (shapes.ball(c["ball_radius"]),)
 
 
@@ -181,7 +178,6 @@ class BallInGroove(AbstractGap):
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """The tracks, forty degrees to either side of the pitch circle, and the ball."""
-        del look
         outer = self.side == "outer"
         radius, lean = (
             float(np.hypot(c["pitch_radius"], c["offset"])),

@@ -42,11 +42,7 @@ def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number
 
 
 def _travel(axis: Any) -> Direction:
-    """A direction across a's z axis.
-
-    Raises:
-        InputError: for one that is not.
-    """
+    """A direction across a's z axis."""
     way = direction(axis)
     if way[2] != 0.0:
         raise InputError("gap, option 'axis'", f"axis {axis!r} is not across z", "give x, -x, y, -y, or [cos, sin, 0]")
@@ -94,12 +90,10 @@ class TwoSidedStop(AbstractGap):
 
     def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
-        del c
         return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the stop's plane (class docstring)."""
-        del b, c
         return in_plane(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
@@ -141,12 +135,10 @@ class PinInSlot(AbstractGap):
 
     def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
-        del c
         return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the slot."""
-        del b, c
         return turned(a.axes, self.axis)
 
     def misread(self, c: Mapping[str, float], deepest: float) -> str:
@@ -221,7 +213,6 @@ class PinInBearing(AbstractGap):
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """A ring and a pin."""
-        del look
         radius, hole = c["radius"], c["radius"] + c["clearance"]
         long = c["half_length"] if self.ends else 0.7 * radius
         ring = shapes.cylinder(1.4 * hole, 0.75 * long, hole, c["clearance"])
@@ -275,7 +266,6 @@ class SliderInGuide(AbstractGap):
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Along the guide."""
-        del b, c
         return turned(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:

@@ -73,12 +73,10 @@ class PointOnPlane(AbstractGap):
 
     def bends(self, c: Coefficients) -> Bends:
         """By rotation alone."""
-        del c
         return Bends(np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """In the plane (class docstring)."""
-        del b, c
         return in_plane(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
@@ -217,7 +215,6 @@ class SphereOnSphere(AbstractGap):
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """Two spheres."""
-        del look
         return (shapes.ball(c["radius_a"]),), (shapes.ball(c["radius_b"]),)
 
 
@@ -258,12 +255,10 @@ class SphereInSocket(AbstractGap):
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """The z axis of a or of b."""
-        del c
         return b.axes[2] if self.axis_of == "b" else a.axes[2]
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """A bowl, open along z of a, and a sphere."""
-        del look
         angle = np.linspace(0.35, -0.5 * np.pi, 16)
         ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         bowl = shapes.revolved(c["radius"] * ring, c["clearance"] * ring)
