@@ -199,7 +199,6 @@ class Memory(AbstractFriction):
         return rate, self._level(square, c) * self._direction(speed_squared, c)
 
     def reach(self, c: Coefficients) -> Array:
-        """v_t."""
         return c["friction_speed"]
 
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:

@@ -47,23 +47,17 @@ def approaches(scene: Dynamics, t: Array, y: Array, p: Params) -> Approaches:
     return Approaches(*(flat(list(part), counts) for part in zip(*rows, strict=True)))
 
 
-def doubt(
-    scene: Dynamics, params: Mapping[str, Any], times: np.ndarray, depth: Mapping[str, np.ndarray],
-    rate: Mapping[str, np.ndarray], states: np.ndarray,
-) -> tuple[str, float]:  # fmt: skip
+def doubt(scene: Dynamics, params: Mapping[str, Any], run: Any) -> tuple[str, float]:
     """Why a run's restitution is not the one asked for, and from when on [s]: a contact remembers another speed than it met.
 
     The speed at the end of a flight is that of its last sample, v, carried on under the flight's mean acceleration,
     sqrt(v^2 + (v^2 - u^2) g/(h - g)), with u the speed at the flight's greatest gap h, and g the gap left. Impacts at less
     than half the greatest speed of a contact are not looked at, nor flights of fewer than five samples.
-
-    Args:
-        scene, params: the mechanism and its parameters.
-        times: (T,) [s]; depth, rate: by contact (T,) or (T, k); states: (T, n).
     """
+    times, states = run.times, run.trajectory
     at, found = iter(places(scene)), ("", float("nan"))
     for c in (c for c in scene.contacts if c.remembers):
-        depths, rates = (np.asarray(x[c.name]).reshape(len(times), -1) for x in (depth, rate))
+        depths, rates = (np.asarray(x[c.name]).reshape(len(times), -1) for x in (run.penetration, run.rate))
         kept = states[:, [next(at) for _ in range(c.faces * depths.shape[1])]].reshape(len(times), c.faces, -1)
         width = float(scene.coefficient(params, c.name, "smoothing")) if c.smoothing else 0.0
         for k in range(depths.shape[1]):

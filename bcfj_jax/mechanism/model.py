@@ -200,7 +200,7 @@ class AbstractModel(eqx.Module):
 
     def structure(self) -> AbstractStructure:
         """Linear algebra of ``I/s - J`` for implicit solvers; its ``args`` are (model, prepared)."""
-        return Dense(_field)
+        return Dense(field)
 
     def origin(self, count: int) -> Any:
         """Where ``instants`` begins its search at so many times if it knows nothing, as NumPy arrays; () for none."""
@@ -553,6 +553,7 @@ def _horizon(model: AbstractModel, params: Params) -> Array:
     return jnp.asarray(model.horizon(params))
 
 
-def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+def field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+    """The vector field with arguments (model, what it has prepared)."""
     model, prepared = args
     return model.vector_field(t, y, prepared)

@@ -12,11 +12,10 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import smooth_rise, smooth_step
-from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import Number, plus, times
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.arrays import refuse_traced
-from bcfj_jax.mechanism.sizes import Params, Size
+from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
 # Two rows of one length: times [s], increasing, and values.
 Table = tuple[tuple[float, ...], tuple[float, ...]]
@@ -147,7 +146,7 @@ class Programme(eqx.Module):
             found += [begin, begin + sizes.value(self.reversal_ramp, name, "reversal_ramp", p)]
         return found
 
-    def parameters(self, name: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self, name: str, unit: str) -> Parameters:
         """Its parameters with their defaults."""
         if self.table is not None:
             return {}

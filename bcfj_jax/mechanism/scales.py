@@ -21,7 +21,7 @@ from jax import Array
 
 from bcfj_jax.contact.normal import regularised_force
 from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
@@ -150,12 +150,7 @@ def _freed(part: Part, rates: list[Number]) -> Part:
 
 
 class _Felt(NamedTuple):
-    """The mass that a face feels.
-
-    Attributes:
-        gathered, count: the mass matrix of so many free velocities.
-        levers: how far points of contact move by each velocity, what was asked so far.
-    """
+    """The mass that a face feels, by the mass matrix of so many free velocities; ``levers``: how far contacts moved by each."""
 
     gathered: Equations
     count: int
@@ -167,7 +162,8 @@ class _Felt(NamedTuple):
         for part, arm, sign in zip(bodies, arms, (-1.0, 1.0), strict=True):
             for j in part.partials:
                 if j < self.count:
-                    v = scale(sign, part.partial_at(j, arm))
+                    w, origin = part.partials[j]
+                    v = scale(sign, add(origin, cross(w, arm)))
                     found[j] = add(found.get(j, ZERO), v)
                     self.levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
         return found

@@ -36,7 +36,7 @@ _NOTES = (
 )
 
 
-def drawing(m: Dynamics, params: Params, size: float, travel: Mapping[str, Any] | None) -> Drawing:
+def drawing(m: Dynamics, params: Params, size: float = 1.0, travel: Mapping[str, Any] | None = None) -> Drawing:
     """``AbstractModel.drawing`` of a mechanism."""
     p: Any = {name: np.asarray(value) for name, value in params.items()}
     still = (np.zeros(3), np.zeros(3))
@@ -94,7 +94,7 @@ def _number(size: Any, part: str, key: str, p: Params) -> float:
 
 def _at(b: Body, p: Params) -> np.ndarray:
     """Place of a body's joint in its parent's axes [m]."""
-    return np.array([_number(s, b.name, f"at_{k}", p) for k, s in zip("xyz", b.at, strict=True)])
+    return np.array([float(np.max(x)) for x in sizes.point(b.at, b.name, "at", p)])
 
 
 def _basis(b: Body, p: Params) -> np.ndarray:
@@ -173,8 +173,8 @@ def scenery(m: Dynamics, t: Array, y: Array, p: Params) -> Scenery:
     for b in m.ordered:
         if b.joint == "slide":
             part, parent = now.bodies.parts[b.name], now.bodies.parts[b.parent]
-            i, j, k = (sizes.length(s, b.name, f"at_{x}", p) for x, s in zip("xyz", b.at, strict=True))
-            moved = subtract(seen(parent.axes, subtract(part.place, parent.place)), (i, j, k))
+            at = sizes.point(b.at, b.name, "at", p)
+            moved = subtract(seen(parent.axes, subtract(part.place, parent.place)), at)
             offsets[b.name] = array(moved).reshape(-1, 3)[0]
     return Scenery(_poses(m, now.bodies.parts), _poses(m, _closed(m, t, y, p)), arrows, offsets)
 

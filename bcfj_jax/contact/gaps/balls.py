@@ -12,6 +12,7 @@ from jax import Array
 
 from bcfj_jax.contact.gaps.base import (
     ROUND,
+    AbstractFlat,
     AbstractGap,
     Bends,
     Coefficients,
@@ -38,7 +39,7 @@ def sector(cosine: Any) -> Array:
     return smooth_step(20.0 * cosine)
 
 
-class BallBetweenPlanes(AbstractGap):
+class BallBetweenPlanes(AbstractFlat):
     """A ball of b between two parallel planes of a, faces or ends of a cage window:  d = +-p . e - clearance,  n = +-e.
 
     p leads from a's marker, midway between the planes, to b's, the ball's centre. The point of contact is on the ball,
@@ -63,27 +64,19 @@ class BallBetweenPlanes(AbstractGap):
 
     @property
     def members(self) -> int:
-        """The windows."""
         return self.windows
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """Two faces, at +e and at -e."""
         x, y, z = self.axis
         if self.windows:
             angle = 2.0 * np.pi * np.arange(self.windows) / self.windows
             x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
         return between(a, b, turned(a.axes, (x, y, z)), c["clearance"], c["ball_radius"])
 
-    def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone."""
-        return Bends(np.inf)
-
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Outward: from a's marker to the ball's centre."""
         return subtract(b.place, a.place)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """The ball."""
         return (), (shapes.ball(c["ball_radius"]),)
 
 
@@ -126,13 +119,11 @@ class BallInGroove(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Sizes of ball and track, and of a gothic section."""
         sizes = ("clearance", "ball_radius", "pitch_radius", "offset")
         return sizes if self.section == "circular" else (*sizes, "contact_angle", "conformity")
 
     @property
     def members(self) -> int:
-        """The tracks."""
         return self.tracks
 
     def _place(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Vector, Vector]:
@@ -145,7 +136,6 @@ class BallInGroove(AbstractGap):
         return place, subtract(scale(np.cos(angle), a.axes[1]), scale(np.sin(angle), a.axes[0]))
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face of a circular section, two flanks of a gothic one."""
         place, across = self._place(a, b, c)
         aside = dot(place, across)
         plane = subtract(place, scale(aside, across))
@@ -165,19 +155,16 @@ class BallInGroove(AbstractGap):
         return first, second
 
     def bends(self, c: Coefficients) -> Bends:
-        """Over the section's radius less the ball's, and by rotation."""
         free = c["clearance"]
         if self.section == "gothic":
             free = free + c["ball_radius"] * (2.0 * c["conformity"] - 1.0)
         return Bends(free)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Along the track."""
         place, across = self._place(a, b, c)
         return unit(cross(place, across))
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """The tracks, forty degrees to either side of the pitch circle, and the ball."""
         outer = self.side == "outer"
         radius, lean = (
             float(np.hypot(c["pitch_radius"], c["offset"])),

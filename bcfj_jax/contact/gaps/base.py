@@ -171,6 +171,13 @@ class Ground(bj.gaps.AbstractGap):
         return (), ()
 
 
+class AbstractFlat(AbstractGap):
+    """A gap between planes and a point or a round part: rotations alone bend the penetration's course."""
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(np.inf)
+
+
 class FromDepth(AbstractGap):
     """A gap given by its penetration alone, a function of b's place in a's axes; the normal is its gradient.
 
@@ -183,16 +190,13 @@ class FromDepth(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As given."""
         return self.reads
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As given."""
         return {q.name: q for q in self.known}
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         # Computed once: where XLA computes it again with other roundings, |x| = max(|x|, |y|) is false for both, and the
         # slope of jnp.hypot, or of any maximum, is lost.
         place = jax.lax.optimization_barrier(array(seen(a.axes, subtract(b.place, a.place))))
