@@ -38,15 +38,7 @@ class Part(eqx.Module):
 
 
 def checked(where: str, given: Any, kind: type[Part], what: str, by_name: str) -> Any:
-    """A part that was given as itself.
-
-    Args:
-        where: place, for the message.
-        given: what was given.
-        kind: the abstract class that it must be of.
-        what: what one of these is called.
-        by_name: what else may be given.
-    """
+    """A part that was given as itself, of an abstract class; ``what`` it is called, and ``by_name`` what else may be given."""
     if isinstance(given, kind):
         return given
     remedy = f"{by_name}, or an object of a class such as:\n{kind.example.strip()}"

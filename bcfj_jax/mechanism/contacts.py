@@ -54,13 +54,7 @@ class Approach(eqx.Module):
         return jnp.maximum(rate, SLOWEST)
 
     def learning(self, gap: Number, rate: Number, memory: Number, p: Params) -> Number:
-        """Rate of the memory [m/s^2] while apart.
-
-        Args:
-            gap: distance [m] > 0; rate: of the penetration [m/s], positive while closing.
-            memory: speed that is remembered [m/s].
-            p: the mechanism's parameters.
-        """
+        """Rate of the memory [m/s^2] over a gap [m] > 0; ``rate`` of the penetration [m/s], positive while closing."""
         closing = positive(rate)
         return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
 
@@ -150,13 +144,7 @@ class Contact(eqx.Module):
         return self.coefficients(p) | dict(zip(self.memory, own, strict=True))
 
     def learning(self, face: Face, touch: ContactForce, own: Sequence[Number], p: Params) -> list[Number]:
-        """Rates of what a face remembers.
-
-        Args:
-            face, touch: where it touches, and with what force.
-            own: what the face remembers.
-            p: the mechanism's parameters.
-        """
+        """Rates of what a face remembers (``own``), where it touches with a force."""
         bending = list(touch.bending or ())
         if len(self.memory) == len(bending):
             return bending

@@ -79,12 +79,15 @@ class Dynamics(AbstractModel):
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
         """Bodies, each after the one that it hangs on."""
+        return tuple(sorted(self.bodies, key=lambda b: len(self.chain(b.name))))
+
+    def chain(self, name: str) -> list[Body]:
+        """A body, the one that it hangs on, and so on down to the ground, which is not among them."""
         found: list[Body] = []
-        names = {GROUND}
-        while len(found) < len(self.bodies):
-            found += [b for b in self.bodies if b.name not in names and b.parent in names]
-            names |= {b.name for b in found}
-        return tuple(found)
+        while name != GROUND:
+            found.append(self.body(name))
+            name = found[-1].parent
+        return found
 
     def body(self, name: str) -> Body:
         """A body by name."""
@@ -116,7 +119,7 @@ class Dynamics(AbstractModel):
 
     def turning(self, name: str) -> bool:
         """Whether anything turns a body: its own joint or one that it hangs on."""
-        return name != GROUND and (self.body(name).turns or self.turning(self.body(name).parent))
+        return any(b.turns for b in self.chain(name))
 
     @property
     def quantities(self) -> dict[str, Quantity]:

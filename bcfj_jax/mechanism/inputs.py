@@ -61,14 +61,9 @@ def exponents_first(name: str) -> bool:
 
 
 def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float | None:
-    """The exponent that goes with a parameter: its contact's, or the shared one; of a law without one 1.
+    """The exponent that goes with a parameter, from the first table that has it: its contact's, or the shared one; else 1.
 
     None where it is traced, or one of many: then the unit itself says it.
-
-    Args:
-        scene: whose parameter.
-        name: of the parameter.
-        tables: values by name; the first that has one is taken.
     """
     contact = name.rpartition(".")[0]
     own = f"{contact}.exponent" if contact else "exponent"
@@ -82,10 +77,7 @@ def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float |
 def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
     """Values of some of the scene's parameters: float64, SI, each in its range; arrays stand for a batch.
 
-    Args:
-        scene: whose they are.
-        given: by name numbers, arrays, traced values, or texts with a unit such as "20 um".
-        where: place, for the message; by default the scene.
+    ``given`` has by name numbers, arrays, traced values, or texts with a unit such as "20 um".
     """
     where = where or f"scene '{scene.kind}'"
     by_name, defaults, found = named(scene, given, where), dict(scene.defaults), {}
@@ -101,15 +93,7 @@ def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
 
 
 def parameters(scene: Described, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
-    """All parameters of one run: ``values``, each a scalar, and none missing.
-
-    Args:
-        scene, given, where: as ``values``.
-        traced: whether traced values pass.
-
-    Raises:
-        InputError: as ``values``; for an array in the place of one number, and for a parameter without a value.
-    """
+    """All parameters of one run: ``values``, each a scalar, and none missing; ``traced``: whether traced values pass."""
     where = where or f"scene '{scene.kind}'"
     found = values(scene, given, where)
     known: Mapping[str, Quantity] = scene.quantities

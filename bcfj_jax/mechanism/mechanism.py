@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism import approaches, checks, instruments, orbits, scenery, sizes, stepping, stiff
+from bcfj_jax.mechanism import checks, instruments, scenery, sizes, stepping, stiff
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import (
@@ -110,18 +110,16 @@ class Mechanism(Dynamics):
     @property
     def unweighed(self) -> bool:
         """Where the motion of both bodies of a contact is given."""
-        moved = {GROUND}
-        for body in self.ordered:
-            moved |= {body.name} if body.drive is not None and body.parent in moved else set()
-        return any(moved.issuperset(c.between) for c in self.contacts)
+        given = {GROUND, *(b.name for b in self.bodies if all(x.drive is not None for x in self.chain(b.name)))}
+        return any(given.issuperset(c.between) for c in self.contacts)
 
     # What is worked out beside, as ``AbstractModel`` has it.
 
     proximity, breaks = stepping.proximity, stepping.breaks  # pyright: ignore[reportAssignmentType]
-    remembered = cached_property(approaches.places)  # pyright: ignore[reportAssignmentType]
-    approaches, misremembered = approaches.approaches, approaches.doubt  # pyright: ignore[reportAssignmentType]
+    remembered = cached_property(stepping.places)  # pyright: ignore[reportAssignmentType]
+    approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
     observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
-    orbits, drawing, scenery = orbits.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
+    orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
     check, suspects = checks.check_values, checks.suspects  # pyright: ignore[reportAssignmentType]
 
     def accounts(self, t: Array, y: Array, prepared: Params) -> dict[str, Account]:

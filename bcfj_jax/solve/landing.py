@@ -349,7 +349,7 @@ def opening(seen: Look, most: int) -> tuple[Array, Instants]:
     return inside, Instants(empty, empty, empty, jnp.where(inside, 1, 0))
 
 
-def noted(found: Instants, at: Array, turned: Array, inside: Array, high: Array) -> Instants:
+def noted(found: Instants, at: Any, turned: Array, inside: Array, high: Array) -> Instants:
     """The contacts with those that began or ended at instants [s]; ``inside`` and ``high`` are as before."""
     begun, ended = turned & ~inside, turned & inside
     count = found.count + begun

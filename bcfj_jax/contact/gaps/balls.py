@@ -31,11 +31,7 @@ from bcfj_jax.core.vectors import Vector, add, cross, dot, length, plus, scale, 
 
 
 def sector(cosine: Any) -> Array:
-    """1 where a flank faces its ball, 0 where the ball is on the far side of the groove's middle; C1 between.
-
-    Args:
-        cosine: of the angle between the contact's normal and the way across the track, on the flank's side.
-    """
+    """1 where a flank faces its ball, 0 beyond the groove's middle; C1. Of the cosine of the normal against the way across."""
     return smooth_step(20.0 * cosine)
 
 
@@ -192,12 +188,7 @@ def groove(
 ) -> shapes.Mesh:
     """The surface of a track, from its centre, in the plane of x and z; x is along the middle of the arc.
 
-    Args:
-        ball, radius: of the ball and of the centre circle [m].
-        clearance: normal to a flank [m].
-        side: "outer" or "inner".
-        gothic: flank [m] and contact angle [rad] of a gothic section; None for a circular one.
-        span: angles between which it is drawn, in the track's plane, from x towards z [rad].
+    ``gothic``: flank [m] and contact angle [rad], None of a circular section; ``span``: angles drawn, from x towards z [rad].
     """
     kappa = 1.0 if side == "outer" else -1.0
     turn = np.linspace(-1.2, 1.2, 11)

@@ -28,13 +28,9 @@ from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, length, negati
 
 
 def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number = 0.0) -> tuple[Face, Face]:
-    """b between two parallel faces of a:  d = +-p . n - clearance.
+    """b between two parallel faces of a:  d = +-p . n - clearance,  p from a's marker, midway between them, to b's.
 
-    Args:
-        a, b: markers; p leads from a's, midway between the faces, to b's.
-        normal: n, from the middle to the first face, world.
-        clearance: from b to either face where b is in the middle [m].
-        reach: distance of the point of contact from b's marker, towards the face [m].
+    n leads from the middle to the first face, world; ``reach``: of the point of contact from b's marker, towards the face [m].
     """
     height = dot(normal, subtract(b.place, a.place))
     back = negative(normal)
