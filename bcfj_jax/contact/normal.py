@@ -27,7 +27,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
 from bcfj_jax.contact.part import Part
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
-from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
+from bcfj_jax.core.numerics import bisected, positive, smooth_ramp, smooth_step
 
 # Gap [m] over which a contact forgets what it remembered while it touched.
 GAP = 1e-6
@@ -293,16 +293,11 @@ class StandardLinearSolid(AbstractElasticLaw):
 
     def _penetration(self, force: Array, c: Coefficients) -> Array:
         """Penetration [m] of an elastic force, by bisection; a constant to derivatives."""
-
-        def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-            middle = 0.5 * (bracket[0] + bracket[1])
-            deep = self.elastic.force(jnp.exp(middle), c) > force
-            return jnp.where(deep, bracket[0], middle), jnp.where(deep, middle, bracket[1])
-
         force = jax.lax.stop_gradient(force)
         c = {name: jax.lax.stop_gradient(value) for name, value in c.items()}
+        deep = lambda level: self.elastic.force(jnp.exp(level), c) > force  # noqa: E731
         bracket = (jnp.full_like(force, jnp.log(1e-18)), jnp.full_like(force, jnp.log(1e2)))
-        return jnp.where(force > 0, jnp.exp(jax.lax.fori_loop(0, 64, halve, bracket)[1]), 0.0)
+        return jnp.where(force > 0, jnp.exp(bisected(deep, bracket, 64)[1]), 0.0)
 
 
 class AbstractPlastic(AbstractElasticLaw):

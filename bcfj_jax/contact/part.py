@@ -37,7 +37,7 @@ class Part(eqx.Module):
         return super().__new__(cls)
 
 
-def checked(where: str, given: Any, kind: type[Part], what: str, by_name: str) -> Any:
+def checked(where: str, given: Any, kind: type[Any], what: str, by_name: str) -> Any:
     """A part that was given as itself, of an abstract class; ``what`` it is called, and ``by_name`` what else may be given."""
     if isinstance(given, kind):
         return given

@@ -502,15 +502,10 @@ def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
 
 def checked(where: str, given: Any) -> AbstractLoad:
     """A load that was given as itself."""
-    if isinstance(given, AbstractLoad):
-        return given
-    remedy = f"give a load of bj.loads, or an object of a class such as:\n{AbstractLoad.example.strip()}"
-    if isinstance(given, type) and issubclass(given, AbstractLoad):
-        remedy = f"give an object of it: {given.__name__}(...)"
-    elif callable(given):
-        name = getattr(given, "__name__", "function")
-        remedy = f'give it a name: bj.Load("my_load", {name})'
-    raise InputError(where, f"{quoted(given)} is no load", remedy)
+    if callable(given) and not isinstance(given, (AbstractLoad, type)):
+        remedy = f'give it a name: bj.Load("my_load", {getattr(given, "__name__", "function")})'
+        raise InputError(where, f"{quoted(given)} is no load", remedy)
+    return checked_part(where, given, AbstractLoad, "load", "give a load of bj.loads")
 
 
 def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action:

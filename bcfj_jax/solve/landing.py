@@ -21,6 +21,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.normal import GAP
+from bcfj_jax.core.numerics import bisected
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.cubic import Cubic, hermite
 from bcfj_jax.solve.remembering import close
@@ -330,12 +331,7 @@ def crossed_at(before: Look, now: Look, inside: Array, dt: Any, short: Any) -> A
     first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(sign)), axis=1)
     bracket = first / PIECES, (first + 1.0) / PIECES
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle = 0.5 * (bracket[0] + bracket[1])
-        past = crossed(middle)
-        return jnp.where(past, bracket[0], middle), jnp.where(past, middle, bracket[1])
-
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, bracket)
+    low, high = bisected(crossed, bracket, _HALVINGS)
     root = 0.5 * (low + high)
     # Of a root that moves with the parameters: the last step of Newton's method.
     slope = fixed(sign * found.slope_at(root))

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.numerics import bisected
 from bcfj_jax.mechanism.model import AbstractModel, Proximity
 from bcfj_jax.solve.cubic import Cubic, Extreme, hermite
 from bcfj_jax.solve.wrapped import AbstractControl, AbstractWrapped
@@ -131,12 +132,7 @@ def _touch(cubic: Cubic, high: Extreme, level: Array, exact: bool) -> Array:
     if not exact:
         chord = high.at * _over(level - cubic.value, high.depth - cubic.value)
         return jnp.maximum(chord - _over(cubic.at(chord) - level, cubic.slope_at(chord)), 0.1 * chord)
-    low, end = jnp.zeros_like(high.at), high.at
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + end)
-        past = cubic.at(middle) > level
-        low, end = jnp.where(past, low, middle), jnp.where(past, middle, end)
-    return end
+    return bisected(lambda share: cubic.at(share) > level, (jnp.zeros_like(high.at), high.at), _HALVINGS)[1]
 
 
 def _agrees(a: Proximity, inner: tuple[Proximity, ...], b: Proximity, h: Array, near: Array) -> Array:
