@@ -281,6 +281,7 @@ class StandardLinearSolid(AbstractElasticLaw):
         return ((self.elastic.force(penetration, c) - c["relaxed_force"]) / c["relaxation_time"],)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
+        # Of a branch stiffer than the elastic part, that which has the branch's force as large.
         return (self.elastic.force(penetration, c) / jnp.maximum(c["relaxation"], 1.0),)
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
