@@ -36,9 +36,11 @@ ASKS = re.compile(
     r"|\b(scene|model)\.kind *(==|!=|in\b|not in\b)|\.fidelity *(==|!=|in\b|not in\b)|\.in_motion\b"
 )
 INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|scales)\b)")
-# What fulfils a documented abstract method or property is documented there: of a law, of diffrax's solvers and
-# interpolations, of a structure.
-INHERITED = {"force", "needs", "mobility"}
+# What fulfils a documented abstract method or property is documented there: of a law, a gap and a load, of diffrax's
+# solvers and interpolations, of a structure.
+INHERITED = {"force", "needs", "mobility", "rates", "sizes", "stored", "unloading", "bond", "lag", "reach"}
+INHERITED |= {"faces", "bends", "axial", "drawn", "members", "quantities", "carried", "radius", "size", "misread"}
+INHERITED |= {"actions", "touches", "damps", "kinks", "parameters", "on_coordinate"}
 INHERITED |= {"order", "error_order", "init", "func", "step", "evaluate"}
 INHERITED |= {"field", "factor", "solve", "time_derivative"}
 SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))

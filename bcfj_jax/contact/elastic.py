@@ -151,7 +151,7 @@ def bai_zhao_stiffness(penetration: Array, modulus: Array, radius_difference: Ar
     return jnp.pi / 8.0 * modulus * power(2.0 * penetration, 0.5) * (3.0 * radius_difference + 2.0 * d) / gap**1.5
 
 
-class BaiZhao(AbstractElastic):
+class BaiZhao(Liu):
     """Bai-Zhao hybrid, energy-consistent:  F = L * integral of K_n over the penetration.
 
     K_n (``bai_zhao_stiffness``) is a tangent stiffness, so the force that stores the right energy is its
@@ -159,19 +159,12 @@ class BaiZhao(AbstractElastic):
     Coefficients as ``Liu``.
     """
 
-    needs: ClassVar[tuple[str, ...]] = Liu.needs
 
-    def force(self, penetration: Array, c: Coefficients) -> Array:
-        return Liu().force(penetration, c)
-
-
-class BaiZhaoSecant(AbstractElastic):
+class BaiZhaoSecant(Liu):
     """F = L K_n(d) d: the tangent stiffness used as a secant. Units are right, the energy is not.
 
     1 to 1.5 times the energy-consistent force (1.25 at d = DR). Coefficients as ``Liu``.
     """
-
-    needs: ClassVar[tuple[str, ...]] = Liu.needs
 
     def force(self, penetration: Array, c: Coefficients) -> Array:
         d = positive(penetration)

@@ -38,6 +38,12 @@ def _tanhc(square: Array) -> Array:
     return jnp.where(small, above / below, jnp.tanh(y) / y)
 
 
+def _direction(speed_squared: Array, c: Coefficients) -> Array:
+    """tanh(4 |v|/v_t)/|v| [s/m]."""
+    speed = c["friction_speed"]
+    return 4.0 / speed * _tanhc(16.0 * speed_squared / speed**2)
+
+
 class AbstractFriction(Part):
     """Friction coefficient mu(|v|) >= 0 of one contact, as a mobility smooth in v.v.
 
@@ -81,7 +87,6 @@ class Plain(bj.laws.AbstractFriction):
 
     def reach(self, c: Coefficients) -> Array:
         """Size of the state, in which its errors are measured; of a law without a state nobody reads it."""
-        del c
         return jnp.ones(())
 
     @classmethod
@@ -184,12 +189,6 @@ class Memory(AbstractFriction):
         """C of (w/v_t)^2."""
         return c["friction_dynamic"] + (c["friction_static"] - c["friction_dynamic"]) / (1.0 + square * square / 81.0)
 
-    @staticmethod
-    def _direction(speed_squared: Array, c: Coefficients) -> Array:
-        """tanh(4 |v|/v_t)/|v| [s/m]."""
-        speed = c["friction_speed"]
-        return 4.0 / speed * _tanhc(16.0 * speed_squared / speed**2)
-
     def lag(self, speed_squared: Array, late: Array, c: Coefficients) -> tuple[Array, Array]:
         """w' [m/s^2] and the mobility [s/m] at v.v [m^2/s^2] and w [m/s]."""
         speed = c["friction_speed"]
@@ -197,15 +196,14 @@ class Memory(AbstractFriction):
         rate = (jnp.sqrt(speed_squared + edge**2) - edge - late) / c["friction_memory"]
         # w = sqrt(v.v + e^2) - e at steady slip, so this is v.v there.
         square = late * (late + 2.0 * edge) / speed**2
-        return rate, self._level(square, c) * self._direction(speed_squared, c)
+        return rate, self._level(square, c) * _direction(speed_squared, c)
 
     def reach(self, c: Coefficients) -> Array:
-        """v_t."""
         return c["friction_speed"]
 
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:
         """Steady slip, w = |v|."""
-        return self._level(speed_squared / c["friction_speed"] ** 2, c) * self._direction(speed_squared, c)
+        return self._level(speed_squared / c["friction_speed"] ** 2, c) * _direction(speed_squared, c)
 
 
 class FrictionalLag(AbstractFriction):
@@ -236,14 +234,12 @@ class FrictionalLag(AbstractFriction):
 
     def lag(self, speed_squared: Array, late: Array, c: Coefficients) -> tuple[Array, Array]:
         """x' [1/s] and the mobility [s/m] at v.v [m^2/s^2] and x."""
-        static, dynamic, speed, memory, viscous = (c[name] for name in self.needs)
+        static, dynamic, _, memory, viscous = (c[name] for name in self.needs)
         level = static - (static - dynamic) * late
-        direction = 4.0 / speed * _tanhc(16.0 * speed_squared / speed**2)
-        return (self._fallen(speed_squared, c) - late) / memory, level * direction + viscous
+        return (self._fallen(speed_squared, c) - late) / memory, level * _direction(speed_squared, c) + viscous
 
     def reach(self, c: Coefficients) -> Array:
         """1: from mu_s to mu_d."""
-        del c
         return jnp.ones(())
 
     def mobility(self, speed_squared: Array, c: Coefficients) -> Array:

@@ -27,7 +27,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
 from bcfj_jax.contact.part import Part
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
-from bcfj_jax.core.numerics import positive, smooth_ramp, smooth_step
+from bcfj_jax.core.numerics import bisected, positive, smooth_ramp, smooth_step
 
 # Gap [m] over which a contact forgets what it remembered while it touched.
 GAP = 1e-6
@@ -74,12 +74,10 @@ class Linear(bj.laws.AbstractLaw):
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
         """Time derivatives of the states while the surfaces overlap. Arguments as ``force``."""
-        del penetration, rate, c
         return ()
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
         """Of each state, the change whose effect is about that of an error as large as the penetration to expect [m]."""
-        del penetration, c
         return ()
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
@@ -95,21 +93,25 @@ def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: 
     return jnp.sum(force(reach[..., None] * _NODES**2, wide) * 2.0 * _NODES * _WEIGHTS, -1) * reach
 
 
-class Hertz(AbstractLaw):
-    """F = f(d): elastic, no loss. Hertz 1881 with the default power part; valid for v0 << 1e-5 sqrt(E/rho)."""
+class AbstractElasticLaw(AbstractLaw):
+    """A law f(d) with a loss; ``reads`` names the coefficients of the loss, beside those of the elastic part f."""
 
+    reads: ClassVar[tuple[str, ...]] = ()
     elastic: AbstractElastic = Power()
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return self.elastic.needs
+        return tuple(dict.fromkeys((*self.elastic.needs, *self.reads)))
+
+
+class Hertz(AbstractElasticLaw):
+    """F = f(d): elastic, no loss. Hertz 1881 with the default power part; valid for v0 << 1e-5 sqrt(E/rho)."""
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
-        del rate
         return self.elastic.force(penetration, c)
 
 
-class KelvinVoigt(AbstractLaw):
+class KelvinVoigt(AbstractElasticLaw):
     """F = K d + c d' in contact (Kelvin-Voigt): jumps by c v0 at first touch unless the contact is regularised.
 
     Pushing only: restitution as Schwager and Poeschel 2007. With ``tension`` the dashpot may pull until
@@ -118,12 +120,9 @@ class KelvinVoigt(AbstractLaw):
     """
 
     ends: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("dashpot",)
     elastic: AbstractElastic = Linear()
     tension: bool = eqx.field(static=True, default=False)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "dashpot")
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         total = self.elastic.force(penetration, c) + c["dashpot"] * rate
@@ -131,7 +130,7 @@ class KelvinVoigt(AbstractLaw):
         return total if self.tension else positive(total)
 
 
-class MemoryFree(AbstractLaw):
+class MemoryFree(AbstractElasticLaw):
     """F = f(d) (1 + a d'). Hunt and Crossley 1975 as they wrote it: no memory of the approach speed.
 
     chi = a v0 for each impact, so the restitution falls with speed (e = 1 - 2 a v0 / 3 + ...), as metals do.
@@ -140,17 +139,13 @@ class MemoryFree(AbstractLaw):
     Coefficients: those of the elastic part and ``damping`` a [s/m] >= 0.
     """
 
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "damping")
+    reads: ClassVar[tuple[str, ...]] = ("damping",)
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         return self.elastic.force(penetration, c) * positive(1.0 + c["damping"] * rate)
 
 
-class DampedStop(AbstractLaw):
+class DampedStop(AbstractElasticLaw):
     """F = f(d) (1 + a d') + K_b r(d - d_b) (1 + a_b d'): a layer on a stop, each with the loss of its own.
 
     ``MemoryFree`` of the layer, and Hunt and Crossley's again of the stop of ``elastic.TwoStage``; each part pushes
@@ -159,11 +154,7 @@ class DampedStop(AbstractLaw):
     ``bottoming_penetration`` d_b [m], ``bottoming_width`` w [m] and ``bottoming_damping`` a_b [s/m] >= 0.
     """
 
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.elastic.needs, "damping", *BACKING, "bottoming_damping")))
+    reads: ClassVar[tuple[str, ...]] = ("damping", *BACKING, "bottoming_damping")
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         layer = self.elastic.force(penetration, c) * positive(1.0 + c["damping"] * rate)
@@ -198,19 +189,17 @@ class Imperfect(AbstractLaw):
         return self.law.force(penetration, rate, c) + backing(penetration, c) + c["relaxation"] * branch
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
-        """As ``AbstractLaw``."""
         relaxing = (self._still(penetration, c) - c["relaxed_force"]) / c["relaxation_time"]
         return (*self.law.rates(penetration, rate, c), relaxing)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
-        """As ``AbstractLaw``."""
         return (*self.law.sizes(penetration, c), self._still(penetration, c))
 
     def _still(self, penetration: Array, c: Coefficients) -> Array:
         return self.law.force(penetration, jnp.zeros_like(penetration), c)
 
 
-class Restitution(AbstractLaw):
+class Restitution(AbstractElasticLaw):
     """F = f(d) (1 + chi(e) d'/v0), the family of ``restitution.FACTORS``; v0 is the approach speed of this impact.
 
     Validity is the factor's: each docstring there says which e it delivers. ``exact`` delivers all.
@@ -218,19 +207,15 @@ class Restitution(AbstractLaw):
     the scene supplies (at least 1e-9 m/s, which keeps a resting contact finite).
     """
 
-    factor: Callable[[Array], Array] = eqx.field(static=True)
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "restitution", "approach_speed")
+    factor: Callable[[Array], Array] = eqx.field(static=True, kw_only=True)
+    reads: ClassVar[tuple[str, ...]] = ("restitution", "approach_speed")
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         damping = self.factor(c["restitution"]) / jnp.maximum(c["approach_speed"], 1e-9)
         return self.elastic.force(penetration, c) * positive(1.0 + damping * rate)
 
 
-class AdamsImpact(AbstractLaw):
+class AdamsImpact(AbstractElasticLaw):
     """F = max(0, K d^n + c_max step(d, 0, 0, h, 1) d'): the IMPACT function of ADAMS and MotionSolve.
 
     The cubic step s^2 (3 - 2 s), s = min(d/h, 1), lets the dashpot in over the depth h. Loses much energy
@@ -239,18 +224,14 @@ class AdamsImpact(AbstractLaw):
     """
 
     ends: ClassVar[bool] = True
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "dashpot", "damping_depth")
+    reads: ClassVar[tuple[str, ...]] = ("dashpot", "damping_depth")
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         share = smooth_step(penetration / c["damping_depth"])
         return positive(self.elastic.force(penetration, c) + c["dashpot"] * share * rate)
 
 
-class ElastoGap(AbstractLaw):
+class ElastoGap(AbstractElasticLaw):
     """F = f(d) + clip(c d', -f(d), f(d)): a dashpot that neither pulls nor weighs more than the spring beside it.
 
     ElastoGap of Modelica.Mechanics.Translational (Modelica Standard Library 4.0; physics sheet 1.2) for one direction:
@@ -261,11 +242,7 @@ class ElastoGap(AbstractLaw):
     """
 
     ends: ClassVar[bool] = True
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "dashpot")
+    reads: ClassVar[tuple[str, ...]] = ("dashpot",)
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         spring = self.elastic.force(penetration, c)
@@ -274,7 +251,7 @@ class ElastoGap(AbstractLaw):
         return jnp.where(penetration > 0, spring + damped, 0.0)
 
 
-class StandardLinearSolid(AbstractLaw):
+class StandardLinearSolid(AbstractElasticLaw):
     """F = f(d) (1 + a d')_+ + s,  s' = r f' - s/tau: ``MemoryFree`` with a Maxwell branch beside it (Zener).
 
     The standard linear solid (Zener 1948, Elasticity and Anelasticity of Metals; Lakes 2009, Viscoelastic Materials,
@@ -292,11 +269,7 @@ class StandardLinearSolid(AbstractLaw):
 
     states: ClassVar[tuple[str, ...]] = ("relaxed_force",)
     ends: ClassVar[bool] = True
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "damping", "relaxation", "relaxation_time")
+    reads: ClassVar[tuple[str, ...]] = ("damping", "relaxation", "relaxation_time")
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
         spring = self.elastic.force(penetration, c)
@@ -305,15 +278,14 @@ class StandardLinearSolid(AbstractLaw):
 
     def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
         """The relaxed force follows the elastic one: q' = (f - q)/tau."""
-        del rate
         return ((self.elastic.force(penetration, c) - c["relaxed_force"]) / c["relaxation_time"],)
 
     def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
-        """The elastic force; of a branch stiffer than it, the part that has the branch's force as large."""
+        # Of a branch stiffer than the elastic part, that which has the branch's force as large.
         return (self.elastic.force(penetration, c) / jnp.maximum(c["relaxation"], 1.0),)
 
     def stored(self, penetration: Array, c: Coefficients) -> Array:
-        """Both springs' energy. The surface's and the branch's penetrations are stationary points of it, hence constants."""
+        # Both springs' energy. The surface's and the branch's penetrations are stationary points of it, hence constants.
         r, q = c["relaxation"], positive(c["relaxed_force"])
         surface = jnp.maximum(penetration, self._penetration(r * q / (1.0 + r), c))
         relaxed = self._penetration(q, c)
@@ -322,19 +294,14 @@ class StandardLinearSolid(AbstractLaw):
 
     def _penetration(self, force: Array, c: Coefficients) -> Array:
         """Penetration [m] of an elastic force, by bisection; a constant to derivatives."""
-
-        def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-            middle = 0.5 * (bracket[0] + bracket[1])
-            deep = self.elastic.force(jnp.exp(middle), c) > force
-            return jnp.where(deep, bracket[0], middle), jnp.where(deep, middle, bracket[1])
-
         force = jax.lax.stop_gradient(force)
         c = {name: jax.lax.stop_gradient(value) for name, value in c.items()}
+        deep = lambda level: self.elastic.force(jnp.exp(level), c) > force  # noqa: E731
         bracket = (jnp.full_like(force, jnp.log(1e-18)), jnp.full_like(force, jnp.log(1e2)))
-        return jnp.where(force > 0, jnp.exp(jax.lax.fori_loop(0, 64, halve, bracket)[1]), 0.0)
+        return jnp.where(force > 0, jnp.exp(bisected(deep, bracket, 64)[1]), 0.0)
 
 
-class AbstractPlastic(AbstractLaw):
+class AbstractPlastic(AbstractElasticLaw):
     """F = h f(m - u/w): loading along h f(d), unloading and reloading along an elastic curve from the greatest penetration.
 
     m is the greatest penetration of this contact and u = m - d >= 0 the state ``unloaded`` [m]: u' = -d' while the
@@ -348,7 +315,6 @@ class AbstractPlastic(AbstractLaw):
     states: ClassVar[tuple[str, ...]] = ("unloaded",)
     bends: ClassVar[bool] = True
     ends: ClassVar[bool] = True
-    elastic: eqx.AbstractVar[AbstractElastic]
 
     @abstractmethod
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
@@ -362,7 +328,6 @@ class AbstractPlastic(AbstractLaw):
         return height, width, deepest - unloaded / width
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
-        del rate
         height, _, equivalent = self._unloaded(penetration, c)
         return height * self.elastic.force(equivalent, c)
 
@@ -396,15 +361,11 @@ class WaltonBraun(AbstractPlastic):
     Coefficients: those of the elastic part (``linear`` by default: ``stiffness`` K1 [N/m]), ``restitution`` e [-].
     """
 
+    reads: ClassVar[tuple[str, ...]] = ("restitution",)
     elastic: AbstractElastic = Linear()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "restitution")
 
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
         """1 and e^2."""
-        del deepest
         return jnp.ones(()), jnp.maximum(c["restitution"], LOWEST_RESTITUTION) ** 2
 
 
@@ -421,14 +382,9 @@ class Thornton(AbstractPlastic):
     Coefficients: those of the elastic part, ``yield_penetration`` d_y [m] > 0.
     """
 
-    elastic: AbstractElastic = Power()
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.elastic.needs, "yield_penetration")
+    reads: ClassVar[tuple[str, ...]] = ("yield_penetration",)
 
     def unloading(self, deepest: Array, c: Coefficients) -> tuple[Array, Array]:
-        """b and b, the plastic force over the elastic one."""
         first = c["yield_penetration"]
         force, slope = jax.jvp(lambda d: self.elastic.force(d, c), (first,), (jnp.ones_like(first),))
         beyond = jnp.maximum(deepest, first)

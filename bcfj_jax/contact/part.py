@@ -11,11 +11,7 @@ from bcfj_jax.core.errors import InputError, quoted
 
 
 def complete(cls: type, missing: Sequence[str], example: str) -> None:
-    """Refuse a class that leaves something out.
-
-    Raises:
-        InputError: naming the class and what it lacks, with an example.
-    """
+    """Refuse a class that leaves something out."""
     if missing:
         found = f"it lacks {' and '.join(sorted(missing))}"
         raise InputError(f"class {cls.__name__}", found, f"it needs at least:\n{example.strip()}")
@@ -32,12 +28,7 @@ class Part(eqx.Module):
         return []
 
     def __new__(cls, *args: Any, **more: Any) -> Any:
-        """Refuse a class that leaves a method out.
-
-        Raises:
-            InputError: naming class and method, with an example.
-        """
-        del args, more
+        """Refuse a class that leaves a method out."""
         needs = [] if hasattr(cls, "needs") else ["needs"]
         complete(cls, [*getattr(cls, "__abstractmethods__", ()), *needs, *cls.lacking()], cls.example)
         if isinstance(cls.needs, str):  # type: ignore[attr-defined]
@@ -46,19 +37,8 @@ class Part(eqx.Module):
         return super().__new__(cls)
 
 
-def checked(where: str, given: Any, kind: type[Part], what: str, by_name: str) -> Any:
-    """A part that was given as itself.
-
-    Args:
-        where: place, for the message.
-        given: what was given.
-        kind: the abstract class that it must be of.
-        what: what one of these is called.
-        by_name: what else may be given.
-
-    Raises:
-        InputError: for a class in the place of its object, and for anything else.
-    """
+def checked(where: str, given: Any, kind: type[Any], what: str, by_name: str) -> Any:
+    """A part that was given as itself, of an abstract class; ``what`` it is called, and ``by_name`` what else may be given."""
     if isinstance(given, kind):
         return given
     remedy = f"{by_name}, or an object of a class such as:\n{kind.example.strip()}"

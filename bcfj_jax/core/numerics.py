@@ -89,6 +89,18 @@ def smooth_ramp(distance: ArrayLike, width: ArrayLike) -> tuple[Array, Array]:
     return jnp.where(on, blend, positive(distance)), jnp.where(on, slope, sharp)
 
 
+def bisected(beyond: Callable[[Array], Array], bracket: tuple[Array, Array], halvings: int) -> tuple[Array, Array]:
+    """The brackets within which ``beyond`` turns true, each halved so often; elementwise."""
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
+        middle = 0.5 * (low + high)
+        past = beyond(middle)
+        return jnp.where(past, low, middle), jnp.where(past, middle, high)
+
+    return jax.lax.fori_loop(0, halvings, halve, bracket)
+
+
 def newton_root(residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40) -> Array:
     """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
 

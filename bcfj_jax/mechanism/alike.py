@@ -83,12 +83,7 @@ def apart(c: Contact, found: Any) -> dict[str, Any]:
 
 
 def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Callable[[str], Any]) -> tuple[Contact, ...]:
-    """Contacts in their order, those that are alike in the place of the first of them.
-
-    Args:
-        contacts, members: of a mechanism.
-        kind: of a body by name; contacts between different bodies are alike where these are of the same kinds.
-    """
+    """Contacts in their order, alike ones in the place of their first; between other bodies if these are of one ``kind``."""
     pairs: dict[Any, list[Contact]] = {}
     for c in contacts:
         same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach)

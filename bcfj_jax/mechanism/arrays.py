@@ -76,11 +76,7 @@ def path_of(path: Any) -> str:
 
 
 def taken(where: str, part: P) -> P:
-    """A part whose arrays are ``Held``; the part itself where it has none.
-
-    Raises:
-        InputError: for arrays that are traced.
-    """
+    """A part whose arrays are ``Held``; the part itself where it has none."""
     refuse_traced(where, part)
     if not any(map(_is_array, jax.tree.leaves(part))):
         return part
@@ -187,11 +183,7 @@ def of_load(load: Any) -> dict[str, tuple[Quantity, Any]]:
 
 
 def expanded(where: str, given: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Values by name, in which a module stands for its arrays: {"wall.law": law} for {"wall.law.knots": ...}.
-
-    Raises:
-        InputError: for a module without arrays.
-    """
+    """Values by name, in which a module stands for its arrays: {"wall.law": law} for {"wall.law.knots": ...}."""
     found: dict[Any, Any] = {}
     for name, value in given.items():
         if not isinstance(value, eqx.Module):
@@ -206,11 +198,7 @@ def expanded(where: str, given: Mapping[Any, Any]) -> dict[Any, Any]:
 
 
 def number(where: str, value: Any) -> Any:
-    """A default value: a ``float``, or an array as ``Held``.
-
-    Raises:
-        InputError: for a traced value, and for what is no number.
-    """
+    """A default value: a ``float``, or an array as ``Held``."""
     if isinstance(value, Held):
         return value
     refuse_traced(where, value)
@@ -226,11 +214,7 @@ def plain(value: Any) -> Any:
 
 
 def refuse_traced(where: str, part: Any) -> None:
-    """Refuse structure with traced values in it: in its fields, or closed over by its functions.
-
-    Raises:
-        InputError: saying where values are passed.
-    """
+    """Refuse structure with traced values in it: in its fields, or closed over by its functions."""
     if _traced(part, set()):
         remedy = (
             "a scene is made of plain numbers, outside of jit, grad and vmap; pass the values as parameters: "

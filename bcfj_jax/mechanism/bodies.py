@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, quoted
-from bcfj_jax.core.quantities import Quantity, whole
+from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.programmes import (
@@ -34,7 +34,7 @@ from bcfj_jax.mechanism.programmes import (
     looked_up,
     risen,
 )
-from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+from bcfj_jax.mechanism.sizes import ORIGIN, Parameters, Params, Place, Size
 
 GROUND = "ground"
 # By joint: the coordinates' names, with what they are: a slide along or a hinge about the first, second or third of
@@ -92,23 +92,21 @@ class Drive(eqx.Module):
                 where, "a drive of kind 'function' needs a function", "give function = (t, params) -> position"
             )
 
-    def needs(self, body: str, turns: bool) -> dict[str, tuple[Quantity, float | None]]:
+    def needs(self, body: str, turns: bool) -> Parameters:
         """Its parameters."""
         unit = "rad" if turns else "m"
-        found: dict[str, tuple[Quantity, float | None]] = {}
+        found: Parameters = {}
         if self.kind in ("constant", "ramp"):
             found |= sizes.own(self.speed, body, "drive_speed", f"{unit}/s", f"speed of the drive of {body}")
         if self.kind == "ramp":
             found |= sizes.own(
                 self.over, body, "drive_ramp", "s", f"time over which the drive of {body} reaches its speed"
             )
-            if not (isinstance(self.first, (int, float)) and self.first == 0):
-                found |= sizes.own(
-                    self.first, body, "drive_first", f"{unit}/s", f"speed of the drive of {body} at time 0"
-                )
-        if not (isinstance(self.start, (int, float)) and self.start == 0):
-            found |= sizes.own(self.start, body, "drive_start", unit, f"position of the drive of {body} at time 0")
-        return found
+            found |= sizes.stated(
+                self.first, body, "drive_first", f"{unit}/s", f"speed of the drive of {body} at time 0"
+            )
+        meaning = f"position of the drive of {body} at time 0"
+        return found | sizes.stated(self.start, body, "drive_start", unit, meaning)
 
     def kinks(self, body: str, p: Params) -> list[ArrayLike] | None:
         """Times at which the motion bends [s]; None of a function that says nothing of it."""
@@ -289,7 +287,7 @@ class Body(eqx.Module):
             return 1.0 if key == "q0" else 0.0
         return sizes.value(given[key], self.name, key, p)
 
-    def parameters(self, turning: bool) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self, turning: bool) -> Parameters:
         """Its own parameters with their defaults; ``turning``: whether anything turns it."""
         name = self.name
         found = sizes.own(self.mass, name, "mass", "kg", f"mass of {name}")
@@ -300,15 +298,12 @@ class Body(eqx.Module):
         elif turning:
             meaning = f"inertia of {name} about its centre of mass"
             found |= sizes.own(self.inertia, name, "inertia", "kg m^2", meaning)
-        for place, key, meaning in ((self.at, "at", "place of the joint"), (self.center, "center", "centre of mass")):
-            for letter, size in zip("xyz", place, strict=True):
-                if not (isinstance(size, (int, float)) and size == 0):
-                    found |= sizes.own(size, name, f"{key}_{letter}", "m", f"{meaning} of {name}, {letter}")
+        found |= sizes.of_point(self.at, name, "at", f"place of the joint of {name}, {{}}")
+        found |= sizes.of_point(self.center, name, "center", f"centre of mass of {name}, {{}}")
         if self.tilt is not None:
             found |= sizes.own(self.tilt[1], name, "tilt", "rad", f"angle that turns the joint of {name}")
         for key, size in self.start:
-            unit = unit_of(key)
-            found |= sizes.own(size, name, key, unit, f"{key} of {name} at time 0")
+            found |= sizes.own(size, name, key, unit_of(key), f"{key} of {name} at time 0")
         if self.drive is not None:
             found |= self.drive.needs(name, self.joint == "hinge")
         return found
@@ -320,11 +315,7 @@ def _items(start: Any) -> tuple[tuple[str, Size], ...]:
 
 
 def refuse_impossible(where: str, moments: tuple[Any, ...]) -> None:
-    """Refuse principal moments of inertia that no body has: each is at most the sum of the other two.
-
-    Raises:
-        InputError: with the greatest and the sum.
-    """
+    """Refuse principal moments of inertia that no body has: each is at most the sum of the other two."""
     greatest, others = max(moments), sum(moments) - max(moments)
     if greatest > others * (1.0 + 1e-9):
         found = f"({', '.join(f'{float(x):g}' for x in moments)}) kg m^2: {greatest:g} is more than the others' sum, {others:g}"
@@ -363,11 +354,6 @@ class Part(NamedTuple):
         """Velocity of the material at ``arm`` from the origin."""
         return add(self.velocity, cross(self.spin, arm))
 
-    def partial_at(self, j: int, arm: Vector) -> Vector:
-        """Partial velocity there."""
-        w, v = self.partials[j]
-        return add(v, cross(w, arm))
-
     def drift_at(self, arm: Vector) -> Vector:
         """Drift there."""
         return add(self.drift, cross(self.swirl, arm), cross(self.spin, cross(self.spin, arm)))
@@ -403,8 +389,7 @@ class _Along(NamedTuple):
 
 def carried(body: Body, parent: Part, own: Own, t: Array, p: Params) -> Part:
     """A body from the one that it hangs on, at a time [s]."""
-    place = tuple(sizes.length(size, body.name, f"at_{letter}", p) for letter, size in zip("xyz", body.at, strict=True))
-    part = parent.shifted(turned(parent.axes, place))
+    part = parent.shifted(turned(parent.axes, sizes.point(body.at, body.name, "at", p)))
     if body.tilt is not None:
         angle = sizes.length(body.tilt[1], body.name, "tilt", p)
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
@@ -494,7 +479,6 @@ def _basis(n: Any, p: Params) -> tuple[Vector, Vector, Vector]:
     """(e1, e2, n), right-handed; of z it is x, y, z."""
     if callable(n):
         raise InputError("axis", "is a function", "give an axis, and turn the joint by tilt = (axis, angle)")
-    del p
     order = {(0.0, 0.0, 1.0): (0, 1), (1.0, 0.0, 0.0): (1, 2), (0.0, 1.0, 0.0): (2, 0)}
     if n in order:
         i, j = order[n]

@@ -145,11 +145,7 @@ def read(
     bodies: Mapping[str, BodyMotion],
     shares: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Values of readings, by name, (...,) or (..., k) over members, from what contacts and bodies show, and ``shares``.
-
-    Raises:
-        InputError: for a reading that this model has not: an angle of a body that has none, a slip without friction.
-    """
+    """Values of readings, by name, (...,) or (..., k) over members, from what contacts and bodies show, and ``shares``."""
     return {c.name: _member(c, _value(c, contacts, bodies, shares)) for c in channels}
 
 

@@ -31,11 +31,7 @@ _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free'
 
 
 def check_structure(scene: Dynamics) -> None:
-    """Refuse bodies, contacts and loads that do not make a mechanism.
-
-    Raises:
-        InputError: for a loop of ideal joints, a cycle in the tree, a body that is not there, names given twice.
-    """
+    """Refuse bodies, contacts and loads that do not make a mechanism."""
     where = f"mechanism '{scene.kind}'"
     if not scene.bodies:
         raise InputError(where, "has no bodies", "list at least one")
@@ -59,19 +55,19 @@ def check_structure(scene: Dynamics) -> None:
 
 
 def _check_tree(scene: Dynamics, where: str) -> None:
-    bodies: dict[str, str] = {}
+    parents: dict[str, str] = {}
     for b in scene.bodies:
-        if b.name in bodies:
+        if b.name in parents:
             remedy = (
                 "give every body a name of its own; where one body hangs on two others, its second joint would close a loop: "
                 "make that a contact with clearance, or a bush"
             )
             raise InputError(f"{where} body '{b.name}'", f"two bodies have the name '{b.name}'", remedy)
-        bodies[b.name] = b.parent
+        parents[b.name] = b.parent
     for b in scene.bodies:
-        if b.parent != GROUND and b.parent not in bodies:
+        if b.parent != GROUND and b.parent not in parents:
             raise InputError(
-                f"{where} body '{b.name}' parent", f"no body '{b.parent}'", nearest(b.parent, [*bodies, GROUND])
+                f"{where} body '{b.name}' parent", f"no body '{b.parent}'", nearest(b.parent, [*parents, GROUND])
             )
         if b.parent != GROUND and scene.body(b.parent).members:
             raise InputError(
@@ -85,7 +81,7 @@ def _check_tree(scene: Dynamics, where: str) -> None:
                 found = f"the parents form a circle: {' on '.join([*chain, at])}"
                 raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
-            at = bodies[at]
+            at = parents[at]
 
 
 def _check_contacts(scene: Dynamics, where: str) -> None:
@@ -196,11 +192,7 @@ def names_read(scene: Dynamics, params: Params, where: str) -> frozenset[str]:
 
 
 def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
-    """Refuse three moments of inertia that no body has; traced and batched ones pass.
-
-    Raises:
-        InputError: naming the body.
-    """
+    """Refuse three moments of inertia that no body has; traced and batched ones pass."""
     for body in scene.bodies:
         moments = scene.inertia(body, params)
         if isinstance(moments, tuple) and not any(is_traced(x) or np.ndim(x) for x in moments):
@@ -208,12 +200,7 @@ def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
 
 
 def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
-    """Refuse values that no run can answer; batched and traced ones pass.
-
-    Raises:
-        InputError: for a value that is missing or out of range, a quantity of the user's that nothing reads, code of
-            the user's that raises, bodies that start deep inside each other.
-    """
+    """Refuse values that no run can answer; batched and traced ones pass."""
     where = where or f"scene '{scene.kind}'"
     inputs.values(scene, params, where)
     read = _read(scene, tuple(params), where)
@@ -228,12 +215,7 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
 
 
 def suspects(scene: Dynamics, params: Params) -> np.ndarray:
-    """Which of N runs ``check_values`` must look at one by one, (N,): it finds no fault with the others.
-
-    Args:
-        scene: the mechanism.
-        params: leaves (N,), in their ranges.
-    """
+    """Which of N runs (leaves (N,), in their ranges) ``check_values`` must look at one by one: it passes the others."""
     first = {name: leaf[0] for name, leaf in params.items()}
     every = np.ones(len(next(iter(params.values()))), bool)
     try:

@@ -29,7 +29,7 @@ from bcfj_jax.core.vectors import WORLD, ZERO, Number, Vector, add, turned
 from bcfj_jax.mechanism import arrays, sizes
 from bcfj_jax.mechanism.arrays import own_quantities
 from bcfj_jax.mechanism.bodies import Part
-from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+from bcfj_jax.mechanism.sizes import ORIGIN, Parameters, Params, Place, Size
 
 # Least approach speed of a law stated by restitution [m/s]: a resting contact would be rigid.
 SLOWEST = 1e-3
@@ -51,18 +51,10 @@ class Approach(eqx.Module):
 
     def first(self, gap: Number, rate: Number, p: Params) -> Number:
         """Memory at time 0 [m/s]."""
-        del gap, p
         return jnp.maximum(rate, SLOWEST)
 
     def learning(self, gap: Number, rate: Number, memory: Number, p: Params) -> Number:
-        """Rate of the memory [m/s^2] while apart.
-
-        Args:
-            gap: distance [m] > 0; rate: of the penetration [m/s], positive while closing.
-            memory: speed that is remembered [m/s].
-            p: the mechanism's parameters.
-        """
-        del p
+        """Rate of the memory [m/s^2] over a gap [m] > 0; ``rate`` of the penetration [m/s], positive while closing."""
         closing = positive(rate)
         return 4.0 * closing * (jnp.maximum(closing, SLOWEST) - memory) / (positive(gap) + _NEAR)
 
@@ -89,9 +81,7 @@ class Contact(eqx.Module):
     friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
-    at: tuple[Place, Place] = eqx.field(
-        static=True, default=(ORIGIN, ORIGIN), converter=lambda x: sizes.plain("contact at", x)
-    )
+    at: tuple[Place, Place] = sizes.field("contact at", default=(ORIGIN, ORIGIN))
     values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
     approach: Any = eqx.field(static=True, default=Approach())
 
@@ -154,13 +144,7 @@ class Contact(eqx.Module):
         return self.coefficients(p) | dict(zip(self.memory, own, strict=True))
 
     def learning(self, face: Face, touch: ContactForce, own: Sequence[Number], p: Params) -> list[Number]:
-        """Rates of what a face remembers.
-
-        Args:
-            face, touch: where it touches, and with what force.
-            own: what the face remembers.
-            p: the mechanism's parameters.
-        """
+        """Rates of what a face remembers (``own``), where it touches with a force."""
         bending = list(touch.bending or ())
         if len(self.memory) == len(bending):
             return bending
@@ -198,7 +182,7 @@ class Contact(eqx.Module):
             return p[f"clearance_{self.name}"]
         return sizes.value(None, self.name, name, p)
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self) -> Parameters:
         """Shared coefficients, its own and its clearance, with defaults."""
         given, found = dict(self.values), {}
         arrays_ = arrays.defaults(self.law, self.friction)
@@ -221,16 +205,12 @@ class Contact(eqx.Module):
             own = f"{self.name}.{name}"
             found[own] = (meaning._replace(name=own, meaning=f"{meaning.meaning}; of {self.name} alone"), default)
         for body, place in zip(self.between, self.at, strict=True):
-            for letter, size in zip("xyz", place, strict=True):
-                if not (isinstance(size, (int, float)) and size == 0):
-                    found |= sizes.own(size, self.name, f"{body}_{letter}", "m", f"{letter} of {self.name} on {body}")
+            found |= sizes.of_point(place, self.name, body, f"{{}} of {self.name} on {body}")
         return found
 
     def marker(self, which: int, p: Params) -> tuple[Number, Number, Number]:
         """Place of a marker in its body's axes."""
-        body, place = self.between[which], self.at[which]
-        x, y, z = (sizes.length(s, self.name, f"{body}_{k}", p) for k, s in zip("xyz", place, strict=True))
-        return x, y, z
+        return sizes.point(self.at[which], self.name, self.between[which], p)
 
     def place(self, which: int, part: Part, p: Params) -> Vector:
         """Place of a marker [m], world, of its body in motion."""

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -42,14 +43,6 @@ from bcfj_jax.mechanism.model import (
     Params,
     Solution,
 )
-
-# Fields of loads, and of drives, that may be a parameter's name.
-_OF_LOADS = (
-    "size", "ramp", "amplitude", "frequency", "reversal", "reversal_ramp",
-    "stiffness", "damping", "rest", "free_length", "turning_damping", "at",
-    "sliding", "breakaway", "speed",
-)  # fmt: skip
-_OF_DRIVES = ("speed", "over", "start", "first")
 
 
 class Instant(NamedTuple):
@@ -86,12 +79,15 @@ class Dynamics(AbstractModel):
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
         """Bodies, each after the one that it hangs on."""
+        return tuple(sorted(self.bodies, key=lambda b: len(self.chain(b.name))))
+
+    def chain(self, name: str) -> list[Body]:
+        """A body, the one that it hangs on, and so on down to the ground, which is not among them."""
         found: list[Body] = []
-        names = {GROUND}
-        while len(found) < len(self.bodies):
-            found += [b for b in self.bodies if b.name not in names and b.parent in names]
-            names |= {b.name for b in found}
-        return tuple(found)
+        while name != GROUND:
+            found.append(self.body(name))
+            name = found[-1].parent
+        return found
 
     def body(self, name: str) -> Body:
         """A body by name."""
@@ -123,7 +119,7 @@ class Dynamics(AbstractModel):
 
     def turning(self, name: str) -> bool:
         """Whether anything turns a body: its own joint or one that it hangs on."""
-        return name != GROUND and (self.body(name).turns or self.turning(self.body(name).parent))
+        return any(b.turns for b in self.chain(name))
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -131,8 +127,8 @@ class Dynamics(AbstractModel):
         return {name: quantity for name, (quantity, _) in self._parameters.items()}
 
     @cached_property
-    def _parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        found: dict[str, tuple[Quantity, float | None]] = {}
+    def _parameters(self) -> sizes.Parameters:
+        found: sizes.Parameters = {}
         parts = [c.parameters() for c in self.contacts]
         shared = {n: x for part in parts for n, x in part.items() if "." not in n and not n.startswith("clearance_")}
         for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
@@ -147,21 +143,14 @@ class Dynamics(AbstractModel):
         return found
 
     def _named(self) -> list[str]:
-        """Names that sizes give in place of numbers."""
-        found: list[Any] = []
-        for b in self.bodies:
-            found += [*b.at, *b.center, b.mass, *(s for _, s in b.start), b.tilt[1] if b.tilt else None]
-            found += list(b.inertia) if isinstance(b.inertia, tuple) else [b.inertia]
-            found += [getattr(b.drive, name) for name in _OF_DRIVES] if b.drive else []
-        for c in self.contacts:
-            found += [*(s for _, s in c.values), *c.at[0], *c.at[1]]
-        for load in self.loads:
-            for name in _OF_LOADS:
-                part = getattr(load, name, None)
-                found += list(_flattened(part)) if isinstance(part, tuple) else [part]
-            drive = getattr(load, "drive", None)
-            found += [getattr(drive, name) for name in _OF_DRIVES] if drive else []
-        return [x.removeprefix("-") for x in found if isinstance(x, str)]
+        """Names that sizes give in place of numbers; words that are none, such as axes, among them."""
+        parts: list[Any] = [*self.bodies, *self.contacts, *self.loads]
+        parts += [part.drive for part in parts if getattr(part, "drive", None) is not None]
+        found = [sizes.given(part) for part in parts]
+        found += [
+            size for part in (*(b.start for b in self.bodies), *(c.values for c in self.contacts)) for _, size in part
+        ]
+        return [x.removeprefix("-") for x in jax.tree.leaves(found) if isinstance(x, str)]
 
     @property
     def defaults(self) -> tuple[tuple[str, Any], ...]:
@@ -230,7 +219,6 @@ class Dynamics(AbstractModel):
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Of a mechanism whose every joint is driven, and whose contacts remember nothing: nothing is integrated."""
-        del params
         nothing = jnp.zeros((times.shape[0], 0))
         return Solution(nothing, jnp.asarray(OK), times[-1], jnp.asarray(0), jnp.asarray(0)), near
 
@@ -249,8 +237,7 @@ class Dynamics(AbstractModel):
             at, first, driven = at + n, first + m, driven + (b.drive is not None)
             parts[b.name] = part
             mass[b.name] = sizes.value(b.mass, b.name, "mass", p)
-            arm = tuple(sizes.length(s, b.name, f"center_{k}", p) for k, s in zip("xyz", b.center, strict=True))
-            center[b.name] = turned(part.axes, arm)
+            center[b.name] = turned(part.axes, sizes.point(b.center, b.name, "center", p))
         return Moving(parts, mass, center)
 
     def inertia(self, body: Body, p: Params) -> Any:
@@ -410,7 +397,3 @@ class Dynamics(AbstractModel):
 def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:
     items = values.items() if isinstance(values, Mapping) else values
     return tuple((name, arrays.number(f"given {name}", value)) for name, value in items)
-
-
-def _flattened(part: tuple) -> list[Any]:
-    return [x for item in part for x in (_flattened(item) if isinstance(item, tuple) else [item])]

@@ -45,12 +45,7 @@ class Equations:
         self.forces: list[Number] = [0.0 for _ in members]
 
     def body(self, part: Part, arm: Vector, mass: Number, inertia: Inertia | None) -> None:
-        """One body's inertia.
-
-        Args:
-            part: the body; ``arm`` from its origin to its centre of mass, world.
-            mass: [kg]; inertia: [kg m^2] about the centre; None of a body that does not turn.
-        """
+        """One body's mass [kg], and inertia [kg m^2] about its centre, ``arm`` away; None of a body that does not turn."""
         at = part.shifted(arm)
         turning = {j: w for j, (w, _) in at.partials.items()}
         swirl = ZERO
@@ -76,7 +71,6 @@ class Equations:
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
         """A force at ``arm`` from a body's origin whose moment about that is known; world."""
-        del arm
         for j, (w, v) in part.partials.items():
             self.push(j, plus(dot(v, force), dot(w, moment)))
 

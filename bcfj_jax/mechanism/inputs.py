@@ -39,11 +39,7 @@ class Described(Protocol):
 
 
 def named(scene: Described, given: Any, where: str) -> dict[str, Any]:
-    """Values by the scene's own names of parameters; of two names of one parameter the last counts.
-
-    Raises:
-        InputError: for what is no table, and a name that the scene does not have, with the nearest that it has.
-    """
+    """Values by the scene's own names of parameters; of two names of one parameter the last counts."""
     if not isinstance(given, Mapping):
         raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
     # Once: an equinox module makes a method anew each time that it is asked for.
@@ -65,14 +61,9 @@ def exponents_first(name: str) -> bool:
 
 
 def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float | None:
-    """The exponent that goes with a parameter: its contact's, or the shared one; of a law without one 1.
+    """The exponent that goes with a parameter, from the first table that has it: its contact's, or the shared one; else 1.
 
     None where it is traced, or one of many: then the unit itself says it.
-
-    Args:
-        scene: whose parameter.
-        name: of the parameter.
-        tables: values by name; the first that has one is taken.
     """
     contact = name.rpartition(".")[0]
     own = f"{contact}.exponent" if contact else "exponent"
@@ -86,13 +77,7 @@ def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float |
 def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
     """Values of some of the scene's parameters: float64, SI, each in its range; arrays stand for a batch.
 
-    Args:
-        scene: whose they are.
-        given: by name numbers, arrays, traced values, or texts with a unit such as "20 um".
-        where: place, for the message; by default the scene.
-
-    Raises:
-        InputError: as ``named``; for what is no number of the parameter's unit, and a number out of its range.
+    ``given`` has by name numbers, arrays, traced values, or texts with a unit such as "20 um".
     """
     where = where or f"scene '{scene.kind}'"
     by_name, defaults, found = named(scene, given, where), dict(scene.defaults), {}
@@ -108,15 +93,7 @@ def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
 
 
 def parameters(scene: Described, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
-    """All parameters of one run: ``values``, each a scalar, and none missing.
-
-    Args:
-        scene, given, where: as ``values``.
-        traced: whether traced values pass.
-
-    Raises:
-        InputError: as ``values``; for an array in the place of one number, and for a parameter without a value.
-    """
+    """All parameters of one run: ``values``, each a scalar, and none missing; ``traced``: whether traced values pass."""
     where = where or f"scene '{scene.kind}'"
     found = values(scene, given, where)
     known: Mapping[str, Quantity] = scene.quantities
@@ -147,11 +124,7 @@ def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> In
 
 
 def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> None:
-    """Refuse parameters among which one with a default has no value, neither its own nor the shared one.
-
-    Raises:
-        InputError: naming it.
-    """
+    """Refuse parameters among which one with a default has no value, neither its own nor the shared one."""
     for name in dict(scene.defaults):
         shared = name.rpartition(".")[2]
         readers = [key for key in scene.quantities if key.endswith(f".{name}")]
@@ -162,11 +135,7 @@ def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> 
 
 
 def merged(values: Any, more: Mapping[str, Any]) -> dict[str, Any]:
-    """Two tables as one; the second counts.
-
-    Raises:
-        InputError: where the first is no table.
-    """
+    """Two tables as one; the second counts."""
     if values is not None and not isinstance(values, Mapping):
         remedy = 'give a table by names, or names: scene.parameters({"contact.mass": 1.0}), scene.parameters(mass=1.0)'
         raise InputError("parameters", f"{quoted(values)} is no table", remedy)

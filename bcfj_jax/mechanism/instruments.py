@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +51,7 @@ def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
     normals = [touch.normal for _, touch in touching]
     force = add(*(touch.force for _, touch in touching))
     drag = add(*(touch.drag for _, touch in touching))
-    normal = minus(*normals) if c.gap.signed else _sum(normals)
+    normal = minus(*normals) if c.gap.signed else reduce(plus, normals)
     way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
     axial = c.gap.axial(first, second, c.coefficients(p))
     along = unit(subtract(axial, scale(dot(axial, way), way)))
@@ -62,13 +63,6 @@ def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
     lost = jnp.isnan(depth + rate)[..., None]
     slides = slip if c.friction is not None else None
     return Reading(jnp.where(lost, jnp.nan, own), depth, rate, slides, jnp.where(lost, jnp.nan, whole))
-
-
-def _sum(numbers: list[Number]) -> Number:
-    found = numbers[0]
-    for x in numbers[1:]:
-        found = plus(found, x)
-    return found
 
 
 def _deepest(touching: list[tuple[Face, ContactForce]]) -> tuple[Number, Number, Number]:
@@ -208,7 +202,7 @@ class _Forces(equations.Equations):
 
 def _extent(x: Vector) -> Number:
     """Sum of the sizes of its components."""
-    return _sum([abs(component) for component in x])
+    return reduce(plus, map(abs, x))
 
 
 def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:

@@ -38,7 +38,7 @@ from bcfj_jax.core.vectors import (
 from bcfj_jax.mechanism import arrays, sizes
 from bcfj_jax.mechanism.bodies import GROUND, Drive, Part
 from bcfj_jax.mechanism.programmes import Programme, Table, checked_shape, given_breaks, given_table
-from bcfj_jax.mechanism.sizes import ORIGIN, Params, Place, Size
+from bcfj_jax.mechanism.sizes import ORIGIN, Parameters, Params, Place, Size
 
 
 class Moving(NamedTuple):
@@ -93,12 +93,7 @@ class Pull(bj.loads.AbstractLoad):
     name: eqx.AbstractVar[str]
 
     def __new__(cls, *args: Any, **more: Any) -> Any:
-        """Refuse a class that leaves something out.
-
-        Raises:
-            InputError: naming class and what it lacks, with an example.
-        """
-        del args, more
+        """Refuse a class that leaves something out."""
         complete(cls, [*getattr(cls, "__abstractmethods__", ()), *getattr(cls, "__abstractvars__", ())], cls.example)
         return super().__new__(cls)
 
@@ -106,13 +101,12 @@ class Pull(bj.loads.AbstractLoad):
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         """Forces and torques now; the powers of an action and of its reaction may differ, which is what it stores."""
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self) -> Parameters:
         """Its parameters with their defaults."""
         return {}
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """Times [s] at which steps have to end, since the load bends there; None: looks at it find them."""
-        del p
         return [] if self.timeless else None
 
     @property
@@ -134,8 +128,6 @@ class Gravity(AbstractLoad):
     name: str = eqx.field(static=True, default="gravity")
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """m g at each centre of mass."""
-        del t
         way = sizes.axis(self.direction, "gravity direction")
         found = []
         for body, mass in bodies.mass.items():
@@ -145,8 +137,7 @@ class Gravity(AbstractLoad):
             found.append(Action(body, scale(times(mass, p["gravity"]), way), at))
         return found
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """``gravity``."""
+    def parameters(self) -> Parameters:
         return {"gravity": (CATALOGUE["gravity"], 9.81)}
 
 
@@ -185,7 +176,6 @@ class Force(AbstractLoad):
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """The body."""
         return (self.body,)
 
     @property
@@ -204,16 +194,13 @@ class Force(AbstractLoad):
         return turned(bodies.parts[self.body].axes, way) if self.follows else way
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The force."""
-        at = _point(self.at, self.name, "at", p)
+        at = sizes.point(self.at, self.name, "at", p)
         return [Action(self.body, scale(self._amount(t, p), self._way(bodies)), at)]
 
     def kinks(self, p: Params) -> list[ArrayLike]:
-        """Those of its size."""
         return self.programme.kinks(self.name, p)
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """Size, ramp and place."""
+    def parameters(self) -> Parameters:
         unit = "N m" if isinstance(self, Torque) else "N"
         return self.programme.parameters(self.name, unit) | _of_point(self.at, self.name, "at")
 
@@ -225,11 +212,9 @@ class Torque(Force):
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """Both bodies."""
         return (self.body, self.against)
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The torque."""
         torque = scale(self._amount(t, p), self._way(bodies))
         return [Action(self.body, torque=torque), Action(self.against, torque=negative(torque))]
 
@@ -243,12 +228,11 @@ class _BetweenPoints(AbstractLoad):
 
     @property
     def touches(self: Any) -> tuple[str, ...]:
-        """Both bodies."""
         return self.between
 
     def _apart(self: Any, bodies: Moving, p: Params) -> tuple[list[Vector], Vector, Vector]:
         """Both points in their bodies' axes; the second's place and velocity from the first's, world."""
-        points = [_point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True)]
+        points = [sizes.point(at, self.name, side, p) for side, at in zip("ab", self.at, strict=True)]
         places = [bodies.place(body, at) for body, at in zip(self.between, points, strict=True)]
         rates = [bodies.velocity(body, at) for body, at in zip(self.between, points, strict=True)]
         return points, subtract(places[1], places[0]), subtract(rates[1], rates[0])
@@ -256,9 +240,8 @@ class _BetweenPoints(AbstractLoad):
     def _sizes(self: Any, p: Params) -> list[Number]:
         return [sizes.length(getattr(self, key), self.name, key, p) for key in self.units]
 
-    def parameters(self: Any) -> dict[str, tuple[Quantity, float | None]]:
-        """Sizes and places."""
-        found: dict[str, tuple[Quantity, float | None]] = {}
+    def parameters(self: Any) -> Parameters:
+        found: Parameters = {}
         for key, one in self.units.items():
             found |= sizes.stated(getattr(self, key), self.name, key, one)
         return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
@@ -281,8 +264,6 @@ class Spring(_BetweenPoints):
     at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The pull on both."""
-        del t
         (a, b), arm, rate = self._apart(bodies, p)
         (k, c, free), way = self._sizes(p), unit(arm)
         pull = times(k, minus(length(arm), free)) + times(c, dot(way, rate))
@@ -310,8 +291,6 @@ class Bush(_BetweenPoints):
     at: tuple[Place, Place] = sizes.field("bush at", default=(ORIGIN, ORIGIN))
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The forces on both."""
-        del t
         (a, b), arm, rate = self._apart(bodies, p)
         k, c, turning = self._sizes(p)
         first, second = self.between
@@ -328,12 +307,9 @@ class CoordinateLoad(AbstractLoad):
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """The body."""
         return (self.body,)
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """None: it acts on a coordinate (``on_coordinate``)."""
-        del t, bodies, p
         return []
 
     @abstractmethod
@@ -341,7 +317,7 @@ class CoordinateLoad(AbstractLoad):
         """Force or torque on the coordinate [N, N m]."""
 
     @abstractmethod
-    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self, turns: bool = True) -> Parameters:
         """Its parameters with their defaults; ``turns``: whether the coordinate is an angle."""
 
 
@@ -361,11 +337,9 @@ class JointSpring(CoordinateLoad):
     drive: Drive | None = None
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """Those of its drive."""
         return [] if self.drive is None else self.drive.kinks(self.name, p)
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        """Force or torque on the coordinate."""
         k, c, rest = (
             sizes.length(size, self.name, name, p)
             for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
@@ -375,8 +349,7 @@ class JointSpring(CoordinateLoad):
             rate = minus(rate, speed)
         return minus(times(-1.0, times(k, minus(position, rest))), times(c, rate))
 
-    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
-        """Stiffness, damping and rest, or those of its drive; ``turns``: whether the coordinate is an angle."""
+    def parameters(self, turns: bool = True) -> Parameters:
         found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
         found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
         if self.drive is not None:
@@ -422,21 +395,17 @@ class JointFriction(CoordinateLoad):
 
     @property
     def damps(self) -> bool:
-        """Always."""
         return True
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        """-m(w^2) w."""
-        del t, position
         sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
         held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
         told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
         return -self._law.coefficient(jnp.asarray(rate), {name: jnp.asarray(x) for name, x in told.items()})
 
-    def parameters(self, turns: bool = True) -> dict[str, tuple[Quantity, float | None]]:
-        """``sliding``, ``breakaway`` and ``speed``, none of them negative."""
+    def parameters(self, turns: bool = True) -> Parameters:
         force, speed = ("N m", "rad/s") if turns else ("N", "m/s")
-        found: dict[str, tuple[Quantity, float | None]] = {}
+        found: Parameters = {}
         for key, of in (("sliding", force), ("breakaway", force), ("speed", speed)):
             if (size := getattr(self, key)) is not None:
                 for name, (quantity, default) in sizes.stated(size, self.name, key, of).items():
@@ -464,25 +433,19 @@ class Load(AbstractLoad):
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """As given."""
         return self.bodies
 
     @property
     def damps(self) -> bool:
-        """Nobody knows."""
         return True
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The function's."""
         return list(self.function(t, bodies, p))
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """As given."""
-        del p
         return None if self.breaks is None else [np.asarray(self.breaks)]
 
-    def parameters(self) -> dict[str, tuple[Quantity, float | None]]:
-        """As given."""
+    def parameters(self) -> Parameters:
         return {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.quantities}
 
 
@@ -498,24 +461,19 @@ class HeldLoad(AbstractLoad):
 
     @property
     def touches(self) -> tuple[str, ...]:
-        """The load's."""
         return self.part.touches
 
     @property
     def damps(self) -> bool:
-        """The load's."""
         return self.part.damps
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """The load's, with its arrays."""
         return arrays.filled(self.part, p, f"{self.name}.").actions(t, bodies, p)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The load's."""
         return self.part.kinks(p)
 
-    def parameters(self) -> dict[str, tuple[Quantity, Any]]:
-        """The load's, and its arrays."""
+    def parameters(self) -> Parameters:
         return self.part.parameters() | arrays.of_load(self.part)
 
 
@@ -528,11 +486,7 @@ def kept(load: Any) -> Any:
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
-    """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None.
-
-    Raises:
-        InputError: for what is no quantity, a default that is no number or of another shape than the quantity says.
-    """
+    """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None."""
     found = []
     for entry in given:
         quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
@@ -547,28 +501,15 @@ def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
 
 
 def checked(where: str, given: Any) -> AbstractLoad:
-    """A load that was given as itself.
-
-    Raises:
-        InputError: for a class in the place of its object, a function, and anything else.
-    """
-    if isinstance(given, AbstractLoad):
-        return given
-    remedy = f"give a load of bj.loads, or an object of a class such as:\n{AbstractLoad.example.strip()}"
-    if isinstance(given, type) and issubclass(given, AbstractLoad):
-        remedy = f"give an object of it: {given.__name__}(...)"
-    elif callable(given):
-        name = getattr(given, "__name__", "function")
-        remedy = f'give it a name: bj.Load("my_load", {name})'
-    raise InputError(where, f"{quoted(given)} is no load", remedy)
+    """A load that was given as itself."""
+    if callable(given) and not isinstance(given, (AbstractLoad, type)):
+        remedy = f'give it a name: bj.Load("my_load", {getattr(given, "__name__", "function")})'
+        raise InputError(where, f"{quoted(given)} is no load", remedy)
+    return checked_part(where, given, AbstractLoad, "load", "give a load of bj.loads")
 
 
 def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action:
-    """An action of a user's load.
-
-    Raises:
-        InputError: for what is no ``Action``, and for a body that is not there.
-    """
+    """An action of a user's load."""
     if not isinstance(given, Action):
         remedy = 'return a list such as [bj.loads.Action("mass", force=(0.0, -10.0, 0.0))]'
         raise InputError(where, f"{quoted(given)} is no Action", remedy)
@@ -583,13 +524,5 @@ LOADS: dict[str, type[AbstractLoad]] = {
 }  # fmt: skip
 
 
-def _point(at: Place, name: str, key: str, p: Params) -> Vector:
-    x, y, z = (sizes.length(s, name, f"{key}_{k}", p) for k, s in zip("xyz", at, strict=True))
-    return x, y, z
-
-
-def _of_point(at: Place, name: str, key: str) -> dict[str, tuple[Quantity, float | None]]:
-    found: dict[str, tuple[Quantity, float | None]] = {}
-    for letter, size in zip("xyz", at, strict=True):
-        found |= sizes.stated(size, name, f"{key}_{letter}", "m")
-    return found
+def _of_point(place: Place, name: str, key: str) -> Parameters:
+    return sizes.of_point(place, name, key, f"{key} {{}} of {name}")

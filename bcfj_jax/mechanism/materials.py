@@ -85,11 +85,7 @@ def material(model: AbstractModel, contact: str) -> dict[str, float]:
 
 
 def share(model: AbstractModel, params: Params, contact: str, what: str) -> Array:
-    """What a reading of life multiplies: k/H [1/Pa] of ``wear_rate``, 1/C [1/N] of ``load_share``, p0/F^(1/3) of ``pressure``.
-
-    Raises:
-        InputError: where the pressure is asked of bodies that do not touch at a point whose radii the model knows.
-    """
+    """What a reading of life multiplies: k/H [1/Pa] of ``wear_rate``, 1/C [1/N] of ``load_share``, p0/F^(1/3) of ``pressure``."""
     read = material(model, contact)
     if what == "wear_rate":
         return jnp.asarray(read["wear_coefficient"] / read["hardness"])

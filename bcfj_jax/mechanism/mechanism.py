@@ -22,23 +22,15 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.shapes import Drawing
-from bcfj_jax.mechanism import approaches, checks, instruments, orbits, scenery, sizes, stepping, stiff
+from bcfj_jax.mechanism import checks, instruments, scenery, sizes, stepping, stiff
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import (
     IMPLICIT_SOLVERS,
     Account,
-    Approaches,
     Bodies,
-    BodyMotion,
-    Flows,
     ModelTraits,
-    Orbit,
     Params,
-    Proximity,
-    Reading,
-    Scenery,
 )
 from bcfj_jax.mechanism.scales import DEPTH, SPEED, expected_scale
 
@@ -118,45 +110,17 @@ class Mechanism(Dynamics):
     @property
     def unweighed(self) -> bool:
         """Where the motion of both bodies of a contact is given."""
-        moved = {GROUND}
-        for body in self.ordered:
-            moved |= {body.name} if body.drive is not None and body.parent in moved else set()
-        return any(moved.issuperset(c.between) for c in self.contacts)
+        given = {GROUND, *(b.name for b in self.bodies if all(x.drive is not None for x in self.chain(b.name)))}
+        return any(given.issuperset(c.between) for c in self.contacts)
 
-    def proximity(self, t: Array, y: Array, prepared: Params) -> Proximity:
-        """``stepping.proximity``."""
-        return stepping.proximity(self, t, y, prepared)
+    # What is worked out beside, as ``AbstractModel`` has it.
 
-    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
-        """``stepping.breaks``."""
-        return stepping.breaks(self, params, end)
-
-    @cached_property
-    def remembered(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """``approaches.places``."""
-        return approaches.places(self)
-
-    def approaches(self, t: Array, y: Array, prepared: Params) -> Approaches:
-        """``approaches.approaches``."""
-        return approaches.approaches(self, t, y, prepared)
-
-    def misremembered(self, params: Params, run: Any) -> tuple[str, float]:
-        """``approaches.doubt``."""
-        return approaches.doubt(self, params, run.times, run.penetration, run.rate, run.trajectory)
-
-    # What instruments read.
-
-    def observe(self, t: Array, y: Array, prepared: Params) -> dict[str, Reading]:
-        """Every contact's reading: the force on its second body. Forces come from the law, never from interpolation."""
-        return instruments.observe(self, t, y, prepared)
-
-    def motions(self, t: Array, y: Array, prepared: Params) -> dict[str, BodyMotion]:
-        """Centres of mass, axes, accelerations and the drives' forces."""
-        return instruments.motions(self, t, y, prepared)
-
-    def flows(self, t: Array, y: Array, prepared: Params) -> Flows:
-        """Power of drives and loads, what friction and damping take, kinetic and elastic energy."""
-        return instruments.flows(self, t, y, prepared)
+    proximity, breaks = stepping.proximity, stepping.breaks  # pyright: ignore[reportAssignmentType]
+    remembered = cached_property(stepping.places)  # pyright: ignore[reportAssignmentType]
+    approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
+    observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
+    orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
+    check, suspects = checks.check_values, checks.suspects  # pyright: ignore[reportAssignmentType]
 
     def accounts(self, t: Array, y: Array, prepared: Params) -> dict[str, Account]:
         """Energy, and the generalised momentum of every free velocity."""
@@ -179,19 +143,9 @@ class Mechanism(Dynamics):
                 return c.coefficients(params)[name]
         return super().coefficient(params, owner, name)
 
-    def drawing(
-        self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
-    ) -> Drawing:
-        """``scenery.drawing``."""
-        return scenery.drawing(self, params, size, travel)
-
     def carriers(self) -> dict[str, str]:
         """The second body, or the first where that is the ground."""
         return {c.name: c.between[0] if c.between[1] == GROUND else c.between[1] for c in self.contacts}
-
-    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
-        """``scenery.scenery``."""
-        return scenery.scenery(self, t, y, params)
 
     # Accuracy.
 
@@ -201,7 +155,6 @@ class Mechanism(Dynamics):
 
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which the expected speed crosses the expected penetration."""
-        del params
         first = sum(k or 1 for *_, k in self._placed)
         if not first:
             return jnp.asarray(1e-2 * DEPTH / SPEED)
@@ -212,18 +165,6 @@ class Mechanism(Dynamics):
         return min(LOOSEST, (IMPLICIT if self.traits.stiff else EXPLICIT) * force_error)
 
     # Checks and what is known beside.
-
-    def check(self, params: Params, where: str = "") -> None:
-        """Missing values, parameters that nothing reads, bodies that start deep inside each other, code that raises."""
-        checks.check_values(self, params, where)
-
-    def suspects(self, params: Params) -> np.ndarray:
-        """Those whose bodies do not start apart from each other, and all where a contact is regularised."""
-        return checks.suspects(self, params)
-
-    def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
-        """``orbits.orbits``."""
-        return orbits.orbits(self, params, run)
 
     def require(self, params: Params, where: str = "") -> None:
         """What the equations read and nobody gave."""

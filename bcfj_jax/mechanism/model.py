@@ -196,16 +196,14 @@ class AbstractModel(eqx.Module):
 
     def first_step(self, params: Params, scales: Array) -> ArrayLike:
         """Length of the first step to try [s]; ``scales`` is ``error_scale``'s."""
-        del params
         return 1e-2 * scales[0] / scales[-1]
 
     def structure(self) -> AbstractStructure:
         """Linear algebra of ``I/s - J`` for implicit solvers; its ``args`` are (model, prepared)."""
-        return Dense(_field)
+        return Dense(field)
 
     def origin(self, count: int) -> Any:
         """Where ``instants`` begins its search at so many times if it knows nothing, as NumPy arrays; () for none."""
-        del count
         return ()
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -236,7 +234,6 @@ class AbstractModel(eqx.Module):
 
     def breaks(self, params: Params, end: ArrayLike) -> Array | None:
         """Times (B,) at which a step until ``end`` [s] has to end: amounts over time have a kink there; None for none."""
-        del params, end
         return None
 
     @property
@@ -260,7 +257,6 @@ class AbstractModel(eqx.Module):
 
     def misremembered(self, params: Params, run: Any) -> tuple[str, float]:
         """Why a run (``simulation.Run``) met other approach speeds than it remembers, and from when on [s]; "" and NaN if not."""
-        del params, run
         return "", float("nan")
 
     # What instruments read.
@@ -281,7 +277,6 @@ class AbstractModel(eqx.Module):
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
-        del t, y, prepared
         return {}
 
     def drawing(
@@ -294,7 +289,6 @@ class AbstractModel(eqx.Module):
             size: of the whole scene [m]; what has no size of its own (rods, points, planes) is drawn by it.
             travel: by contact and sliding body, least and greatest ``Scenery.offsets`` (3,) of a run.
         """
-        del params, size, travel
         return Drawing()
 
     def carriers(self) -> dict[str, str]:
@@ -307,7 +301,6 @@ class AbstractModel(eqx.Module):
 
     def level(self, fidelity: str) -> AbstractModel:
         """The model of a level that ``choose`` chose, by its ``Choice.fidelity``."""
-        del fidelity
         return self
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
@@ -335,7 +328,6 @@ class AbstractModel(eqx.Module):
         Raises:
             InputError: naming the place, the value and what would be right.
         """
-        del params, where
 
     def suspects(self, params: Params) -> np.ndarray:
         """Which of N runs ``check`` must look at, (N,): all, where a model does not know sooner that it passes them.
@@ -346,11 +338,7 @@ class AbstractModel(eqx.Module):
         return np.ones(len(next(iter(params.values()))), bool)
 
     def require(self, params: Params, where: str = "") -> None:
-        """Refuse parameters among which one is missing. Nothing is computed, and traced values do.
-
-        Raises:
-            InputError: naming the parameter.
-        """
+        """Refuse parameters among which one is missing. Nothing is computed, and traced values do."""
         inputs.require_defaults(self, params, where or f"scene '{self.kind}'")
 
     def only_law(self) -> AbstractLaw | None:
@@ -358,17 +346,11 @@ class AbstractModel(eqx.Module):
         return None
 
     def with_law(self, law: AbstractLaw, more: Mapping[str, float]) -> AbstractModel:
-        """This model with another law in its one contact, and ``more`` defaults of what that reads.
-
-        Raises:
-            ValueError: where ``only_law`` is None.
-        """
-        del more
+        """This model with another law in its one contact, and ``more`` defaults of what that reads."""
         raise ValueError(f"{law} is for a model with one contact")
 
     def first_touch(self, params: Mapping[str, float]) -> float | None:
         """Time of the first contact [s], where the start alone tells it; None where only a run does."""
-        del params
         return None
 
     def period(self, params: Params) -> tuple[float, float]:
@@ -390,7 +372,6 @@ class AbstractModel(eqx.Module):
 
     def recurs(self, params: Params) -> bool:
         """Whether steady motion repeats itself after a ``pitch``. Decided on the host."""
-        del params
         return False
 
     def pitch(self, params: Params) -> Array:
@@ -403,22 +384,18 @@ class AbstractModel(eqx.Module):
 
     def turned(self, params: Params) -> int:
         """Which member is a pitch ago where the first is now, counted from it: what it does is done a pitch later."""
-        del params
         return 0
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """A tangent without what neither grows nor fades: the phase of a drive, a length that is kept."""
-        del state
         return tangent
 
     def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
         """How far a run is from those on which its promised error was measured: numbers, and what no number says."""
-        del params, times
         return {}, []
 
     def warnings(self, params: Params, run: Any) -> list[str]:
         """What a run (``solve.simulation.Run``) says against the model's own assumptions."""
-        del params, run
         return []
 
     # Numbers of materials that are not those of steel (``materials``).
@@ -426,11 +403,9 @@ class AbstractModel(eqx.Module):
 
     def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
         """Hertz's p0/F^(1/3) [Pa/N^(1/3)], E* [Pa] the modulus of a model without one; None of no known point contact. Pure."""
-        del params, contact, modulus
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """How large the bodies at a contact are that is so deep at most [m], as far as the model reads it. On the host."""
-        del params, contact, deepest
         return Bodies()
 
     def settled_from(self, params: Params) -> float:
@@ -438,7 +413,6 @@ class AbstractModel(eqx.Module):
 
         A run that ends before has no promise.
         """
-        del params
         return 0.0
 
     @property
@@ -456,7 +430,6 @@ class AbstractModel(eqx.Module):
         ``solver`` is one that the user names (``solve.named``): a model that explicit and implicit ones can solve
         takes it.
         """
-        del params, end, solver
         return self
 
     def imperfect(self) -> AbstractModel | None:
@@ -473,7 +446,6 @@ class AbstractModel(eqx.Module):
 
     def variants(self, params: Params) -> tuple[Variant, ...]:
         """Other choices of the model, one change each, whose effect is the error of the model form; on the host."""
-        del params
         return ()
 
     @property
@@ -488,7 +460,6 @@ class AbstractModel(eqx.Module):
 
         ``run(model, times)`` makes a ``solve.simulation.Run``. Only of a model whose traits say ``open``.
         """
-        del params, budget
         return run(self, times)
 
     @property
@@ -504,17 +475,14 @@ class AbstractModel(eqx.Module):
         called by its ``titles``; a ``note`` on them; a ``warning``; ``quantities``, by name numbers by what they are
         (mean, peak), and their ``unit``; a ``quantities_note``.
         """
-        del params, run
         return {}, {}
 
     def chain(self, params: Params) -> Chain | None:
         """What its links bear, of a model that is a row of them."""
-        del params
         return None
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
         """By contact with a round clearance, where its inner body's centre is in it, of a run with its trajectory."""
-        del params, run
         return {}
 
     # Parameters.
@@ -553,11 +521,7 @@ class AbstractModel(eqx.Module):
 
 
 def as_model(given: Any) -> AbstractModel:
-    """What was given as a model, if it is one.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """What was given as a model, if it is one."""
     if isinstance(given, AbstractModel):
         return given
     remedy = (
@@ -571,11 +535,7 @@ def as_model(given: Any) -> AbstractModel:
 
 
 def of_numbers(given: Any) -> AbstractModel:
-    """As ``as_model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays.
-
-    Raises:
-        InputError: as ``as_model``, and naming the parameters that are arrays.
-    """
+    """As ``as_model``, of what varies or fits numbers: a batch of points has no place for parameters that are arrays."""
     found = as_model(given)
     arrays = [name for name, quantity in found.quantities.items() if quantity.shape]
     if arrays:
@@ -593,6 +553,7 @@ def _horizon(model: AbstractModel, params: Params) -> Array:
     return jnp.asarray(model.horizon(params))
 
 
-def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+def field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
+    """The vector field with arguments (model, what it has prepared)."""
     model, prepared = args
     return model.vector_field(t, y, prepared)

@@ -1,4 +1,4 @@
-"""A model that shows readings of bodies beside its contacts, so that whatever takes features of contacts takes theirs."""
+"""A model around another: one that shows readings beside its contacts, and one whose runs begin at a given state and time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from jax import Array
 
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, needs_bodies, read, shares
-from bcfj_jax.mechanism.model import AbstractModel, Bodies, Coarser, Params, Reading
+from bcfj_jax.mechanism.model import AbstractModel, Approaches, Bodies, Coarser, Params, Reading
+from bcfj_jax.mechanism.structure import AbstractStructure
 
 
 class Shown(NamedTuple):
@@ -115,12 +116,7 @@ class Observed(AbstractModel):
 
 
 def observing(model: AbstractModel, features: Iterable[str]) -> AbstractModel:
-    """A model that shows the readings which features are of: "slider.acceleration.x.peak" asks for the acceleration,
-    "journal.wear_volume" for the rate of wear.
-
-    Raises:
-        InputError: for a reading that the model has not, with the nearest that it has; a wear without friction.
-    """
+    """A model that shows the readings which features are of: "slider.acceleration.x.peak", "journal.wear_volume"."""
     contacts, wanted = model.members, {}
     known = [*contacts, *(f"{c}_{k + 1}" for c, count in contacts.items() for k in range(count))]
     for feature in features:
@@ -139,3 +135,63 @@ def _check_friction(model: AbstractModel, place: str, feature: str) -> None:
     if one.what == "wear_rate" and next(c for c in model.contacts if c.name == one.part).friction is None:
         found = f"'{one.part}' has no friction, and so no sliding speed that is read"
         raise InputError(f"feature '{feature}'", found, "give the contact a friction law")
+
+
+# Beside the parameters: the state (n,) and the time [s] at which a run begins.
+START, BEGIN = "start of the run", "time of the start"
+
+
+class _Later(AbstractStructure):
+    """The structure of a model, at times counted from ``BEGIN``; ``args`` is (model, (prepared, begin))."""
+
+    inner: AbstractStructure
+    model: AbstractModel
+
+    def field(self, t: Any, y: Array, args: Any) -> Array:
+        prepared, begin = args[1]
+        return self.inner.field(t + begin, y, (self.model, prepared))
+
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Any:
+        prepared, begin = args[1]
+        return self.inner.factor(t + begin, y, (self.model, prepared), scale)
+
+    def solve(self, factors: Any, right: Array) -> Array:
+        return self.inner.solve(factors, right)
+
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
+        prepared, begin = args[1]
+        return self.inner.time_derivative(t + begin, y, (self.model, prepared))
+
+
+class Onward(Observed):
+    """``inner`` from the state ``START`` at the time ``BEGIN``, both among the parameters; times count from there."""
+
+    channels: tuple = eqx.field(static=True, default=())
+
+    def prepare(self, params: Params) -> Any:
+        """The model's, and the time of the start."""
+        return self.inner.prepare(_own(params)), jnp.asarray(params[BEGIN])
+
+    def initial_state(self, params: Params) -> Array:
+        """The given one."""
+        return jnp.asarray(params[START])
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """The model's, later."""
+        return self.inner.vector_field(t + prepared[1], y, prepared[0])
+
+    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The model's, later."""
+        return self.inner.approaches(t + prepared[1], y, prepared[0])
+
+    def structure(self) -> AbstractStructure:
+        """The model's, later."""
+        return _Later(self.inner.structure(), self.inner)
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Any]:
+        """The model's, later."""
+        return self.inner.observe(t + prepared[1], y, prepared[0])
+
+
+def _own(params: Params) -> Params:
+    return {name: value for name, value in params.items() if name not in (START, BEGIN)}

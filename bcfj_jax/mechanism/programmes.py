@@ -12,11 +12,10 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import smooth_rise, smooth_step
-from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.core.vectors import Number, plus, times
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.arrays import refuse_traced
-from bcfj_jax.mechanism.sizes import Params, Size
+from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
 # Two rows of one length: times [s], increasing, and values.
 Table = tuple[tuple[float, ...], tuple[float, ...]]
@@ -39,21 +38,13 @@ def risen(shape: str, fraction: ArrayLike) -> Array:
 
 
 def checked_shape(where: str, shape: Any) -> None:
-    """Refuse a shape that is not known.
-
-    Raises:
-        InputError: with the nearest that is.
-    """
+    """Refuse a shape that is not known."""
     if shape not in SHAPES:
         raise InputError(where, f"no shape {quoted(shape)}", nearest(str(shape), SHAPES))
 
 
 def checked_table(where: str, table: Any, least: int = 2) -> Table:
-    """A table as two rows of plain numbers.
-
-    Raises:
-        InputError: for one that has not two rows of one length, is too short, or whose times do not increase.
-    """
+    """A table as two rows of plain numbers."""
     remedy = "give [[times], [values]]"
     try:
         knots, values = (np.asarray(row, dtype=float) for row in table)
@@ -72,11 +63,7 @@ def checked_table(where: str, table: Any, least: int = 2) -> Table:
 
 
 def given_table(where: str, table: Any) -> Table | None:
-    """``checked_table`` of a table that may be None.
-
-    Raises:
-        InputError: as ``checked_table``, and for one that is traced.
-    """
+    """``checked_table`` of a table that may be None."""
     refuse_traced(where, table)
     return None if table is None else checked_table(where, table)
 
@@ -159,7 +146,7 @@ class Programme(eqx.Module):
             found += [begin, begin + sizes.value(self.reversal_ramp, name, "reversal_ramp", p)]
         return found
 
-    def parameters(self, name: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
+    def parameters(self, name: str, unit: str) -> Parameters:
         """Its parameters with their defaults."""
         if self.table is not None:
             return {}

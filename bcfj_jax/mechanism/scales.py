@@ -15,13 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.normal import regularised_force
-from bcfj_jax.core.numerics import positive, smooth_ramp
-from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, plus, scale, subtract, times, unit
+from bcfj_jax.core.numerics import bisected, positive, smooth_ramp
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, plus, scale, subtract, times, unit
 from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
@@ -150,12 +149,7 @@ def _freed(part: Part, rates: list[Number]) -> Part:
 
 
 class _Felt(NamedTuple):
-    """The mass that a face feels.
-
-    Attributes:
-        gathered, count: the mass matrix of so many free velocities.
-        levers: how far points of contact move by each velocity, what was asked so far.
-    """
+    """The mass that a face feels, by the mass matrix of so many free velocities; ``levers``: how far contacts moved by each."""
 
     gathered: Equations
     count: int
@@ -167,7 +161,8 @@ class _Felt(NamedTuple):
         for part, arm, sign in zip(bodies, arms, (-1.0, 1.0), strict=True):
             for j in part.partials:
                 if j < self.count:
-                    v = scale(sign, part.partial_at(j, arm))
+                    w, origin = part.partials[j]
+                    v = scale(sign, add(origin, cross(w, arm)))
                     found[j] = add(found.get(j, ZERO), v)
                     self.levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
         return found
@@ -231,17 +226,14 @@ def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params
     """Penetration that takes in an energy (force times depth is twice it), or bears a force, whichever is deeper."""
     values = _coefficients(c, speed, params)
 
-    def halve(_, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bracket
-        middle = 0.5 * (low + high)
-        depth = jnp.exp(middle)
+    def enough(level: Array) -> Array:
+        depth = jnp.exp(level)
         push = regularised_force(c.law, depth, jnp.zeros_like(depth), values, values.get("smoothing"))
-        enough = (push * depth > 2.0 * energy) & (push > force)
-        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+        return (push * depth > 2.0 * energy) & (push > force)
 
     # Contacts side by side may have coefficients of their own.
     shape = (len(c.each),) if len(c.each) > 1 else ()
     bracket = jnp.full(shape, jnp.log(1e-15)), jnp.full(shape, jnp.log(10.0))
-    found = jnp.exp(jax.lax.fori_loop(0, 30, halve, bracket)[1])
+    found = jnp.exp(bisected(enough, bracket, 30)[1])
     # Nothing that moves or pulls: nothing is known.
     return jnp.where((energy > 1e-30) | (force > _NOTHING), found, DEPTH)

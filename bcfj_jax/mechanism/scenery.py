@@ -1,4 +1,4 @@
-"""What a mechanism looks like, and what moves in it: from its bodies, joints and gaps, whatever they are.
+"""What a mechanism looks like, what moves in it, and paths in clearances: from its bodies, joints and gaps.
 
 A contact is drawn as its gap says (``AbstractGap.drawn``); a body as bars between its joints and contacts; an ideal joint
 as a pin or a bar along which it slides. A mechanism says neither how thick a bar is nor how large a point: these are
@@ -19,12 +19,13 @@ from jax import Array
 from bcfj_jax.contact.gaps import Look
 from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Shape
-from bcfj_jax.core.vectors import add, array, scale, seen, spread, stacked, subtract
+from bcfj_jax.core.vectors import add, array, dot, scale, seen, spread, stacked, subtract
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.bodies import GROUND, Body, Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.model import Arrow, Params, Pose, Scenery
+from bcfj_jax.mechanism.model import Arrow, Orbit, Params, Pose, Scenery
+from bcfj_jax.xla.programs import QUICK, program
 
 # Of the scene's size: radius of a bar, of a line along which something slides, of a pin.
 _BAR, _LINE, _PIN = 0.013, 0.004, 0.024
@@ -36,7 +37,7 @@ _NOTES = (
 )
 
 
-def drawing(m: Dynamics, params: Params, size: float, travel: Mapping[str, Any] | None) -> Drawing:
+def drawing(m: Dynamics, params: Params, size: float = 1.0, travel: Mapping[str, Any] | None = None) -> Drawing:
     """``AbstractModel.drawing`` of a mechanism."""
     p: Any = {name: np.asarray(value) for name, value in params.items()}
     still = (np.zeros(3), np.zeros(3))
@@ -94,7 +95,7 @@ def _number(size: Any, part: str, key: str, p: Params) -> float:
 
 def _at(b: Body, p: Params) -> np.ndarray:
     """Place of a body's joint in its parent's axes [m]."""
-    return np.array([_number(s, b.name, f"at_{k}", p) for k, s in zip("xyz", b.at, strict=True)])
+    return np.array([float(np.max(x)) for x in sizes.point(b.at, b.name, "at", p)])
 
 
 def _basis(b: Body, p: Params) -> np.ndarray:
@@ -173,8 +174,8 @@ def scenery(m: Dynamics, t: Array, y: Array, p: Params) -> Scenery:
     for b in m.ordered:
         if b.joint == "slide":
             part, parent = now.bodies.parts[b.name], now.bodies.parts[b.parent]
-            i, j, k = (sizes.length(s, b.name, f"at_{x}", p) for x, s in zip("xyz", b.at, strict=True))
-            moved = subtract(seen(parent.axes, subtract(part.place, parent.place)), (i, j, k))
+            at = sizes.point(b.at, b.name, "at", p)
+            moved = subtract(seen(parent.axes, subtract(part.place, parent.place)), at)
             offsets[b.name] = array(moved).reshape(-1, 3)[0]
     return Scenery(_poses(m, now.bodies.parts), _poses(m, _closed(m, t, y, p)), arrows, offsets)
 
@@ -222,3 +223,40 @@ def _closed(m: Dynamics, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
 
     places = jax.lax.fori_loop(0, _STEPS, step, places)
     return moving(jnp.where(jnp.all(jnp.isfinite(places)), places, y[:count]))
+
+
+def orbits(model: Dynamics, params: Params, run: Any) -> dict[str, Orbit]:
+    """Of contacts whose gap is round, without members: the second body's marker seen from the first's."""
+    names = _in_rings(model)
+    if not names or run.trajectory is None:
+        return {}
+    arguments = (dict(params), run.times, run.trajectory)
+    apart = program("orbits", _paths, (model,), arguments, QUICK)[0](*arguments)
+    found = {}
+    for name in names:
+        contact = model.contact(name)
+        outer, inner = contact.between
+        x, y = apart[name]
+        clearance = float(contact.coefficients(params)["clearance"])
+        axes = (f"x of {outer}", f"y of {outer}")
+        found[name] = Orbit(np.asarray(x), np.asarray(y), clearance, f"{inner} in {outer}", axes)
+    return found
+
+
+def _in_rings(model: Dynamics) -> list[str]:
+    return [c.name for c in model.contacts if c.gap.round and not model.members[c.name]]
+
+
+def _paths(model: Dynamics, params: Params, times: Array, states: Array) -> dict[str, tuple[Array, Array]]:
+    return jax.vmap(lambda t, y: _apart(model, t, y, params))(times, states)
+
+
+def _apart(model: Dynamics, t: Array, y: Array, p: Params) -> dict[str, tuple[Array, Array]]:
+    """By contact with a round gap, its markers' distance [m] along the first body's x and y axes."""
+    parts, found = model.instant(t, y, p, laws=False).bodies.parts, {}
+    for name in _in_rings(model):
+        c = model.contact(name)
+        first, second = c.frames(parts, p)
+        apart = subtract(second.place, first.place)
+        found[name] = jnp.asarray(dot(first.axes[0], apart)), jnp.asarray(dot(first.axes[1], apart))
+    return found

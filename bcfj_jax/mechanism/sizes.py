@@ -11,6 +11,7 @@ A number may be of any library, and a row of numbers any sequence or array: ``pl
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -26,17 +27,15 @@ from bcfj_jax.mechanism.arrays import refuse_traced
 Params = Mapping[str, Array]
 Size = float | int | str | Callable[[Params], Any] | None
 Place = tuple[Size, Size, Size]
+# By name what parameters are, with their defaults.
+Parameters = dict[str, tuple[Quantity, Any]]
 
 ORIGIN: Place = (0.0, 0.0, 0.0)
 _POSITIVE = {"mass", "inertia", "inertia_x", "inertia_y", "inertia_z"}
 
 
 def plain(where: str, given: Any) -> Any:
-    """What was given as a size or several: Python's numbers and tuples; names, functions and None stay.
-
-    Raises:
-        InputError: for what is none of these, and for traced values, which are passed as parameters.
-    """
+    """What was given as a size or several: Python's numbers and tuples; names, functions and None stay."""
     refuse_traced(where, given)
     return _plain(where, given)
 
@@ -57,7 +56,12 @@ def _plain(where: str, given: Any) -> Any:
 
 def field(where: str, **more: Any) -> Any:
     """A static field of a part that is a size, or several; ``where`` is its name in messages."""
-    return eqx.field(static=True, converter=partial(plain, where), **more)
+    return eqx.field(static=True, converter=partial(plain, where), metadata={"size": True}, **more)
+
+
+def given(part: Any) -> list[Any]:
+    """What a part has in its fields that are sizes."""
+    return [getattr(part, f.name) for f in dataclasses.fields(part) if "size" in f.metadata]
 
 
 def length(size: Size, part: str, key: str, p: Params) -> Any:
@@ -77,12 +81,26 @@ def value(size: Size, part: str, key: str, p: Params) -> Any:
     return p[f"{part}.{key}"]
 
 
+def point(place: Place, part: str, key: str, p: Params) -> tuple[Any, Any, Any]:
+    """Values of three lengths, ``<part>.<key>_x`` and so on."""
+    x, y, z = (length(size, part, f"{key}_{letter}", p) for letter, size in zip("xyz", place, strict=True))
+    return x, y, z
+
+
+def of_point(place: Place, part: str, key: str, meaning: str) -> Parameters:
+    """The parameters that three lengths are; ``meaning`` has {} for the letter."""
+    found: Parameters = {}
+    for letter, size in zip("xyz", place, strict=True):
+        found |= stated(size, part, f"{key}_{letter}", "m", meaning.format(letter))
+    return found
+
+
 def nothing(size: Size) -> bool:
     """Whether a size is the number 0, which is no parameter."""
     return isinstance(size, (int, float)) and not isinstance(size, bool) and size == 0
 
 
-def own(size: Size, part: str, key: str, unit: str, meaning: str) -> dict[str, tuple[Quantity, float | None]]:
+def own(size: Size, part: str, key: str, unit: str, meaning: str) -> Parameters:
     """The parameter that a size is by itself, with its default; nothing for a name, a function or a zero length."""
     if isinstance(size, str) or callable(size):
         return {}
@@ -96,17 +114,13 @@ def own(size: Size, part: str, key: str, unit: str, meaning: str) -> dict[str, t
     return {name: (quantity, float(size))}
 
 
-def stated(size: Size, part: str, key: str, unit: str) -> dict[str, tuple[Quantity, float | None]]:
-    """``own`` under its own name; nothing of a 0."""
-    return {} if nothing(size) else own(size, part, key, unit, f"{key.replace('_', ' ')} of {part}")
+def stated(size: Size, part: str, key: str, unit: str, meaning: str = "") -> Parameters:
+    """``own``, by default under its own name; nothing of a 0."""
+    return {} if nothing(size) else own(size, part, key, unit, meaning or f"{key.replace('_', ' ')} of {part}")
 
 
 def axis(direction: Any, where: str) -> Any:
-    """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept.
-
-    Raises:
-        InputError: for anything else, and for a vector without length.
-    """
+    """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept."""
     if callable(direction):
         return direction
     if isinstance(direction, str):

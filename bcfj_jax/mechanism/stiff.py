@@ -10,9 +10,8 @@ of frequency w ask for steps below 1/w of every method. With T the length of the
   w = v_n/d, so r = m(0) v_n w. Friction is stiff where r T > STEEP, and r > STIFF w or r T > LONG;
 - a state of a normal-force law relaxes fast at the expected depth, by the same limits.
 
-A step of an implicit method costs several explicit ones, and in the mechanisms measured it takes no fewer
-(benchmarks/solve/friction.py): a contact slides or is apart most of the time, when friction relaxes more slowly. Therefore
-STIFF is far above 1. Bristles (LuGre) are stiff always.
+STIFF is far above 1, since an implicit step costs several explicit ones and is hardly longer (benchmarks/solve/friction.py).
+Bristles (LuGre) are stiff always.
 Damping within contacts acts for the time of a contact, which has to be resolved anyway, and does not count.
 """
 

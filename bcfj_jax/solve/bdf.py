@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.solve.remembering import AtTouch
 from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 from bcfj_jax.solve.tangents import along
 from bcfj_jax.xla.kept import once
@@ -100,23 +101,6 @@ class AbstractWatch(eqx.Module):
     @abstractmethod
     def after(self, seen: Any, end: Array, length: Array, read: Callable[[Array], Array]) -> Any:
         """What is known after a step that ended at ``end`` [s]; ``read`` gives the state (n,) at a time within it."""
-
-
-class AbstractMemory(eqx.Module):
-    """States that an event within a step sets, and that do not change until the next: after it they have no differences."""
-
-    places: eqx.AbstractVar[tuple[int, ...]]
-
-    @abstractmethod
-    def before(self, t: Array, y: Array, args: Any) -> Array:
-        """Of each place, whether its event is still to come (k,), in the state (n,)."""
-
-    @abstractmethod
-    def set(self, end: Array, length: Array, read: Callable[[Array], Array], args: Any, changes: Any) -> Array:
-        """What each place is (1 + k, m) after an event in the step that ended at ``end`` [s]: its value, and its tangents.
-
-        ``read`` gives rows (1 + k, n) at a time within the step, at fixed times.
-        """
 
 
 class _State(NamedTuple):
@@ -212,7 +196,7 @@ class Steps(NamedTuple):
     segment: int = 0
     watch: AbstractWatch | None = None
     limits: Limits | None = None
-    memory: AbstractMemory | None = None
+    memory: AtTouch | None = None
 
 
 class _Carry(NamedTuple):

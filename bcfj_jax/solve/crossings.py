@@ -20,7 +20,7 @@ from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
 from bcfj_jax.solve import bdf, integrate
-from bcfj_jax.solve.landing import PIECES, Instants, Look, crossed_at, cubic, look, put
+from bcfj_jax.solve.landing import PIECES, Instants, Look, course, crossed_at, look, noted, opening, put
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.remembering import at_touch
 from bcfj_jax.xla.batched_jvp import together
@@ -69,14 +69,11 @@ class Watch(bdf.AbstractWatch):
     def begin(self, start: Array) -> _Memory:
         """What touches at the start."""
         seen = look(self.model, jnp.zeros(()), start, self.prepared)
-        inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
-        none, zero = jnp.full((*seen.depth.shape, self.most), jnp.nan), jnp.zeros(seen.depth.shape)
-        count = jnp.where(inside, 1, 0)
-        found = Instants(none, none, none, count)
+        (inside, found), zero = opening(seen, self.most), jnp.zeros(seen.depth.shape)
         size = jnp.abs(seen.force)
         top = jnp.where(inside, size, -jnp.inf)
         return _Memory(
-            jnp.zeros(2), size, seen, inside, found, none, jnp.zeros_like(count), top, zero, zero * jnp.nan,
+            jnp.zeros(2), size, seen, inside, found, found.high, jnp.zeros_like(found.count), top, zero, zero * jnp.nan,
             jnp.zeros_like(inside),
         )  # fmt: skip
 
@@ -116,7 +113,7 @@ class Watch(bdf.AbstractWatch):
 
     def _missed(self, m: _Memory, now: Look, length: Array) -> Array:
         """Channels (C,) that cross and come back within the step."""
-        way = jnp.where(m.inside, -1.0, 1.0) * cubic(m.before, now, length, jnp.arange(1, PIECES)[:, None] / PIECES)
+        way = jnp.where(m.inside, -1.0, 1.0) * course(m.before, now, length).at(jnp.arange(1, PIECES)[:, None] / PIECES)
         return jnp.any(way > self.near, axis=0)
 
 
@@ -133,10 +130,8 @@ def _summit(m: _Memory, end: Array, size: Array) -> tuple[Array, Array]:
 
 def _noted(at: Array, m: _Memory, turned: Array) -> tuple[Instants, Array]:
     """The contacts with those that began or ended at instants (C,) [s], and their reaches."""
-    begun, ended = turned & ~m.inside, turned & m.inside
-    count = m.found.count + begun
-    begin, end = put(m.found.begin, begun, count, at), put(m.found.end, ended, count, at)
-    return Instants(begin, end, put(m.found.high, ended, count, m.high), count), put(m.reaches, ended, count, m.reach)
+    found = noted(m.found, at, turned, m.inside, m.high)
+    return found, put(m.reaches, turned & m.inside, found.count, m.reach)
 
 
 def solved(

@@ -1,7 +1,7 @@
 """What happens in the steps of a run, and not in the samples that it is read at: contact forces, impulses, balances.
 
 At the middle and the end of every accepted step each contact and each account of the model (``AbstractModel.accounts``) is
-evaluated (``watched``). A parabola through the two and the step's beginning gives the greatest force between them, Simpson's
+evaluated (``wrapped``). A parabola through the two and the step's beginning gives the greatest force between them, Simpson's
 rule the impulse and the work, a cubic the instant of touch. An impact that the step control resolves is thereby seen,
 however coarse the samples are. Without diffrax, which a kept program does not need.
 """
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Account, Params
+from bcfj_jax.solve.cubic import hermite
 
 # Newton's steps to the root of a cubic, from that of its secant.
 _NEWTON = 5
@@ -159,14 +160,12 @@ def simpson(width: Any, first: Array, middle: Array, last: Array) -> tuple[Array
 
 def _root(width: Any, a: Look, b: Look) -> Array:
     """Share of a width at which the cubic of two penetrations and their rates is 0, where they differ in sign."""
-    d0, d1, v0, v1 = a.penetration, b.penetration, width * a.rate, width * b.rate
-    rise = d1 - d0
-    square, cube = 3.0 * rise - 2.0 * v0 - v1, v0 + v1 - 2.0 * rise
-    share = jnp.clip(-d0 / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0)
+    course, rise = hermite((a.penetration, b.penetration), (a.rate, b.rate), width), b.penetration - a.penetration
+    share = jnp.clip(-a.penetration / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0)
     for _ in range(_NEWTON):
-        value = d0 + share * (v0 + share * (square + share * cube))
-        slope = v0 + share * (2.0 * square + 3.0 * share * cube)
-        share = jnp.clip(share - jnp.where(slope * rise > 0, value / jnp.where(slope == 0, 1.0, slope), 0.0), 0.0, 1.0)
+        slope = course.slope_at(share)
+        step = jnp.where(slope * rise > 0, course.at(share) / jnp.where(slope == 0, 1.0, slope), 0.0)
+        share = jnp.clip(share - step, 0.0, 1.0)
     return share
 
 

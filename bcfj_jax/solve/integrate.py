@@ -1,17 +1,7 @@
 """The one place that decides solver, step control, output and failure handling.
 
 Accuracy is stated as an error of the contact force in fractions of its peak; ``plan`` turns it into a
-tolerance, ``integrate`` runs it. Which solver a model gets follows from its traits:
-
-| model | solver | why |
-|---|---|---|
-| not stiff | Tsit5 | a few elastic or damped springs are oscillatory, not stiff: explicit wins |
-| ... derivatives, of a model with contacts | Tsit5 with ``landing`` | of a step across a kink they are wrong |
-| stiff, values | RODAS3 on the model's structure | one factorisation a step; no iteration, so no run of a batch waits |
-| stiff, forward derivatives | SDIRK2 on the model's structure | every stage implicit and converged: tangents stay bounded |
-| ... tighter than 0.05 % | BDF on the model's structure | tangents' own error controlled: high order, one matrix a step |
-| stiff, reverse derivatives | BDF on the model's structure | its steps are recorded, and transposed (``adjoint``) |
-| without a history | none | each instant is solved for itself: equilibrium, or closed form |
+tolerance, ``integrate`` runs it. Which solver a model gets follows from its traits (docs/architecture.md).
 
 Tsit5 and not Dopri8: Tsit5 evaluates the force at the end of a step and weighs it in the error estimate, so a
 flight cannot end inside a surface unnoticed; Dopri8 does not, and was seen to fall through a bounce's
@@ -36,7 +26,7 @@ from jax import Array
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import NOT_FINITE, OK, SOLVER, STEPS
 from bcfj_jax.mechanism.channels import is_reading
-from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
+from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution, field
 from bcfj_jax.solve import adjoint, bdf, named
 from bcfj_jax.solve.extremes import named as by_name
 from bcfj_jax.solve.landing import NEAR, Instants, Landing, bending, bristled, contacts, look
@@ -46,7 +36,7 @@ from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, allowed_in
 from bcfj_jax.solve.tangents import beside
-from bcfj_jax.solve.watched import Watched
+from bcfj_jax.solve.wrapped import Watched
 from bcfj_jax.xla.batched_jvp import lane_by_lane, still, together
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
@@ -125,17 +115,12 @@ def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differe
             finder = dfx.VeryChord(rtol=_ROUNDING, atol=atol, norm=_safe_norm)
             solver = eqx.tree_at(lambda s: s.root_finder, solver, finder)
         shortest = _ROUNDED * jnp.maximum(jax.lax.stop_gradient(end), first)
-        return Problem(_field, (model, prepared), start, scales, first, shortest, gains, solver, *limits)
+        return Problem(field, (model, prepared), start, scales, first, shortest, gains, solver, *limits)
     last = jax.lax.stop_gradient(end)
     first = jnp.where(last > 0, jnp.minimum(first, 1e-2 * last), first)
     structure, implicit = model.structure(), differentiable or how.solver in ("sdirk2", "bdf")
     solver = Sdirk(structure, how.tolerance * scales) if implicit else Rodas(structure)
     return Problem(structure.field, (model, prepared), start, scales, first, _SHORTEST, gains, solver, *limits)
-
-
-def _field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
-    model, prepared = args
-    return model.vector_field(t, y, prepared)
 
 
 def integrate(

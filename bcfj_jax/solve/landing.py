@@ -21,7 +21,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.normal import GAP
+from bcfj_jax.core.numerics import bisected
 from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.cubic import Cubic, hermite
 from bcfj_jax.solve.remembering import close
 from bcfj_jax.solve.wrapped import AbstractControl
 
@@ -180,10 +182,8 @@ class Landing(AbstractControl):
         model, prepared = args
         start = y0[: self.size]
         seen = surfaces(model, t0, start, prepared)
-        inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
-        empty = jnp.full((*seen.depth.shape, self.most), jnp.nan)
-        count = jnp.where(inside, 1, 0)
-        found, top = Instants(empty, empty, empty, count), jnp.where(inside, jnp.abs(seen.force), -jnp.inf)
+        inside, found = opening(seen, self.most)
+        top = jnp.where(inside, jnp.abs(seen.force), -jnp.inf)
         none = jnp.zeros(seen.depth.shape)
         tops = None
         if self.since is not None:
@@ -241,7 +241,9 @@ class Landing(AbstractControl):
             jax.tree.map(lambda a, b: jnp.where(again, a, b), memory.inner, inner),
             Look(*(jnp.where(kept, a, b) for a, b in zip(now, memory.before, strict=True))),
             inside,
-            jax.lax.cond(landed, lambda: _noted(memory.found, fixed(t1), memory, turned), lambda: memory.found),
+            jax.lax.cond(
+                landed, lambda: noted(memory.found, fixed(t1), turned, memory.inside, memory.high), lambda: memory.found
+            ),
             jnp.where(again, memory.tries + 1, jnp.where(keep, 0, memory.tries)),
             jnp.where(landed, 0.0, free),
             since,
@@ -306,10 +308,9 @@ def restarted(control: tuple) -> tuple:
     return (restarted(first), *rest) if isinstance(first, tuple) else (*map(jnp.ones_like, control[:2]), *control[2:])
 
 
-def cubic(before: Look, now: Look, dt: Any, s: Array) -> Array:
-    """Hermite's cubic of the penetrations (C,) in a step, at a share s of it [m]."""
-    a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
-    return a + s * (p + s * (3 * (b - a) - 2 * p - q + s * (2 * (a - b) + p + q)))
+def course(before: Look, now: Look, dt: Any) -> Cubic:
+    """The penetrations (C,) in a step [m]."""
+    return hermite((before.depth, now.depth), (before.rate, now.rate), dt)
 
 
 @jax.jit  # As ``look``.
@@ -318,39 +319,38 @@ def crossed_at(before: Look, now: Look, inside: Array, dt: Any, short: Any) -> A
 
     A stage beyond would have the field of the other side, which may be another by a jump.
     """
-    a, b, p, q = before.depth, now.depth, dt * before.rate, dt * now.rate
-    sign, fixed = jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
+    found, sign, fixed = course(before, now, dt), jnp.where(inside, -1.0, 1.0), jax.lax.stop_gradient
 
     def outward(s: Array) -> Array:
-        return sign * cubic(before, now, dt, s) + short
+        return sign * found.at(s) + short
 
     def crossed(s: Array) -> Array:
         return fixed(outward(s)) > 0
 
     ends = jnp.arange(1, PIECES + 1) / PIECES
-    first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(a)), axis=1)
+    first = jnp.argmax(jax.vmap(crossed, 0, 1)(ends[:, None] * jnp.ones_like(sign)), axis=1)
     bracket = first / PIECES, (first + 1.0) / PIECES
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        middle = 0.5 * (bracket[0] + bracket[1])
-        past = crossed(middle)
-        return jnp.where(past, bracket[0], middle), jnp.where(past, middle, bracket[1])
-
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, bracket)
+    low, high = bisected(crossed, bracket, _HALVINGS)
     root = 0.5 * (low + high)
     # Of a root that moves with the parameters: the last step of Newton's method.
-    slope = fixed(sign * (p + root * (2 * (3 * (b - a) - 2 * p - q) + 3 * root * (2 * (a - b) + p + q))))
+    slope = fixed(sign * found.slope_at(root))
     return root - jnp.where(slope == 0, 0.0, outward(root) / jnp.where(slope == 0, 1.0, slope))
 
 
-def _noted(found: Instants, t: Any, memory: _Memory, turned: Array) -> Instants:
-    """The contacts with those that began or ended at an instant [s]."""
-    begun, ended = turned & ~memory.inside, turned & memory.inside
+def opening(seen: Look, most: int) -> tuple[Array, Instants]:
+    """Which channels touch at the start, and room for the first ``most`` contacts of each."""
+    inside = (seen.depth > 0) | ((seen.depth == 0) & (seen.rate > 0) & (seen.force > 0))
+    empty = jnp.full((*seen.depth.shape, most), jnp.nan)
+    return inside, Instants(empty, empty, empty, jnp.where(inside, 1, 0))
+
+
+def noted(found: Instants, at: Any, turned: Array, inside: Array, high: Array) -> Instants:
+    """The contacts with those that began or ended at instants [s]; ``inside`` and ``high`` are as before."""
+    begun, ended = turned & ~inside, turned & inside
     count = found.count + begun
-    return Instants(
-        put(found.begin, begun, count, t), put(found.end, ended, count, t),
-        put(found.high, ended, count, memory.high), count,
-    )  # fmt: skip
+    begin, end = put(found.begin, begun, count, at), put(found.end, ended, count, at)
+    return Instants(begin, end, put(found.high, ended, count, high), count)
 
 
 def put(table: Array, where: Array, count: Array, values: Any) -> Array:

@@ -20,7 +20,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Approaches
-from bcfj_jax.solve.bdf import AbstractMemory
 from bcfj_jax.solve.wrapped import AbstractWrapped
 from bcfj_jax.xla import batched_jvp
 
@@ -72,18 +71,25 @@ class Remembering(AbstractWrapped):
         return y1, error, dense, (memory, apart), result
 
 
-class AtTouch(AbstractMemory):
-    """Approach speeds in runs by BDF; the arguments of the field are (model, what it has prepared)."""
+class AtTouch(eqx.Module):
+    """Approach speeds in runs by BDF: states ``places`` that a touch within a step sets, and that do not change until the next.
+
+    After it they have no differences. The arguments of the field are (model, what it has prepared).
+    """
 
     places: tuple[int, ...] = eqx.field(static=True)
 
-    def before(self, t, y, args):
-        """Those whose surfaces are apart."""
+    def before(self, t: Array, y: Array, args: Any) -> Array:
+        """Of each place, whether its surfaces are apart (k,), in the state (n,)."""
         model, prepared = args
         return model.approaches(t, y, prepared).depth < 0.0
 
-    def set(self, end, length, read, args, changes):
-        """The speeds at the roots of the penetrations, whose shift is dt = -(dd/dp)/(dd/dt)."""
+    def set(self, end: Array, length: Array, read: Callable[[Array], Array], args: Any, changes: Any) -> Array:
+        """What each place is (1 + k, m) after a touch in the step that ended at ``end`` [s]: its value, and its tangents.
+
+        Speeds are those at the roots of the penetrations, whose shift is dt = -(dd/dp)/(dd/dt). ``read`` gives rows (1 + k, n)
+        at a time within the step, at fixed times.
+        """
         model = args[0]
 
         def seen(t: Array, y: Array, args: Any) -> Approaches:

@@ -46,7 +46,6 @@ class RodasInterpolation(dfx.AbstractLocalInterpolation):
 
     def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> Array:
         """State at ``t0``, or the increment from ``t0`` to ``t1``."""
-        del left
         if t1 is not None:
             return self.evaluate(t1) - self.evaluate(t0)
         width = self.t1 - self.t0
@@ -76,7 +75,6 @@ class Rodas(dfx.AbstractAdaptiveSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """One step; the last stage is the error estimate. Stages are those of the form without products by J."""
-        del terms, solver_state, made_jump
         y1, error, bend = _step(self.structure, t0, t1, y0, args)
         return y1, error, dict(y0=y0, y1=y1, bend=bend), None, dfx.RESULTS.successful
 

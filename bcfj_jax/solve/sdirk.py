@@ -63,7 +63,6 @@ class Sdirk(dfx.AbstractAdaptiveSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """Two stages; the error is the bend of three slopes, filtered by the stiff matrix."""
-        del terms, made_jump
         y1, error, last, bend = _step(self, t0, t1, y0, args, solver_state)
         return y1, error, dict(y0=y0, y1=y1, k0=bend[0], k1=bend[1]), last, dfx.RESULTS.successful
 

@@ -16,7 +16,7 @@ happens from there on the error estimate sees.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -24,7 +24,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.core.numerics import bisected
 from bcfj_jax.mechanism.model import AbstractModel, Proximity
+from bcfj_jax.solve.cubic import Cubic, Extreme, hermite
 from bcfj_jax.solve.wrapped import AbstractControl, AbstractWrapped
 
 # Speeds within a step are taken to be up to this multiple of the greater one at its ends.
@@ -103,13 +105,6 @@ def _fit(seen: Proximity, h: Array) -> Array:
     return jnp.maximum(-seen.depth / moved, 0.9 * _SHARE / jnp.maximum(turned, moved / seen.bends))
 
 
-class Extreme(NamedTuple):
-    """A greatest or least penetration [m] of a cubic, and the share of the step where it is; (C,) each."""
-
-    depth: Array
-    at: Array
-
-
 def _doubt(extreme: Extreme, band: Array, p: Array, q: Array) -> Array:
     """By how much a course may go beyond a cubic's extreme (C,) [m]; p, q: slopes at both ends, per step, outwards.
 
@@ -119,39 +114,9 @@ def _doubt(extreme: Extreme, band: Array, p: Array, q: Array) -> Array:
     return jnp.where(steep >= 8.0 * band, 0.0, band)
 
 
-class _Cubic(NamedTuple):
-    """Hermite's cubic of the penetrations (C,) in a step, by powers of the share of it [m]."""
-
-    value: Array
-    slope: Array
-    second: Array
-    third: Array
-
-    def at(self, s: Any) -> Array:
-        return self.value + s * (self.slope + s * (self.second + s * self.third))
-
-    def slope_at(self, s: Any) -> Array:
-        return self.slope + s * (2.0 * self.second + 3.0 * s * self.third)
-
-    def extremes(self) -> tuple[Extreme, Extreme]:
-        """Greatest and least between 0 and 1."""
-        # Roots of the slope, by the form that loses no digits.
-        root = jnp.sqrt(jnp.maximum(self.second**2 - 3.0 * self.third * self.slope, 0.0))
-        sum_of = -(self.second + jnp.where(self.second >= 0.0, root, -root))
-        ratio = lambda a, b: jnp.where(b == 0.0, 0.0, a / jnp.where(b == 0.0, 1.0, b))  # noqa: E731
-        first, last = self.value, self.value + self.slope + self.second + self.third
-        high, low = (Extreme(jnp.where(x, last, first), jnp.where(x, 1.0, 0.0)) for x in (last > first, last <= first))
-        for s in (jnp.clip(ratio(sum_of, 3.0 * self.third), 0.0, 1.0), jnp.clip(ratio(self.slope, sum_of), 0.0, 1.0)):
-            value = self.at(s)
-            higher, lower = value > high.depth, value < low.depth
-            high = Extreme(jnp.where(higher, value, high.depth), jnp.where(higher, s, high.at))
-            low = Extreme(jnp.where(lower, value, low.depth), jnp.where(lower, s, low.at))
-        return high, low
-
-
-def _between(a: Proximity, b: Proximity, h: Array) -> _Cubic:
-    rise, p, q = b.depth - a.depth, h * a.rate, h * b.rate
-    return _Cubic(a.depth, p, 3.0 * rise - 2.0 * p - q, p + q - 2.0 * rise)
+def _between(a: Proximity, b: Proximity, h: Array) -> Cubic:
+    """The penetrations (C,) in a step [m]."""
+    return hermite((a.depth, b.depth), (a.rate, b.rate), h)
 
 
 def _over(x: Array, y: Array) -> Array:
@@ -159,7 +124,7 @@ def _over(x: Array, y: Array) -> Array:
     return jnp.where(x > 0.0, x / y, 0.0)
 
 
-def _touch(cubic: _Cubic, high: Extreme, level: Array, exact: bool) -> Array:
+def _touch(cubic: Cubic, high: Extreme, level: Array, exact: bool) -> Array:
     """Share of a step before ``high`` at which the cubic of the penetration reaches a level [m], or just before that.
 
     The cubic is concave towards its top: one step of Newton from the chord's root ends before the touch.
@@ -167,12 +132,7 @@ def _touch(cubic: _Cubic, high: Extreme, level: Array, exact: bool) -> Array:
     if not exact:
         chord = high.at * _over(level - cubic.value, high.depth - cubic.value)
         return jnp.maximum(chord - _over(cubic.at(chord) - level, cubic.slope_at(chord)), 0.1 * chord)
-    low, end = jnp.zeros_like(high.at), high.at
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + end)
-        past = cubic.at(middle) > level
-        low, end = jnp.where(past, low, middle), jnp.where(past, middle, end)
-    return end
+    return bisected(lambda share: cubic.at(share) > level, (jnp.zeros_like(high.at), high.at), _HALVINGS)[1]
 
 
 def _agrees(a: Proximity, inner: tuple[Proximity, ...], b: Proximity, h: Array, near: Array) -> Array:

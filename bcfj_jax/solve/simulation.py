@@ -43,7 +43,7 @@ class Run(NamedTuple):
         penetration, rate: per contact (T,): overlap [m] (negative: gap) and its rate [m/s].
         slip: per contact (T,): sliding speed [m/s]; empty for models that only approach.
         status: "ok", "failed", or "doubtful" where ``measure_error`` found that the run may have missed an event, or where
-            a contact met another approach speed than it remembers (``mechanism.approaches``); a failed run is NaN from the
+            a contact met another approach speed than it remembers (``mechanism.stepping``); a failed run is NaN from the
             failure on.
         reason, failure_time: why and from when on [s] it failed or is doubtful; "" and NaN for a good run.
         stats: steps accepted and rejected, tolerance, wall and compile seconds.

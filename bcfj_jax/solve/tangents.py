@@ -42,7 +42,6 @@ class SdirkTangents(AbstractWrapped):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         """One step; the error of tangents is 0."""
-        del terms, made_jump
         rows, error, slopes, ends = _step(self, t0, t1, y0, args, solver_state)
         return rows, error, dict(y0=y0, y1=rows, k0=ends[0], k1=ends[1]), slopes, dfx.RESULTS.successful
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.custom_batching import custom_vmap
+from jax.custom_batching import custom_vmap, sequential_vmap
 from jax.custom_derivatives import SymbolicZero
 
 X = TypeVar("X")
@@ -112,20 +112,11 @@ def lane_by_lane(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @one.def_vmap
     def _(size, batched, *operands):
-        if not any(jax.tree.leaves(batched[:-1])):
-            axes = jax.tree.map(lambda b: 0 if b else None, batched[-1])
-            many = jax.vmap(function, (*[None] * (len(operands) - 1), axes), axis_size=size)
-            found = lane_by_lane(many)(*operands)
+        axes = jax.tree.map(lambda b: 0 if b else None, tuple(batched))
+        if any(jax.tree.leaves(batched[:-1])):
+            found = jax.vmap(sequential_vmap(lane_by_lane(function)), axes, axis_size=size)(*operands)
         else:
-            leaves, structure = jax.tree.flatten(operands)
-            moving = jax.tree.leaves(batched)
-
-            def lane(rows: list) -> Any:
-                spread = iter(rows)
-                mixed = [next(spread) if moves else leaf for leaf, moves in zip(leaves, moving, strict=True)]
-                return lane_by_lane(function)(*jax.tree.unflatten(structure, mixed))
-
-            found = jax.lax.map(lane, [leaf for leaf, moves in zip(leaves, moving, strict=True) if moves])
+            found = lane_by_lane(jax.vmap(function, axes, axis_size=size))(*operands)
         return found, jax.tree.map(lambda _: True, found)
 
     return one

@@ -95,7 +95,6 @@ def _evaluate(*operands, points, of):
 
 
 def _abstract(*operands, points, of):
-    del points
     plain = [ShapedArray(s.shape, s.dtype) for s in of.outs]
     first = operands[0]
     if not first.mat.varying:

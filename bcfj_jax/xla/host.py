@@ -97,9 +97,6 @@ def evaluate(traced: ClosedJaxpr, arguments: Sequence[Any]) -> list[np.ndarray]:
     Args:
         traced: from ``jax.make_jaxpr``.
         arguments: its inputs, flat, in their order.
-
-    Raises:
-        Unknown: for a primitive that is not among those known here.
     """
     with np.errstate(all="ignore"):
         return _closed(traced, [np.asarray(x) for x in arguments])

@@ -425,11 +425,7 @@ def _register(outcome: str) -> None:
 
 
 def describe(x: Any) -> str:
-    """Static structure as text: equal texts mean equal programs.
-
-    Raises:
-        Unkept: for what is neither data nor a class or function of a known package.
-    """
+    """Static structure as text: equal texts mean equal programs."""
     if x is None or isinstance(x, (bool, int, str, bytes)):
         return f"{type(x).__name__}:{x!r}"
     if isinstance(x, (float, np.generic)):

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk, lambertw
 
 from bcfj_jax import stiffness
-from bcfj_jax.contact.elliptic import associate_integrals
 from bcfj_jax.contact.restitution import undamped_duration, undamped_peak, undamped_penetration
+from bcfj_jax.contact.stiffness import associate_integrals
 from bcfj_jax.verification import oracles
 
 STEEL = oracles.STEEL

@@ -32,7 +32,7 @@ from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.mechanism.onward import BEGIN, START, Onward
+from bcfj_jax.mechanism.observed import BEGIN, START, Onward
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
 from bcfj_jax.xla.programs import program

@@ -12,6 +12,7 @@ from jax import Array
 
 from bcfj_jax.contact.gaps.base import (
     ROUND,
+    AbstractFlat,
     AbstractGap,
     Bends,
     Coefficients,
@@ -30,15 +31,11 @@ from bcfj_jax.core.vectors import Vector, add, cross, dot, length, plus, scale, 
 
 
 def sector(cosine: Any) -> Array:
-    """1 where a flank faces its ball, 0 where the ball is on the far side of the groove's middle; C1 between.
-
-    Args:
-        cosine: of the angle between the contact's normal and the way across the track, on the flank's side.
-    """
+    """1 where a flank faces its ball, 0 beyond the groove's middle; C1. Of the cosine of the normal against the way across."""
     return smooth_step(20.0 * cosine)
 
 
-class BallBetweenPlanes(AbstractGap):
+class BallBetweenPlanes(AbstractFlat):
     """A ball of b between two parallel planes of a, faces or ends of a cage window:  d = +-p . e - clearance,  n = +-e.
 
     p leads from a's marker, midway between the planes, to b's, the ball's centre. The point of contact is on the ball,
@@ -63,30 +60,19 @@ class BallBetweenPlanes(AbstractGap):
 
     @property
     def members(self) -> int:
-        """The windows."""
         return self.windows
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """Two faces, at +e and at -e."""
         x, y, z = self.axis
         if self.windows:
             angle = 2.0 * np.pi * np.arange(self.windows) / self.windows
             x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
         return between(a, b, turned(a.axes, (x, y, z)), c["clearance"], c["ball_radius"])
 
-    def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone."""
-        del c
-        return Bends(np.inf)
-
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Outward: from a's marker to the ball's centre."""
-        del c
         return subtract(b.place, a.place)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """The ball."""
-        del look
         return (), (shapes.ball(c["ball_radius"]),)
 
 
@@ -129,13 +115,11 @@ class BallInGroove(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Sizes of ball and track, and of a gothic section."""
         sizes = ("clearance", "ball_radius", "pitch_radius", "offset")
         return sizes if self.section == "circular" else (*sizes, "contact_angle", "conformity")
 
     @property
     def members(self) -> int:
-        """The tracks."""
         return self.tracks
 
     def _place(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Vector, Vector]:
@@ -148,7 +132,6 @@ class BallInGroove(AbstractGap):
         return place, subtract(scale(np.cos(angle), a.axes[1]), scale(np.sin(angle), a.axes[0]))
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face of a circular section, two flanks of a gothic one."""
         place, across = self._place(a, b, c)
         aside = dot(place, across)
         plane = subtract(place, scale(aside, across))
@@ -168,20 +151,16 @@ class BallInGroove(AbstractGap):
         return first, second
 
     def bends(self, c: Coefficients) -> Bends:
-        """Over the section's radius less the ball's, and by rotation."""
         free = c["clearance"]
         if self.section == "gothic":
             free = free + c["ball_radius"] * (2.0 * c["conformity"] - 1.0)
         return Bends(free)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Along the track."""
         place, across = self._place(a, b, c)
         return unit(cross(place, across))
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """The tracks, forty degrees to either side of the pitch circle, and the ball."""
-        del look
         outer = self.side == "outer"
         radius, lean = (
             float(np.hypot(c["pitch_radius"], c["offset"])),
@@ -209,12 +188,7 @@ def groove(
 ) -> shapes.Mesh:
     """The surface of a track, from its centre, in the plane of x and z; x is along the middle of the arc.
 
-    Args:
-        ball, radius: of the ball and of the centre circle [m].
-        clearance: normal to a flank [m].
-        side: "outer" or "inner".
-        gothic: flank [m] and contact angle [rad] of a gothic section; None for a circular one.
-        span: angles between which it is drawn, in the track's plane, from x towards z [rad].
+    ``gothic``: flank [m] and contact angle [rad], None of a circular section; ``span``: angles drawn, from x towards z [rad].
     """
     kappa = 1.0 if side == "outer" else -1.0
     turn = np.linspace(-1.2, 1.2, 11)

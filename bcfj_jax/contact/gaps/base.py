@@ -141,12 +141,10 @@ class Ground(bj.gaps.AbstractGap):
 
     def carried(self, a: Vector, b: Vector) -> Vector:
         """Angular velocity with which bristles turn, from those of a and b: a's, which holds the plane or the hollow."""
-        del b
         return a
 
     def bends(self, c: Coefficients) -> Bends:
         """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
-        del c
         return Bends(0.0)
 
     def size(self, c: Mapping[str, float]) -> float | None:
@@ -155,7 +153,6 @@ class Ground(bj.gaps.AbstractGap):
 
     def radius(self, c: Mapping[str, float]) -> float | None:
         """Relative radius R of bodies that touch at a point of two equal curvatures, 1/R = 1/R_1 + 1/R_2 [m]; else None."""
-        del c
         return None
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
@@ -163,18 +160,22 @@ class Ground(bj.gaps.AbstractGap):
 
         It need not have length 1. Tangential is across the normal and the axial direction. Arguments as ``faces``.
         """
-        del b, c
         return a.axes[2]
 
     def misread(self, c: Mapping[str, float], deepest: float) -> str:
         """What the greatest penetration of a run [m] says against how the gap was written; "" for nothing. On the host."""
-        del c, deepest
         return ""
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """What it looks like; nothing by default. ``c`` holds numbers. On the host."""
-        del c, look
         return (), ()
+
+
+class AbstractFlat(AbstractGap):
+    """A gap between planes and a point or a round part: rotations alone bend the penetration's course."""
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(np.inf)
 
 
 class FromDepth(AbstractGap):
@@ -189,16 +190,13 @@ class FromDepth(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As given."""
         return self.reads
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """As given."""
         return {q.name: q for q in self.known}
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         # Computed once: where XLA computes it again with other roundings, |x| = max(|x|, |y|) is false for both, and the
         # slope of jnp.hypot, or of any maximum, is lost.
         place = jax.lax.optimization_barrier(array(seen(a.axes, subtract(b.place, a.place))))
@@ -257,41 +255,25 @@ def from_depth(
 
 
 def one_of(option: str, value: Any, known: Iterable[str]) -> None:
-    """Refuse an option's value that is not known.
-
-    Raises:
-        InputError: naming the option and the nearest value that is known.
-    """
+    """Refuse an option's value that is not known."""
     known = tuple(known)
     if value not in known:
         raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
 
 
 def counted(option: str, value: Any) -> int:
-    """A number of members as an ``int``; 0 leaves it to the bodies.
-
-    Raises:
-        InputError: for what is none.
-    """
+    """A number of members as an ``int``; 0 leaves it to the bodies."""
     return whole(f"gap, option '{option}'", value, least=0, most=limits.MEMBERS)
 
 
 def yes_or_no(option: str, value: Any) -> None:
-    """Refuse an option's value that is not a truth value.
-
-    Raises:
-        InputError: naming the option and the value.
-    """
+    """Refuse an option's value that is not a truth value."""
     if not isinstance(value, bool):
         raise InputError(f"gap, option '{option}'", f"{value!r} is neither true nor false", "give true or false")
 
 
 def direction(axis: Any) -> tuple[float, float, float]:
-    """A unit vector in a body's axes, as Python floats: from "x", "-z", or three numbers.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """A unit vector in a body's axes, as Python floats: from "x", "-z", or three numbers."""
     if isinstance(axis, str):
         one_of("axis", axis, ("x", "y", "z", "-x", "-y", "-z"))
         sign = -1.0 if axis.startswith("-") else 1.0

@@ -10,6 +10,7 @@ import numpy as np
 
 from bcfj_jax.contact.gaps.base import (
     ROUND,
+    AbstractFlat,
     AbstractGap,
     Bends,
     Coefficients,
@@ -27,13 +28,9 @@ from bcfj_jax.core.vectors import ZERO, Number, Vector, add, dot, length, negati
 
 
 def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number = 0.0) -> tuple[Face, Face]:
-    """b between two parallel faces of a:  d = +-p . n - clearance.
+    """b between two parallel faces of a:  d = +-p . n - clearance,  p from a's marker, midway between them, to b's.
 
-    Args:
-        a, b: markers; p leads from a's, midway between the faces, to b's.
-        normal: n, from the middle to the first face, world.
-        clearance: from b to either face where b is in the middle [m].
-        reach: distance of the point of contact from b's marker, towards the face [m].
+    n leads from the middle to the first face, world; ``reach``: of the point of contact from b's marker, towards the face [m].
     """
     height = dot(normal, subtract(b.place, a.place))
     back = negative(normal)
@@ -42,11 +39,7 @@ def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number
 
 
 def _travel(axis: Any) -> Direction:
-    """A direction across a's z axis.
-
-    Raises:
-        InputError: for one that is not.
-    """
+    """A direction across a's z axis."""
     way = direction(axis)
     if way[2] != 0.0:
         raise InputError("gap, option 'axis'", f"axis {axis!r} is not across z", "give x, -x, y, -y, or [cos, sin, 0]")
@@ -69,7 +62,7 @@ def _walls(
     return tuple(found)
 
 
-class TwoSidedStop(AbstractGap):
+class TwoSidedStop(AbstractFlat):
     """A point of b between two stops of a:  d = +-p . e - clearance,  n = +-e,  p from a's marker to b's.
 
     The stops are planes across e, ``clearance`` to either side of a's marker. The point of contact is b's marker. First
@@ -89,21 +82,12 @@ class TwoSidedStop(AbstractGap):
     axis: Any = eqx.field(static=True, default="z", converter=direction)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, self.axis), c["clearance"])
 
-    def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone."""
-        del c
-        return Bends(np.inf)
-
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """In the stop's plane (class docstring)."""
-        del b, c
         return in_plane(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """Two walls on a bar, and a block between them: as thick as the walls are drawn farther apart."""
         size, way = look.size, np.array(self.axis)
         # The y axis of these is along e.
         axes = shapes.frame(way, (0.0, 1.0, 0.0) if abs(way[1]) < 0.7 else (1.0, 0.0, 0.0))[:, [1, 2, 0]]
@@ -114,7 +98,7 @@ class TwoSidedStop(AbstractGap):
         return (*walls, bar), (block,)
 
 
-class PinInSlot(AbstractGap):
+class PinInSlot(AbstractFlat):
     """A pin of b between the two parallel walls of a slot of a:  d = +-p . e - clearance,  n = +-e.
 
     p leads from a's marker, on the slot's centre line, to b's, on the pin's axis. The slot runs along ``axis``, the pin
@@ -136,21 +120,12 @@ class PinInSlot(AbstractGap):
     axis: Any = eqx.field(static=True, default="x", converter=_travel)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """Two faces, at +e and at -e."""
         return between(a, b, turned(a.axes, _across(self.axis)), c["clearance"], c["radius"])
 
-    def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone."""
-        del c
-        return Bends(np.inf)
-
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Along the slot."""
-        del b, c
         return turned(a.axes, self.axis)
 
     def misread(self, c: Mapping[str, float], deepest: float) -> str:
-        """A pin whose axis goes beyond a wall travels across the slot."""
         if not deepest > c["radius"]:
             return ""
         way = ", ".join(f"{x:g}" for x in self.axis)
@@ -160,7 +135,6 @@ class PinInSlot(AbstractGap):
         )
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """Two walls and a pin."""
         axes, radius = shapes.frame((0.0, 0.0, 1.0), self.axis), c["radius"]
         half = (np.abs(axes[:, 0]) @ look.half + 1.5 * radius, 0.3 * radius, 0.8 * radius)
         middle = (look.middle @ axes[:, 0]) * axes[:, 0]
@@ -197,16 +171,13 @@ class PinInBearing(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Clearance and radius, and the half length where it touches at both ends."""
         return ("clearance", "radius", "half_length") if self.ends else ("clearance", "radius")
 
     @property
     def members(self) -> int:
-        """2 ends, or 0: the bodies decide."""
         return 2 if self.ends else 0
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         arm = scale(np.array([1.0, -1.0]) * c["half_length"], b.axes[2]) if self.ends else ZERO
         apart = subtract(add(b.place, arm), a.place)
         axis = a.axes[2]
@@ -216,12 +187,9 @@ class PinInBearing(AbstractGap):
         return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
 
     def bends(self, c: Coefficients) -> Bends:
-        """Over the radius in which the centre is free, and by rotation, which carries both ends."""
         return Bends(c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """A ring and a pin."""
-        del look
         radius, hole = c["radius"], c["radius"] + c["clearance"]
         long = c["half_length"] if self.ends else 0.7 * radius
         ring = shapes.cylinder(1.4 * hole, 0.75 * long, hole, c["clearance"])
@@ -256,11 +224,9 @@ class SliderInGuide(AbstractGap):
 
     @property
     def members(self) -> int:
-        """4 corners."""
         return 4
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face of four members."""
         side = np.array([1.0, 1.0, -1.0, -1.0])
         along = np.array([-1.0, 1.0, -1.0, 1.0]) * c["half_length"]
         corner = turned(b.axes, (along, side * c["half_width"], 0.0))
@@ -270,16 +236,12 @@ class SliderInGuide(AbstractGap):
         return (Face(depth, scale(side, across), corner),)
 
     def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone, which carries the corners."""
         return Bends(np.inf, arm=c["half_length"] + c["half_width"])
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """Along the guide."""
-        del b, c
         return turned(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """Two rails as long as the block travels, and the block."""
         axes, long, wide = shapes.frame((0.0, 0.0, 1.0), self.axis), c["half_length"], c["half_width"]
         half = (np.abs(axes[:, 0]) @ look.half + 1.3 * long, 0.2 * wide, 0.6 * wide)
         middle = (look.middle @ axes[:, 0]) * axes[:, 0]

@@ -11,6 +11,7 @@ import numpy as np
 
 from bcfj_jax.contact.gaps.base import (
     ROUND,
+    AbstractFlat,
     AbstractGap,
     Bends,
     Coefficients,
@@ -39,7 +40,7 @@ def _above(a: Frame, b: Frame, normal: Vector, c: Coefficients, receded: bool) -
     return height + c["clearance"] if receded else height
 
 
-class PointOnPlane(AbstractGap):
+class PointOnPlane(AbstractFlat):
     """A point of b on a plane of a:  d = -(p . e) - clearance,  n = -e,  p from a's marker to b's.
 
     The plane holds a's marker and its outer normal is e. The point of contact is b's marker. With ``clearance`` the
@@ -63,26 +64,16 @@ class PointOnPlane(AbstractGap):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Nothing, or the clearance."""
         return ("clearance",) if self.clearance else ()
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         up = turned(a.axes, self.axis)
         return (Face(-_above(a, b, up, c, self.clearance), negative(up)),)
 
-    def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone."""
-        del c
-        return Bends(np.inf)
-
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """In the plane (class docstring)."""
-        del b, c
         return in_plane(a.axes, self.axis)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """A plate, and a ball that the model gives no radius, its lowest point the point of contact."""
         radius = max(0.16 * look.size, 4.0 * self._deepest(c, look))
         ball = shapes.ball(radius).moved(radius * np.array(self.axis))
         return (self._plate(c, look, max(1.5 * radius, 0.3 * look.size)),), (ball,)
@@ -116,21 +107,17 @@ class SphereOnPlane(PointOnPlane):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The radius, and the clearance where there is one."""
         return ("radius", "clearance") if self.clearance else ("radius",)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         up = turned(a.axes, self.axis)
         down = negative(up)
         return (Face(c["radius"] - _above(a, b, up, c, self.clearance), down, scale(c["radius"], down)),)
 
     def radius(self, c: Mapping[str, float]) -> float | None:
-        """The sphere's."""
         return c["radius"]
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """A plate and a sphere."""
         return (self._plate(c, look, max(1.4 * c["radius"], 0.3 * look.size)),), (shapes.ball(c["radius"]),)
 
 
@@ -148,16 +135,13 @@ class BoxOnPlane(PointOnPlane):
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Sizes, and perhaps the clearance."""
         return ("half_length", "half_width", "half_height", *super().needs)
 
     @property
     def members(self) -> int:
-        """8 corners."""
         return 8
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face of eight members."""
         up = turned(a.axes, self.axis)
         sign = np.array(list(itertools.product((-1.0, 1.0), repeat=3))).T
         sizes = c["half_length"], c["half_width"], c["half_height"]
@@ -166,11 +150,9 @@ class BoxOnPlane(PointOnPlane):
         return (Face(-height, negative(up), corner),)
 
     def bends(self, c: Coefficients) -> Bends:
-        """By rotation alone, which carries the corners."""
         return Bends(np.inf, arm=c["half_length"] + c["half_width"] + c["half_height"])
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """A plate, and the box."""
         half = c["half_length"], c["half_width"], c["half_height"]
         return (self._plate(c, look, 2.0 * max(half)),), (shapes.box(half),)
 
@@ -196,7 +178,6 @@ class SphereOnSphere(AbstractGap):
     needs: ClassVar[tuple[str, ...]] = ("radius_a", "radius_b")
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         apart = subtract(b.place, a.place)
         distance = length(apart, ROUND)
         normal = scale(-1.0 / distance, apart)
@@ -204,20 +185,15 @@ class SphereOnSphere(AbstractGap):
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(middle, normal)),)
 
     def carried(self, a: Vector, b: Vector) -> Vector:
-        """The mean of both."""
         return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
-        """Over the distance of the centres in contact."""
         return Bends(c["radius_a"] + c["radius_b"], np.inf)
 
     def radius(self, c: Mapping[str, float]) -> float | None:
-        """That of two spheres side by side."""
         return 1.0 / (1.0 / c["radius_a"] + 1.0 / c["radius_b"])
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """Two spheres."""
-        del look
         return (shapes.ball(c["radius_a"]),), (shapes.ball(c["radius_b"]),)
 
 
@@ -246,24 +222,18 @@ class SphereInSocket(AbstractGap):
         one_of("axis_of", self.axis_of, ("a", "b"))
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        """One face."""
         apart = subtract(b.place, a.place)
         distance = length(apart, ROUND)
         normal = scale(1.0 / distance, apart)
         return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
 
     def bends(self, c: Coefficients) -> Bends:
-        """Over the radius in which the centre is free."""
         return Bends(c["clearance"], np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        """The z axis of a or of b."""
-        del c
         return b.axes[2] if self.axis_of == "b" else a.axes[2]
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        """A bowl, open along z of a, and a sphere."""
-        del look
         angle = np.linspace(0.35, -0.5 * np.pi, 16)
         ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         bowl = shapes.revolved(c["radius"] * ring, c["clearance"] * ring)
