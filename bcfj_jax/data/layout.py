@@ -282,7 +282,8 @@ def _ragged(
     filled = max((j for j in kept if j >= named), default=-1) + 1 if named else wide
     if columns > wide or filled > max(columns, named):
         halves = columns * 2 == wide and all(str(c).strip("+- ").isdigit() for r in data[:50] for c in r.cells)
-        found = f"the rows hold {counted(wide, 'cell')} under {columns} headers: '{clip(' | '.join(t for t in titles if t))}'"
+        shown = clip(" | ".join(t for t in titles if t))
+        found = f"the rows hold {counted(wide, 'cell')} under {columns} headers: '{shown}'"
         remedy = f"give each column one name; {file.counted} {data[0].line} is the first of the rows"
         if halves:
             found += "; commas part both columns and decimals"
@@ -296,7 +297,8 @@ def _ragged(
         if rows:
             shown = clip(" | ".join(map(str, rows[0].cells)), 80)
             lines = [row.line for row in rows]
-            found = f"{counted(len(rows[0].cells), 'cell')} under {len(kept)} headers: '{shown}'{others(lines, file.counted)}"
+            cells, more = counted(len(rows[0].cells), "cell"), others(lines, file.counted)
+            found = f"{cells} under {len(kept)} headers: '{shown}'{more}"
             faults.append(InputError(file.at(rows[0].line), found, remedy))
     return faults
 

@@ -52,7 +52,7 @@ def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ())
 
 
 def write(folder: Path, page: Page, known: str = "") -> Path:
-    """Write ``report.json`` and ``report.html`` beside the page's pictures; the latter. ``known``: a model's ``model_form``."""
+    """Write ``report.json`` and ``report.html``, which it returns. ``known``: a model's ``model_form``, where a page has none."""
     if known and not page.model_form:
         page = replace(page, model_form=model_form(known))
     write_json(folder / JSON, page.content())

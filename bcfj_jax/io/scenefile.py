@@ -149,12 +149,13 @@ def schema() -> dict[str, Any]:
     """The JSON Schema of a scene file: of every built-in scene, and of a mechanism's tables."""
     made: Any = pydantic.create_model
     literal: Any = Literal
-    tables_of = {kind: _options(kind) for kind in scenes.SCENES} | {mechanismfile.KIND: mechanismtables.SceneTable}
-    kinds = [made(f"{kind} scene", __base__=base, kind=(literal[kind], ...)) for kind, base in tables_of.items()]
-    loads = [
-        made(f"{kind} load", __base__=base, kind=(literal[kind], ...))
-        for kind, base in mechanismtables.LOAD_TABLES.items()
-    ]
+
+    def one_of_kinds(models: Mapping[str, type[tables.Table]], what: str) -> list[Any]:
+        return [made(f"{kind} {what}", __base__=base, kind=(literal[kind], ...)) for kind, base in models.items()]
+
+    kinds = one_of_kinds({kind: _options(kind) for kind in scenes.SCENES}, "scene")
+    kinds += one_of_kinds({mechanismfile.KIND: mechanismtables.SceneTable}, "scene")
+    loads = one_of_kinds(mechanismtables.LOAD_TABLES, "load")
     fields: dict[str, Any] = {
         "scene": (typing.Union[tuple(kinds)], ...),  # noqa: UP007
         "parameters": (dict[str, tables.Number], {}),

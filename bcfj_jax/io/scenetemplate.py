@@ -144,12 +144,8 @@ def _legend(text: str) -> str:
 
 
 def _wrapped(names: Iterable[str]) -> str:
-    text, width = "one of", 8
-    for name in names:
-        if width + len(name) > 84:
-            text, width = text + "\n#    ", 4
-        text, width = f"{text} {name},", width + len(name) + 2
-    return text.rstrip(",")
+    text = f"one of {', '.join(names)}"
+    return textwrap.fill(text, 85, initial_indent="   ", subsequent_indent="#     ", break_on_hyphens=False).lstrip()
 
 
 def _parameter(quantity: Quantity, default: float, source: str | None) -> str:

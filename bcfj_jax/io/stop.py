@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from types import FrameType
 from typing import TypeVar
 
@@ -170,30 +171,24 @@ def within(seconds: float, what: Callable[[], T]) -> T:
     """
     if seconds <= 0.0:
         raise OutOfTime
-    found: list[T] = []
-    raised: list[BaseException] = []
-    done = threading.Event()
+    future: Future[T] = Future()
 
     def work() -> None:
         try:
-            found.append(what())
+            future.set_result(what())
         except BaseException as error:
-            raised.append(error)
-        finally:
-            done.set()
+            future.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
     try:
-        in_time = done.wait(seconds if seconds < threading.TIMEOUT_MAX else None)
-    except KeyboardInterrupt:
+        return future.result(seconds if seconds < threading.TIMEOUT_MAX else None)
+    except BaseException as error:
+        if future.done() and future.exception() is error:
+            raise
         abandon()
+        if isinstance(error, TimeoutError):
+            raise OutOfTime from None
         raise
-    if not in_time:
-        abandon()
-        raise OutOfTime
-    if raised:
-        raise raised[0]
-    return found[0]
 
 
 def abandon() -> None:
