@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 QUOTED = 200  # characters of a value that a message repeats
 _LONGEST_LINE, _LONGEST_MESSAGE = 1000, 8000
@@ -37,12 +37,8 @@ def _short(text: str) -> str:
 
 
 class InputError(ValueError):
-    """Bad input, reported as ``where: what; remedy``. The command line exits 2 on it.
-
-    Args:
-        where: file and key, or file and row, as the user would look it up.
-        found: what is wrong, quoting the value.
-        remedy: what would be right.
+    """Bad input, reported as ``where: what; remedy``: the file and key or row as the user would look it up, what is wrong with
+    the value quoted, and what would be right. The command line exits 2 on it.
     """
 
     def __init__(self, where: str, found: str, remedy: str) -> None:
@@ -59,7 +55,7 @@ class InputError(ValueError):
 class Faults:
     """Faults of one place, collected to be said in one message.
 
-    ``with faults:`` around a step keeps an ``InputError`` and goes on behind the block; ``refuse`` raises them all.
+    ``with faults:`` keeps an ``InputError`` and goes on behind the block; ``refuse`` raises them all.
     """
 
     def __init__(self, faults: Iterable[InputError] = ()) -> None:
@@ -74,11 +70,7 @@ class Faults:
         return isinstance(error, InputError)
 
     def refuse(self, where: str) -> None:
-        """Raise what was found, each fault once.
-
-        Raises:
-            InputError: the fault itself where there is one, else all of them, a line each.
-        """
+        """Raise what was found, each fault once: the fault itself where there is one, else all of them, a line each."""
         if self.found:
             raise together(where, list({str(fault): fault for fault in self.found}.values()))
 
@@ -99,12 +91,13 @@ def quoted(value: object) -> str:
     return clip(" ".join(clip(value if not isinstance(value, str) else repr(value), 2 * QUOTED).split()))
 
 
-def texts(where: str, given: object, remedy: str) -> tuple[str, ...]:
-    """Names as a tuple, of one name or several.
+def counted(number: int, what: str) -> str:
+    """A number of things: "1 record", "2 records"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
-    Raises:
-        InputError: for what is no text, and no sequence of texts.
-    """
+
+def texts(where: str, given: object, remedy: str) -> tuple[str, ...]:
+    """Names as a tuple, of one name or several; refuses what is no text, and no sequence of texts."""
     names = (given,) if isinstance(given, str) else given
     if not isinstance(names, Iterable) or isinstance(names, (bytes, Mapping)):
         raise InputError(where, f"{quoted(given)} names nothing", remedy)
@@ -122,6 +115,12 @@ def nearest(name: object, known: Iterable[str]) -> str:
     if close:
         return f"did you mean '{close[0]}'?"
     return "known here: " + (", ".join(names) or "nothing")
+
+
+def one_of(where: str, what: str, name: object, known: Collection[str], hint: str = "") -> None:
+    """Refuse what is none of the known names of "scene", "format" and the like; ``hint`` follows the nearest of them."""
+    if not isinstance(name, str) or name not in known:
+        raise InputError(where, f"no {what} '{name}'", nearest(name, known) + hint)
 
 
 def origin(error: BaseException) -> str:

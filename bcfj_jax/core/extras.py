@@ -22,16 +22,7 @@ EXTRAS = {
 
 
 def library(name: str, where: str, extra: str) -> Any:
-    """A module of an optional library.
-
-    Args:
-        name: the module, as "pyarrow.parquet".
-        where: what asks for it, for the message.
-        extra: the extra that brings it.
-
-    Raises:
-        InputError: where the library is not installed; it names the extra to install and its purpose.
-    """
+    """A module of an optional library, as "pyarrow.parquet"; where it is missing, the message names the ``extra`` to install."""
     try:
         return importlib.import_module(name)
     except ImportError:

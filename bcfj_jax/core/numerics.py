@@ -104,8 +104,7 @@ def bisected(beyond: Callable[[Array], Array], bracket: tuple[Array, Array], hal
 def newton_root(residual: Callable[[Array], Array], start: ArrayLike, iterations: int = 40) -> Array:
     """Root of a smooth elementwise residual by Newton, differentiated by the implicit function theorem.
 
-    A NaN stays in its own row of the batch. The iteration stops at ``iterations`` or when the step falls to rounding; a start on
-    the convex side of the root makes it monotone, which is the caller's business.
+    A NaN stays in its own row of the batch. A start on the convex side of the root makes the iteration monotone.
     """
 
     def solve(function: Callable[[Array], Array], guess: Array) -> Array:

@@ -27,27 +27,15 @@ def html(self: Any) -> str:
 
 
 def to_pandas(self: Any) -> Any:
-    """The result as a ``pandas.DataFrame``; units are in the columns' names, or in a column of their own.
-
-    Raises:
-        InputError: where pandas is not installed (extra ``table``).
-    """
+    """The result as a ``pandas.DataFrame`` (extra ``table``); units are in the columns' names, or in a column of their own."""
     return upward("frame")(self)
 
 
 def to_xarray(self: Any) -> Any:
-    """The result as an ``xarray.Dataset`` with named dimensions; units are in the attributes.
-
-    Raises:
-        InputError: where xarray is not installed (extra ``table``).
-    """
+    """The result as an ``xarray.Dataset`` (extra ``table``) with named dimensions; units are in the attributes."""
     return upward("dataset")(self)
 
 
 def plot(self: Any, what: str = "") -> Any:
-    """One of the result's pictures, by name, as a ``matplotlib.figure.Figure``; no window opens and no file is written.
-
-    Raises:
-        InputError: for a picture that this result does not have, with those that it has.
-    """
+    """One of the result's pictures, by name, as a ``matplotlib.figure.Figure``; no window opens and no file is written."""
     return upward("figure")(self, what)

@@ -29,33 +29,21 @@ class Shown(Protocol):
 
 
 class Waiting:
-    """How stages are shown.
+    """How stages are shown."""
 
-    Attributes:
-        say: where a line goes; None for nowhere, then no stage is shown.
-        after: after how many seconds of waiting a stage is shown [s].
-        every: time between two lines of one stage [s]; it doubles where nothing is counted.
-        times: whether a line says how long a stage took, once it has ended.
-        bar: what shows a stage in place of lines, from its text and its number of parts.
-    """
-
-    say: Callable[[str], None] | None = None
-    after: float = 1.0
-    every: float = 15.0
-    times: bool = False
+    say: Callable[[str], None] | None = None  # where a line goes; None for nowhere, then no stage is shown
+    after: float = 1.0  # after how many seconds of waiting a stage is shown [s]
+    every: float = 15.0  # time between two lines of one stage [s]; it doubles where nothing is counted
+    times: bool = False  # whether a line says how long a stage took, once it has ended
+    # What shows a stage in place of lines, from its text and its number of parts
     bar: Callable[[str, int | None], Shown] | None = None
 
 
 @contextlib.contextmanager
 def stage(text: str, total: int | None = None, hint: str = "") -> Iterator[Callable[[int], None]]:
-    """Say what is waited for, once it takes long, and then now and then how far it is.
+    """Say what is waited for, once it takes long (``hint`` once, after it), and then now and then how far it is.
 
-    Args:
-        text: what is done, of ``total`` parts where that is known.
-        hint: what is said once, after the text.
-
-    Yields:
-        A function that is to be called with the number of parts that are done.
+    Yields a function to be called with the number of parts that are done, of ``total`` where that is known.
     """
     if Waiting.say is None:
         yield _nothing

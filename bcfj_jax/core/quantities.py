@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -198,17 +198,14 @@ def check_value(where: str, quantity: Quantity, value: object) -> None:
 
 
 def real(where: str, name: str, value: object) -> np.ndarray:
-    """A number, or an array of numbers, as float64.
-
-    Raises:
-        InputError: for what is neither: texts, None, truth values, complex numbers, uneven lists, units of a library.
-    """
+    """A number, or an array of numbers, as float64; refuses texts, None, truth values, complex numbers, uneven lists, units."""
     try:
         if value is None or hasattr(value, "units") or hasattr(value, "unit"):
             raise TypeError
         array = np.asarray(value)
         # Kind "V" is that of JAX's small floats; objects may be fractions, or whole numbers of many digits.
-        if array.dtype.kind not in "fiuVO" or any(isinstance(x, _NO_NUMBERS) for x in _objects(array)):
+        objects = array.ravel() if array.dtype.kind == "O" else ()
+        if array.dtype.kind not in "fiuVO" or any(isinstance(x, (bool, str, bytes, type(None))) for x in objects):
             raise TypeError
         return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError):
@@ -216,27 +213,11 @@ def real(where: str, name: str, value: object) -> np.ndarray:
         raise InputError(where, f"{name} = {quoted(value)} is not a number", remedy) from None
 
 
-_NO_NUMBERS = (bool, str, bytes, type(None))
-
-
-def _objects(array: np.ndarray) -> Iterable[Any]:
-    return array.ravel() if array.dtype.kind == "O" else ()
-
-
 def number(where: str, quantity: Quantity, value: Any, exponent: float | None = None) -> Any:
     """A value as the verbs take it: float64, SI, in range. The one place that says what a number is.
 
-    Args:
-        where: place, for the message.
-        quantity: what it is.
-        value: a number, a text with its unit, an array of numbers; or traced, which passes.
-        exponent: of the contact, where it is a stiffness: its unit depends on it.
-
-    Returns:
-        An array of NumPy, or of JAX where it was one.
-
-    Raises:
-        InputError: for what is no number of this unit, and a number out of range.
+    It is a number, a text with its unit, an array of NumPy or JAX, which stays one, or traced, which passes. ``exponent``: of
+    the contact, for a stiffness, whose unit depends on it.
     """
     if is_traced(value):
         return jnp.asarray(value, dtype=jnp.float64)
@@ -251,17 +232,9 @@ def number(where: str, quantity: Quantity, value: Any, exponent: float | None = 
 
 
 def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLike]) -> None:
-    """Refuse a sliding friction above the static one, or a rounding wider than the depth it is at; traced values pass.
+    """Refuse a sliding friction above the static one, and a rounding wider than the depth it is at; traced values pass.
 
-    In any contact whose law reads both.
-
-    Args:
-        where: place, for the message.
-        known: the scene's parameters: what ``contact.name`` is in it, that contact reads.
-        values: those given and the defaults; a contact reads its own ``contact.name`` before the shared ``name``.
-
-    Raises:
-        InputError: naming the keys and their values.
+    Of ``known``, the scene's parameters, a contact reads ``contact.name``; among ``values`` its own come before the shared.
     """
     for low, high, why in _ORDERED:
         places = {name.removesuffix(low) for name in known if name.endswith(low)}
@@ -277,11 +250,7 @@ def check_order(where: str, known: Collection[str], values: Mapping[str, ArrayLi
 
 
 def scalar(where: str, quantity: Quantity, value: Any, exponent: float | None = None) -> float:
-    """One number of ``number``, as a ``float``.
-
-    Raises:
-        InputError: as ``number``, and for several.
-    """
+    """One number of ``number``, as a ``float``."""
     if quantity.shape:
         remedy = "name a parameter that is one number; arrays are trained by jax.grad of bj.force_history"
         raise InputError(where, f"{quantity.name} is an array of shape {quantity.shape}", remedy)
@@ -292,12 +261,7 @@ def scalar(where: str, quantity: Quantity, value: Any, exponent: float | None = 
 
 
 def increasing(times: object, fewest: int = 1) -> np.ndarray:
-    """Times as checked numbers: (T,) float64 [s].
-
-    Raises:
-        InputError: for what is no array of numbers, fewer than ``fewest``, another shape, and times that are not finite
-            or do not increase.
-    """
+    """Times as checked numbers: (T,) float64 [s], finite, increasing, ``fewest`` or more."""
     right = f"give a 1-D array of {fewest} or more finite times [s] that increase"
     if is_traced(times):
         raise InputError("times", "are traced, and must be known here", "call this outside of jit, grad and vmap")
@@ -327,11 +291,7 @@ def instants(times: Any) -> Array:
 
 
 def whole(where: str, value: object, least: int = 1, most: int = 1_000_000_000) -> int:
-    """A whole number of some range, as an ``int``.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """A whole number of some range, as an ``int``."""
     try:
         found = operator.index(value)  # type: ignore[arg-type]
     except TypeError:

@@ -17,9 +17,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 def taking(kind: type, **defaults: Any) -> Callable[[F], F]:
     """Let a function's ``**settings`` be the fields of a dataclass: its signature has them, any other is a ``TypeError``.
 
-    Args:
-        kind: the dataclass.
-        defaults: of this function, where they are not the dataclass's.
+    ``defaults``: of this function, where they are not the dataclass's.
     """
 
     def decorated(function: F) -> F:

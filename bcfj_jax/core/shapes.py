@@ -19,18 +19,12 @@ TONES = ("ground", "body", "other", "ball", "clear", "groove")
 
 
 class Mesh(NamedTuple):
-    """Triangles.
+    """Triangles."""
 
-    Attributes:
-        points: (n, 3) [m]; normals: (n, 3), outward unit vectors.
-        triangles: (m, 3) indices of points, anticlockwise seen from outside.
-        slack: (n, 3) [m] (see the top of the file); None for a mesh that only moves.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    triangles: np.ndarray
-    slack: np.ndarray | None = None
+    points: np.ndarray  # (n, 3) [m]
+    normals: np.ndarray  # (n, 3) outward unit vectors
+    triangles: np.ndarray  # (m, 3) indices of points, anticlockwise seen from outside
+    slack: np.ndarray | None = None  # (n, 3) [m] (see the top of the file); None for a mesh that only moves
 
     def moved(self, place: Any = (0.0, 0.0, 0.0), axes: Any = None) -> Mesh:
         """The mesh at another place [m], its own axes along the columns of ``axes`` (3, 3)."""
@@ -40,13 +34,9 @@ class Mesh(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A mesh on a body.
+    """A mesh on a body, of one of ``TONES``, in the axes of the body from its place in ``Scenery``.
 
-    Attributes:
-        body: name of the body in whose axes it is, from that body's place in ``Scenery``; "ground" does not move.
-            A body with members carries one for each.
-        mesh: its triangles.
-        tone: one of ``TONES``.
+    "ground" does not move; a body with members carries a mesh for each.
     """
 
     body: str
@@ -55,12 +45,9 @@ class Shape(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """What a model looks like.
+    """What a model looks like; no shapes: it cannot be drawn. ``eye``: the direction from where to look at it.
 
-    Attributes:
-        shapes: all of them; none for a model that cannot be drawn.
-        eye: from where to look at it, a direction; up: which way is up.
-        notes: what a viewer must know, in sentences: what is not to scale, what is not in the model.
+    ``notes``: what a viewer must know, in sentences: what is not to scale, what is not in the model.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -92,13 +79,9 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def revolved(outline: Any, slack: Any = None, begin: float = 0.0, end: float = 2.0 * np.pi, pieces: int = 40) -> Mesh:
-    """An outline turned about the z axis.
+    """An outline (k, 2) of (radius, height) [m] turned about the z axis from ``begin`` to ``end`` [rad], outside to the right.
 
-    Args:
-        outline: (k, 2) of (radius, height) [m], its outside to the right of the way along it.
-        slack: (k, 2) likewise, or None.
-        begin, end: angles from the x axis [rad].
-        pieces: of a full turn.
+    ``slack``: (k, 2) likewise; ``pieces``: of a full turn.
     """
     outline = np.asarray(outline, float)
     way = np.diff(outline, axis=0)
@@ -181,9 +164,8 @@ def with_slack(mesh: Mesh, slack: Any) -> Mesh:
 
 
 def level(grid: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Pieces of the line on which a function is 0, (k, 2, 3) [m], from its values (n, m) at the points (n, m, 3) of a grid.
-
-    Each cell is two triangles, in which the function is taken to be linear.
+    """Pieces (k, 2, 3) [m] of the line on which a function is 0, by its values (n, m) at the points (n, m, 3) of a grid: linear
+    in either triangle of a cell.
     """
     n, m = values.shape
     index = np.arange(n * m).reshape(n, m)

@@ -82,14 +82,11 @@ def of_day(cells: Sequence[object]) -> np.ndarray | None:
 
 
 def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
-    """Times (N,) [s] that stand several times since they are rounded, as the even clock that they are roundings of, and a note.
-
-    They are returned as they are, with "", where none stands twice or no even clock is within their rounding.
-    """
+    """Times (N,) [s] that stand several times as the even clock that they are rounded from, with a note; others as they are."""
     steps = np.diff(times)
-    if times.size < _FEW or not np.isfinite(times).all() or steps.min() < 0.0 or np.mean(steps == 0.0) < _TWICE:
+    if times.size < _FEW or not np.isfinite(times).all() or steps.min() < 0.0 or not steps.max() > 0.0:
         return times, ""
-    if not steps.max() > 0.0:
+    if np.mean(steps == 0.0) < _TWICE:
         return times, ""
     at = np.arange(times.size)
     step, start = np.polyfit(at, times, 1)
@@ -97,10 +94,8 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
     # Roundings of an even clock are apart by 0 or by their unit, but for one of the last digit.
     if rounded > _LARGEST * float(steps[steps > 0.0].min()) or np.abs(times - even).max() > 0.6 * rounded:
         return times, ""
-    return (
-        even,
-        f"times are rounded to {rounded:.3g} s, so that some stand twice: an even clock is taken, every {step:.4g} s",
-    )
+    said = f"times are rounded to {rounded:.3g} s, so that some stand twice: an even clock is taken, every {step:.4g} s"
+    return even, said
 
 
 def _day(text: str) -> float:
@@ -112,14 +107,7 @@ def _day(text: str) -> float:
 
 
 def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] | None:
-    """Start and step [s] that a file states; None where it states no step.
-
-    Args:
-        facts: names and values as they stand.
-
-    Raises:
-        InputError: where it states two steps that differ.
-    """
+    """Start and step [s] that facts of a file state; None where they state no step. Two steps that differ are refused."""
     steps: dict[str, float] = {}
     start = 0.0
     for key, value in facts:
@@ -135,14 +123,12 @@ def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] 
         return None
     if max(right.values()) > 1.001 * min(right.values()):
         shown = " and ".join(f"'{clip(key, 40)}' a step of {step:g} s" for key, step in list(right.items())[:2])
-        raise InputError(
-            where, f"it states two clocks: {shown}", "take out the one that is wrong, or add a column of times"
-        )
+        remedy = "take out the one that is wrong, or add a column of times"
+        raise InputError(where, f"it states two clocks: {shown}", remedy)
     return start, next(iter(right.values()))
 
 
 def _number(value: str, unit: str | None, si_unit: str) -> float | None:
-    """A number with its unit, SI; None of what is none."""
     found = _NUMBER.fullmatch(str(value))
     if found is None:
         return None

@@ -27,11 +27,7 @@ _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
 
 
 def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> tuple[str, str]:
-    """The text of a file, and what its encoding is called.
-
-    Raises:
-        InputError: for what is no text, is not in the encoding stated, or mixes two encodings.
-    """
+    """The text of a file, and what its encoding is called; refuses what is no text, or mixes two encodings."""
     if encoding is not None:
         return _stated(raw, path, where, encoding)
     for mark, codec, name in _MARKS:

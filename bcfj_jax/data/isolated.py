@@ -38,14 +38,7 @@ _SMALL = 32 * MEGABYTE
 
 
 def read(path: Path, where: str, inside: str | None, reader: ModuleType) -> Content:
-    """The columns of a file by table; of a large file only the table that is meant has values.
-
-    Args:
-        inside: which table; None: the only one.
-
-    Raises:
-        InputError: where the file cannot be read, or crashes or exceeds the process that reads it.
-    """
+    """The columns of a file by table; of a large file only the table ``inside`` has values (None: the only one)."""
     found = path.stat()
     small = found.st_size < _SMALL or (inside is None and reader is sheets)
     wanted = "*" if small else (inside or "").strip("/")
@@ -71,23 +64,14 @@ def _read(path: Path, wanted: str, changed: int, size: int, reader: ModuleType) 
     command = [sys.executable, "-P", "-W", "ignore", child.__file__, str(path), wanted]
     limits = [str(_BYTES + _BYTES_A_BYTE * size), str(seconds), str(reader.__file__)]
     # Threads of linear algebra would only reserve memory.
-    environment = {
-        **os.environ,
-        "OPENBLAS_NUM_THREADS": "1",
-        "OMP_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "NUMEXPR_MAX_THREADS": "1",
-    }
+    environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+    wait = _WAIT * seconds + _WAIT
     try:
         done = subprocess.run(
-            [*command, *limits],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=_WAIT * seconds + _WAIT,
+            [*command, *limits], env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=wait
         )
     except subprocess.TimeoutExpired:
-        raise _damaged(reader, f"it took longer than {_WAIT * seconds + _WAIT} s") from None
+        raise _damaged(reader, f"it took longer than {wait} s") from None
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
     # A library may go on to print as its process ends.
     refused = [line for line in said if line.startswith('["') and line.endswith("]")]
@@ -123,7 +107,6 @@ def _damaged(reader: ModuleType, how: str) -> _Unreadable:
 
 
 def _ended(code: int, seconds: int) -> str:
-    """How a child ended, in words."""
     try:
         name = signal.Signals(-code).name
     except ValueError:

@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from bcfj_jax.core.errors import InputError, clip
+import numpy as np
+
+from bcfj_jax.core.errors import InputError, clip, counted
 from bcfj_jax.data import preamble
 from bcfj_jax.data.clock import is_of_day
 from bcfj_jax.data.numbers import is_missing, is_number
@@ -48,40 +50,24 @@ class File(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        names: of the columns, with the unit in brackets where a row of units gives it.
-        rows: of data, each as long as ``names``.
-        kept: positions in the file of the columns that are kept, from 0.
-        named, united: lines of the names and of the units; empty where the file has none.
-        above, comments: how many rows stand above the names, and how many are comments.
-        facts: names and values beside the table.
-        left: first and last line of what follows the table, another one, which is left out.
-    """
-
-    names: tuple[str, ...]
-    rows: list[Row]
-    kept: tuple[int, ...]
-    named: tuple[int, ...] = ()
-    united: tuple[int, ...] = ()
-    above: int = 0
-    comments: int = 0
+    names: tuple[str, ...]  # of the columns, with the unit in brackets where a row of units gives it
+    rows: list[Row]  # of data, each as long as ``names``
+    kept: tuple[int, ...]  # positions in the file of the columns that are kept, from 0
+    named: tuple[int, ...] = ()  # lines of the names; empty where the file has none
+    united: tuple[int, ...] = ()  # lines of the units
+    above: int = 0  # how many rows stand above the names
+    comments: int = 0  # how many rows are comments
     faults: list[InputError] = field(default_factory=list)
-    facts: preamble.Facts = field(default_factory=list)
-    left: tuple[int, int] | None = None
+    facts: preamble.Facts = field(default_factory=list)  # names and values beside the table
+    left: tuple[int, int] | None = None  # first and last line of what follows the table, another one, which is left out
+    # (N, m) numbers of all rows, where they were read at one go; ``rows`` are then the first ones
+    block: np.ndarray | None = None
 
 
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
-    """The table in rows.
-
-    Args:
-        rows: all of a file but blank ones, comments included.
-        header: lines of the names as stated; 0: there are none; None: to be found.
-
-    Raises:
-        InputError: where no rows hold numbers, or the names that are stated are not there.
-    """
+    """The table in rows, comments included. ``header``: lines of the names as stated; 0: there are none; None: to be found."""
     plain, facts = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
@@ -102,9 +88,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
             names, units = _commented(rows, plain[begin].line, wide)
     data = plain[begin:]
     if not data:
-        raise InputError(
-            file.name, f"has no rows below {file.counted} {plain[-1].line}", "give a file with names and data"
-        )
+        found = f"has no rows below {file.counted} {plain[-1].line}"
+        raise InputError(file.name, found, "give a file with names and data")
     top = {r.line for r in (*names, *units)}
     facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
     names, units, data, more = _incremented(names, units, data, numeric, wide)
@@ -112,26 +97,22 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     titles = _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
-    marks = [_texts(row.cells, wide) for row in units]
-    titles = [_with_unit(t, next((m[j] for m in marks if j < wide and m[j]), "")) for j, t in enumerate(titles)]
+    marks = [
+        _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
+    ]
+    marks += [""] * (len(titles) - len(marks))
+    titles = [f"{t} [{m}]" if m and column(t)[1] is None else t for t, m in zip(titles, marks, strict=False)]
     # Rows that do not fit are faults already; their cells would be named a second time.
     last = kept[-1] + 1 if kept else 0
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
     fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
     columns = [[r.cells[0] for r in fitted]] if kept else []
     named = preamble.titled([titles[j] for j in kept], facts, columns, bool(names))
+    lines_named, lines_united = (tuple(r.line for r in some) for some in (names, units))
+    comments = sum(r.comment and r not in names for r in rows)
     return Layout(
-        names=tuple(named),
-        rows=fitted,
-        kept=tuple(kept),
-        named=tuple(r.line for r in names),
-        united=tuple(r.line for r in units),
-        above=above,
-        comments=sum(r.comment and r not in names for r in rows),
-        faults=faults,
-        facts=facts,
-        left=left,
-    )
+        tuple(named), fitted, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
+    )  # fmt: skip
 
 
 def _incremented(
@@ -149,10 +130,7 @@ def _incremented(
 
 
 def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:
-    """First row of data of the largest table, and the row that ends it: a row of texts alone begins another.
-
-    Where none holds most of the rows it is all of them: what does not fit is then said.
-    """
+    """First row of data of the table with most rows, and the row that ends it (texts alone); all where none has most."""
     heads = [k for k in range(begin + 1, len(rows)) if _begins(rows[k].cells)]
     if not heads:
         return begin, len(rows)
@@ -175,7 +153,6 @@ def _begins(cells: Sequence[Any]) -> bool:
 
 
 def _holds(cell: Any) -> bool:
-    """Whether a cell is a number, or a time of day, as a clock's are."""
     return is_number(cell) or is_of_day(cell)
 
 
@@ -285,11 +262,6 @@ def _titles(names: list[Row], wide: int) -> list[str]:
     return [" ".join(x for x in pair if x) for pair in zip(first, last, strict=True)]
 
 
-def _with_unit(title: str, mark: str) -> str:
-    unit = _bare(mark) if mark else ""
-    return f"{title} [{unit}]" if unit and column(title)[1] is None else title
-
-
 def _kept(titles: list[str], data: Sequence[Row], wide: int) -> list[int]:
     """Columns but those without a name and without a cell, which separators at the ends of lines make."""
     made = titles == [f"column {j + 1}" for j in range(wide)]
@@ -310,7 +282,8 @@ def _ragged(
     filled = max((j for j in kept if j >= named), default=-1) + 1 if named else wide
     if columns > wide or filled > max(columns, named):
         halves = columns * 2 == wide and all(str(c).strip("+- ").isdigit() for r in data[:50] for c in r.cells)
-        found = f"the rows hold {_cells(wide)} under {columns} headers: '{clip(' | '.join(t for t in titles if t))}'"
+        shown = clip(" | ".join(t for t in titles if t))
+        found = f"the rows hold {counted(wide, 'cell')} under {columns} headers: '{shown}'"
         remedy = f"give each column one name; {file.counted} {data[0].line} is the first of the rows"
         if halves:
             found += "; commas part both columns and decimals"
@@ -324,21 +297,18 @@ def _ragged(
         if rows:
             shown = clip(" | ".join(map(str, rows[0].cells)), 80)
             lines = [row.line for row in rows]
-            found = f"{_cells(len(rows[0].cells))} under {len(kept)} headers: '{shown}'{others(lines, file.counted)}"
+            cells, more = counted(len(rows[0].cells), "cell"), others(lines, file.counted)
+            found = f"{cells} under {len(kept)} headers: '{shown}'{more}"
             faults.append(InputError(file.at(rows[0].line), found, remedy))
     return faults
 
 
-def others(lines: Sequence[int], counted: str) -> str:
+def others(lines: Sequence[int], called: str) -> str:
     """How many rows have the same fault as the first, and where the next few stand."""
     if len(lines) < 2:
         return ""
     more = f" and {len(lines) - _QUOTED_ROWS} more" if len(lines) > _QUOTED_ROWS else ""
-    return f" ({len(lines)} such {counted}s: also {', '.join(map(str, lines[1:_QUOTED_ROWS]))}{more})"
-
-
-def _cells(count: int) -> str:
-    return f"{count} cell{'s' if count != 1 else ''}"
+    return f" ({len(lines)} such {called}s: also {', '.join(map(str, lines[1:_QUOTED_ROWS]))}{more})"
 
 
 def _stated(rows: Sequence[Row], header: Any, file: File) -> tuple[list[Row], list[Row]] | None:
@@ -364,6 +334,5 @@ def _nothing(rows: Sequence[Row], file: File) -> InputError:
         return InputError(file.name, *NO_ROWS)
     middle = rows[len(rows) // 2]
     shown = clip(" | ".join(map(str, middle.cells)), 80)
-    return InputError(
-        file.name, f"no {file.counted} holds a number; {file.counted} {middle.line} reads '{shown}'", NO_NUMBERS
-    )
+    found = f"no {file.counted} holds a number; {file.counted} {middle.line} reads '{shown}'"
+    return InputError(file.name, found, NO_NUMBERS)

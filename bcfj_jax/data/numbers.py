@@ -54,10 +54,9 @@ def _decimal(cell: str) -> tuple[str, bool]:
 
 
 def decimal_marks(columns: Sequence[Iterable[object]]) -> list[str] | None:
-    """The decimal mark of each column, "." or ",", by a sample of its cells.
+    """The decimal mark of each column by a sample of its cells; a column that says nothing has the mark of most others.
 
-    A column whose numbers say nothing has the mark of the others. None where there are marks, and no number of the
-    file is sure. Where numbers contradict each other, the more.
+    None where there are marks, and no number of the file is sure.
     """
     counts = [{".": 0, ",": 0, "": 0} for _ in columns]
     doubtful = 0
@@ -76,32 +75,21 @@ def decimal_marks(columns: Sequence[Iterable[object]]) -> list[str] | None:
 
 
 def parsed(cells: Sequence[object], decimal: str = ".") -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (N,), NaN where a cell holds none, and which cells (N,) are neither a number nor a word for none.
-
-    Infinite numbers are numbers here.
-    """
+    """Numbers (N,), NaN where a cell holds none, and which cells (N,) are neither a number (infinity is) nor a word for none."""
     texts = [c.strip() if isinstance(c, str) else c for c in cells]
     strings = [t for t in texts if isinstance(t, str)]
-    if len(strings) == len(texts):
-        plain = [(t.replace(",", ".") if decimal == "," and "." not in t else t) or "nan" for t in strings]
-        clean = decimal == "." or not any("." in t for t in strings)
-        if clean and not any("_" in t for t in plain):
-            with contextlib.suppress(ValueError):
-                return np.array(plain, dtype=float), np.zeros(len(plain), dtype=bool)
+    if len(strings) == len(texts) and not any("_" in t or (decimal == "," and "." in t) for t in strings):
+        plain = [(t.replace(",", ".") if decimal == "," else t) or "nan" for t in strings]
+        with contextlib.suppress(ValueError):
+            return np.array(plain, dtype=float), np.zeros(len(plain), dtype=bool)
     grouped = _grouped(texts, decimal)
-    values, bad = np.full(len(texts), np.nan), np.zeros(len(texts), dtype=bool)
-    for k, cell in enumerate(texts):
-        number = _value(cell, decimal, grouped)
-        bad[k] = number is None
-        values[k] = np.nan if number is None else number
-    return values, bad
+    found = [_value(cell, decimal, grouped) for cell in texts]
+    bad = np.array([number is None for number in found], dtype=bool)
+    return np.array([np.nan if number is None else number for number in found], dtype=float), bad
 
 
 def _grouped(texts: Sequence[object], decimal: str) -> bool:
-    """Whether a column's other mark is between thousands for sure.
-
-    It is where it stands twice in a number or beside the decimal mark, or where no number of the column has decimals.
-    """
+    """Whether a column's other mark parts thousands: twice in a number, beside the decimal mark, or without any decimals."""
     other = "," if decimal == "." else "."
     numbers = [t for t in texts if isinstance(t, str) and is_number(t)]
     return any(t.count(other) > 1 or (other in t and decimal in t) for t in numbers) or not any(

@@ -86,7 +86,6 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
 
 
 def _steps(cells: Sequence[Any], step: float) -> bool:
-    """Whether cells go up by a step."""
     try:
         first, last = (float(str(c).replace(",", ".")) for c in (cells[0], cells[-1]))
     except (ValueError, IndexError):

@@ -1,7 +1,7 @@
 """Measured files of every kind become the same record: the extension, or else the first bytes, say which reader reads them.
 
     .csv .txt .tsv .tab .dat .asc .prn   text; how it is written is found (``textfile``)
-    .xlsx .xlsm .xlsb .xls .ods          a sheet (``workbook``)
+    .xlsx .xlsm .xlsb .xls .ods          a sheet, whose cells are laid out as those of a text
     all others                           ``readers``, a module a kind; a user's own come first (``--code``)
 
 A file may hold several tables: groups, structs and clocks, named by their path, as in "run_3/sensors".
@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data import clock, isolated, textfile, workbook
-from bcfj_jax.data.columns import Column, Columns, Tables, vector
+from bcfj_jax.data import clock, isolated, numbers, textfile
+from bcfj_jax.data.columns import Column, Columns, Content, Tables, vector
+from bcfj_jax.data.layout import File, Row, found
 from bcfj_jax.data.readers import READERS, reader_of, sheets
 from bcfj_jax.data.record import Record
 from bcfj_jax.data.sensitivity import Sensitivities
@@ -26,23 +27,16 @@ from bcfj_jax.io.units import column
 
 
 def read(path: Path, where: str, inside: str | None = None, stated: Stated | None = None) -> Record:
-    """The table in a file.
+    """The table in a file; ``stated``: how a text or a spreadsheet is written, where it is not to be found.
 
-    Args:
-        inside: which table, in a file that can hold several; None: the only one, or what stands outside any group.
-        stated: how a text or a spreadsheet is written, where it is not to be found.
-
-    Raises:
-        InputError: when the file is missing, of an unknown or another kind, without such a table or without rows,
-            when columns differ in length, or when its library is not installed.
+    ``inside``: which table, in a file that can hold several; None: the only one, or what stands outside any group.
     """
     kind, stated = path.suffix.lower(), stated or Stated()
     stated.check(where)
-    missing = "give the path of a measured file" if where == "record" else "give a path relative to the problem file"
     known = kind in _TEXTS or any(kind in r.KINDS for r in READERS)
     if not (known or opening.READERS or path.exists()):
         _unknown(path, where)
-    head = opening.head(path, where, missing)
+    head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
     return replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
 
@@ -65,33 +59,59 @@ def _unknown(path: Path, where: str) -> None:
 def _read(path: Path, kind: str, head: bytes, where: str, inside: str | None, stated: Stated) -> Record:
     for name, own in opening.READERS.items():
         if own.sniff(path, head):
-            found = {str(k): np.asarray(v) for k, v in own.read(path).items()}
-            table = {k: c for k, v in found.items() if (c := vector(v))}
+            columns = {str(k): vector(np.asarray(v)) for k, v in own.read(path).items()}
+            table = {k: c for k, c in columns.items() if c}
             return replace(_chosen({"": table}, path, where, inside), reader=name)
     reader = reader_of(kind, head)
     if reader is None and kind not in _TEXTS and (b"\0" in head or not head.strip()):
         _unknown(path, where)
-    missing = "give the path of a measured file" if where == "record" else "give a path relative to the problem file"
     if reader is None:
         if inside is not None:
             raise InputError(f"{where} table", f"{path} holds no tables inside", "take the key out")
         return textfile.read(path, where, stated)
-    opening.check(path, opening.LARGEST_BINARY, where, missing, "give a smaller file")
-    told = {k: v for k, v in stated.written().items() if v is not None}
     if reader is sheets:
-        opening.check(path, opening.LARGEST_TEXT, where, missing, "write it as Parquet or HDF5")
-        return replace(workbook.read(path, where, inside, stated), reader="sheets")
-    if told:
-        raise InputError(f"{where} {next(iter(told))}", f"{path} is no text", "take the key out")
-    read = isolated.read(path, where, inside, reader)
+        opening.check(path, opening.LARGEST_TEXT, where, _missing(where), "write it as Parquet or HDF5")
+        return _sheet(isolated.read(path, where, inside, reader), path, where, inside, stated)
+    opening.check(path, opening.LARGEST_BINARY, where, _missing(where), "give a smaller file")
+    if told := [key for key, value in stated.written().items() if value is not None]:
+        raise InputError(f"{where} {told[0]}", f"{path} is no text", "take the key out")
+    content = isolated.read(path, where, inside, reader)
     try:
-        found = _chosen(read.tables, path, where, inside)
+        table = _chosen(content.tables, path, where, inside)
     except InputError as error:
-        if read.note:
-            raise InputError(where, f"{path}: {read.note}; {error.found}", "record or export the file again") from None
-        raise
-    said = "; ".join(filter(None, (read.note, found.found)))
-    return replace(found, found=said, reader=reader.__name__.rpartition(".")[2])
+        if not content.note:
+            raise
+        said = f"{path}: {content.note}; {error.found}"
+        raise InputError(where, said, "record or export the file again") from None
+    said = "; ".join(filter(None, (content.note, table.found)))
+    return replace(table, found=said, reader=reader.__name__.rpartition(".")[2])
+
+
+def _missing(where: str) -> str:
+    return f"give {'the path of a measured file' if where == 'record' else 'a path relative to the problem file'}"
+
+
+def _sheet(content: Content, path: Path, where: str, inside: str | None, stated: Stated) -> Record:
+    """The table on a sheet: the only one that holds numbers, or the one named ``inside``."""
+    if inside is not None and inside not in content.sheets:
+        raise InputError(f"{where} table", f"no sheet '{inside}' in {path}", nearest(inside, content.sheets))
+    wanted = content.sheets if inside is None else [inside]
+    sheets = {
+        name: [Row(k, cells) for k, cells in content.sheets[name] if not all(map(numbers.is_missing, cells))]
+        for name in wanted
+    }
+    if len(sheets) > 1:
+        filled = [n for n, rows in sheets.items() if sum(sum(map(numbers.is_number, r.cells)) >= 2 for r in rows) > 1]
+        if len(filled) > 1:
+            names = ", ".join(f"'{n}'" for n in filled[:8])
+            said = f"{path} holds {len(filled)} sheets with numbers"
+            raise InputError(where, said, f'choose with table = "...": {names}')
+        sheets = {name: sheets[name] for name in filled} or sheets
+    name = next(iter(sheets))
+    file = File(f"{path}: {name}", "row")
+    layout = found(sheets[name], file, stated.header)
+    marks = textfile.decimal_marks(layout, stated, file)
+    return replace(textfile.table(path, layout, marks, file, f"sheet '{name}'", name), reader="sheets")
 
 
 def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Record:
@@ -114,11 +134,9 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     found, said = _with_clock(found, alone, str(path))
     if len({c.size for c in found.values()}) > 1:
         sizes = ", ".join(f"'{name}' {c.size}" for name, c in list(found.items())[:8])
-        raise InputError(
-            f"{path}: {wanted}" if wanted else str(path),
-            f"its columns have different lengths: {sizes}",
-            "put columns sampled together into a group of their own",
-        )
+        place = f"{path}: {wanted}" if wanted else str(path)
+        remedy = "put columns sampled together into a group of their own"
+        raise InputError(place, f"its columns have different lengths: {sizes}", remedy)
     if longest == 0:
         raise InputError(str(path), "has no rows", "give a file with data")
     header = [f"{n} [{c.unit}]" if c.unit and column(n)[1] is None else n for n, c in found.items()]
@@ -131,19 +149,19 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
 
 def _with_clock(found: Columns, alone: list[tuple[str, Column]], where: str) -> tuple[Columns, str]:
     """Columns with a clock of the step or rate that stands beside them, where none is a column of times."""
-    if any(clock.is_time(name if c.unit is None else f"{name} [{c.unit}]") for name, c in found.items()):
+    if any(clock.is_time(_header(name, c)) for name, c in found.items()):
         return found, ""
-    facts = [
-        (name if c.unit is None else f"{name} [{c.unit}]", str(np.ravel(c.values())[0]))
-        for name, c in alone
-        if c.values().size
-    ]
+    facts = [(_header(name, c), str(np.ravel(c.values())[0])) for name, c in alone if c.values().size]
     even = clock.stated(facts, where)
     if even is None:
         return found, ""
-    size = next(iter(found.values())).size
-    column_ = Column("s", size, lambda: even[0] + even[1] * np.arange(size))
-    return {"time": column_, **found}, f"its clock is every {even[1]:.6g} s, as it states"
+    size, (start, step) = next(iter(found.values())).size, even
+    times = Column("s", size, lambda: start + step * np.arange(size))
+    return {"time": times, **found}, f"its clock is every {step:.6g} s, as it states"
+
+
+def _header(name: str, column: Column) -> str:
+    return name if column.unit is None else f"{name} [{column.unit}]"
 
 
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

@@ -51,32 +51,19 @@ class Provenance(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """The rows of a file, or of a table in it.
-
-    Attributes:
-        header: names of the columns, each with its unit in brackets where it has one.
-        columns: (N,) arrays, of numbers or of text.
-        lines: (N,) where each row is in the file, for messages.
-        counted: what ``lines`` counts: "line" of a text, "row" of a binary file (the first is 1).
-        inside: which table of a file that holds several.
-        decimals: of each column the decimal mark of numbers that are texts; empty: points.
-        faults: of rows that do not fit, to be said together with those of the columns.
-        found: how the file is written, in words.
-        reader: what read it.
-        sensitivities: of channels that are voltages, charges or shares of a full scale.
-    """
+    """The rows of a file, or of a table in it."""
 
     path: Path
-    header: tuple[str, ...]
-    columns: tuple[np.ndarray, ...]
-    lines: np.ndarray
-    counted: str = "line"
-    inside: str = ""
-    decimals: tuple[str, ...] = ()
-    faults: tuple[InputError, ...] = ()
-    found: str = ""
-    reader: str = "text"
-    sensitivities: Sensitivities = NONE
+    header: tuple[str, ...]  # names of the columns, each with its unit in brackets where it has one
+    columns: tuple[np.ndarray, ...]  # (N,) arrays, of numbers or of text
+    lines: np.ndarray  # (N,) where each row is in the file, for messages
+    counted: str = "line"  # what ``lines`` counts: "line" of a text, "row" of a binary file (the first is 1)
+    inside: str = ""  # which table of a file that holds several
+    decimals: tuple[str, ...] = ()  # of each column the decimal mark of numbers that are texts; empty: points
+    faults: tuple[InputError, ...] = ()  # of rows that do not fit, to be said together with those of the columns
+    found: str = ""  # how the file is written, in words
+    reader: str = "text"  # what read it
+    sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -111,10 +98,7 @@ class Record:
         return f"{self.name}: {self.counted} {self.lines[row]}, column '{header}'"
 
     def index(self, name: str, where: str) -> int:
-        """Position of a column, by its full header or by its name without the unit.
-
-        A unit may be given for a column whose header has none.
-        """
+        """Position of a column, by its full header, its name without the unit, or with one that the header has not."""
         bare = tuple(column(h) for h in self.header)
         unitless = tuple(n if unit is None else None for n, unit in bare)
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
@@ -124,9 +108,8 @@ class Record:
                 raise InputError(where, twice, "rename one in the file")
             if found:
                 return found[0]
-        raise InputError(
-            where, f"no column '{clip(name)}' in {self.name}", nearest(name, [h for h in self.header if h])
-        )
+        known = [h for h in self.header if h]
+        raise InputError(where, f"no column '{clip(name)}' in {self.name}", nearest(name, known))
 
     def texts(self, name: str, where: str) -> list[str]:
         """A column as it stands; numbers in their shortest form."""
@@ -134,41 +117,29 @@ class Record:
         return [f"{v:.15g}" if isinstance(v, (int, float)) else str(v) for v in values.tolist()]
 
     def numbers(self, name: str, si_unit: str, where: str, blank: bool) -> np.ndarray:
-        """A column in SI. The unit is the header's, or else that of ``name``; without one it is SI.
-
-        Raises:
-            InputError: for a cell that is no finite number (a blank or NaN one is NaN where ``blank`` allows it).
-        """
+        """A column in SI, NaN where blank, if that is allowed. The unit is the header's, else that of ``name``, else SI."""
         position = self.index(name, where)
         header = self.header[position]
         unit = column(header)[1] or column(name)[1]
         place = f"{self.name}: column '{header}'"
         values, bad = self._parsed(position, si_unit == "s")
-        if (
-            blank
-        ):  # A sample beyond what an instrument can read stands as infinity: where it was is known, what it was is not.
-            clipped = np.array(
-                [str(c).strip() in CLIPPED for c in self.columns[position][np.isinf(values)].tolist()], dtype=bool
-            )
-            bad[np.flatnonzero(np.isinf(values))[~clipped]] = True
-        wrong = np.flatnonzero(
-            bad | (np.isinf(values) if not blank else False) | (np.isnan(values) if not blank else False)
-        )
+        if blank:
+            # A sample beyond what an instrument can read stands as infinity: where it was is known, what it was is not.
+            infinite = np.flatnonzero(np.isinf(values))
+            bad[[k for k in infinite if str(self.columns[position][k]).strip() not in CLIPPED]] = True
+        wrong = np.flatnonzero(bad if blank else bad | ~np.isfinite(values))
         if wrong.size:
             self._refuse(position, wrong, blank)
         return values * self.scale(unit, si_unit, column(header)[0], place)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
-        """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity.
-
-        Raises:
-            InputError: for a unit that does not convert, with what to give where it is electrical.
-        """
-        if unit is not None and si_unit == "N":
-            unit = WEIGHTS.get(unit, unit)
-        if unit is None or (unit not in ELECTRICAL and self.sensitivities.of(name, unit) is None):
-            return 1.0 if unit is None else scale_of(unit, si_unit, place)
+        """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity."""
+        if unit is None:
+            return 1.0
+        unit = WEIGHTS.get(unit, unit) if si_unit == "N" else unit
         factor = self.sensitivities.of(name, unit)
+        if factor is None and unit not in ELECTRICAL:
+            return scale_of(unit, si_unit, place)
         if factor is None:
             raise InputError(place, f"is in {unit}, and {si_unit} is wanted", NEEDED.get(unit, NEEDED[""]))
         if factor.si_unit != si_unit:
@@ -221,9 +192,8 @@ class Record:
         elif 2 * wrong.size > cells.size:
             remedy = "name another column"
         else:
-            several = wrong.size > 1
-            remedy = "correct the cells" if several else "correct the cell"
-            remedy += f", or leave {'them' if several else 'it'} blank if nothing was measured" if blank else ""
+            cell, them = ("cells", "them") if wrong.size > 1 else ("cell", "it")
+            remedy = f"correct the {cell}" + (f", or leave {them} blank if nothing was measured" if blank else "")
         raise InputError(self.place(int(wrong[0]), header), found, remedy)
 
     def where(self, keep: np.ndarray) -> Record:
@@ -244,25 +214,19 @@ def split(
 ) -> list[tuple[str, Record]]:
     """The experiments in a table, each with its name.
 
-    ``rows`` keeps the rows whose column equals a value; a list of values makes one experiment of each, and so
-    does ``runs_by``, or unasked the first column named as in ``RUN_COLUMNS``; "" asks for none.
-
-    Raises:
-        InputError: when a filter leaves no row, with the values that are there.
+    ``rows`` keeps the rows whose column equals a value; a list of values makes one experiment of each, and so does ``runs_by``,
+    or unasked the first column named as in ``RUN_COLUMNS``; "" asks for none.
     """
     parts = [("", table)]
     named = run_column(table) if runs_by is None else runs_by
-    unasked = {column(named)[0]: None} if named else {}
-    wanted = {**unasked, **rows}
-    for name, choice in wanted.items():
+    for name, choice in (({column(named)[0]: None} if named else {}) | dict(rows)).items():
         found = table.texts(name, f"{where}: rows")
-        values = list(choice) if isinstance(choice, list) else [choice]
-        values = list(dict.fromkeys(found)) if choice is None else values
+        values = list(dict.fromkeys(found)) if choice is None else choice if isinstance(choice, list) else [choice]
+        several = len(values) > 1 or choice is None
         parts = [
-            (f"{label} {name} {value}".strip() if len(values) > 1 or choice is None else label, part)
+            (f"{label} {name} {value}".strip() if several else label, whole.where(whole.holds(name, value, where)))
             for label, whole in parts
             for value in values
-            for part in [whole.where(whole.holds(name, value, where))]
         ]
         for value in values:
             if not table.holds(name, value, where).any():

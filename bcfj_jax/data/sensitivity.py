@@ -44,11 +44,7 @@ class Sensitivities:
     where: str = ""
 
     def of(self, name: str, unit: str | None) -> Factor | None:
-        """The factor of a column of a unit; None where none is stated or the unit is no sensor's.
-
-        Raises:
-            InputError: for a text that is no sensitivity.
-        """
+        """The factor of a column of a unit; None where none is stated or the unit is no sensor's."""
         if unit == FULL_SCALE:
             return _full(self.full_scale, f"{self.where} full_scale") if self.full_scale else None
         if not self.stated or unit is None or unit not in ELECTRICAL:

@@ -5,6 +5,7 @@ Nothing is assumed where two readings are possible: the message then names the k
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import re
 from collections.abc import Iterable, Sequence
@@ -17,7 +18,7 @@ import numpy as np
 from bcfj_jax.core.errors import InputError, clip
 from bcfj_jax.data import clock, numbers
 from bcfj_jax.data.decoding import decoded
-from bcfj_jax.data.layout import NO_NUMBERS, NO_ROWS, File, Layout, Row, found, others
+from bcfj_jax.data.layout import File, Layout, Row, found, others
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.opening import LARGEST_TEXT, content
 
@@ -35,33 +36,21 @@ _LARGE, _HEAD = 50_000, 4000
 
 @dataclass(frozen=True)
 class Stated:
-    """What a problem file says of how a data file is written; None: to be found.
+    """What a problem file says of how a data file is written; None: to be found."""
 
-    Attributes:
-        separator: a key of ``SEPARATORS``, or the character.
-        decimal: "." or ",".
-        encoding: as Python names it, such as "utf-8" or "cp1252".
-        header: line of the names, or lines of names in two lines; 0: the file has no names.
-        sensitivity, full_scale: of channels that are voltages, charges or shares of a full scale (``sensitivity``).
-    """
-
-    separator: str | None = None
-    decimal: str | None = None
-    encoding: str | None = None
-    header: int | list[int] | None = None
-    sensitivity: str | None = None
-    full_scale: str | None = None
+    separator: str | None = None  # a key of ``SEPARATORS``, or the character
+    decimal: str | None = None  # "." or ","
+    encoding: str | None = None  # as Python names it, such as "utf-8" or "cp1252"
+    header: int | list[int] | None = None  # line of the names, or lines of names in two lines; 0: the file has no names
+    sensitivity: str | None = None  # of channels that are voltages or charges
+    full_scale: str | None = None  # of channels that are shares of it
 
     def written(self) -> dict[str, Any]:
         """What is said of how a text is written."""
         return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale")}
 
     def check(self, where: str) -> None:
-        """Refuse values that are none.
-
-        Raises:
-            InputError: naming the key.
-        """
+        """Refuse values that are none, naming the key."""
         if self.separator is not None and self.separator not in (*SEPARATORS, *SEPARATORS.values()):
             raise InputError(f"{where} separator", f"'{clip(self.separator)}'", f"give one of {', '.join(SEPARATORS)}")
         if self.decimal not in (None, ".", ","):
@@ -74,43 +63,38 @@ class Stated:
 
 
 def read(path: Path, where: str, stated: Stated) -> Record:
-    """The table in a text file; rows that do not fit are in its ``faults``.
-
-    Raises:
-        InputError: when it is missing, empty, no text, holds no rows of numbers, or may be read in two ways.
-    """
+    """The table in a text file; rows that do not fit are in its ``faults``."""
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
-    separator = separator or _separator(lines[first:], path)
+    separator = separator or _separator(lines[first:])
     file = File(str(path), "line")
-    if len(lines) > _LARGE and (record := _large(path, lines, (first, separator), stated, encoding)):
-        return record
-    rows, faults = _rows(lines, first, separator, file)
-    layout = found(rows, file, stated.header)
-    decimals = decimal_marks(layout, stated, file, commas_part=separator == "comma")
+
+    def laid_out(some: list[str]) -> tuple[Layout, list[str]]:
+        rows, faults = _rows(some, first, separator, file)
+        layout = found(rows, file, stated.header)
+        marks = decimal_marks(layout, stated, file, commas_part=separator == "comma")
+        return replace(layout, faults=[*faults, *layout.faults]), marks
+
+    large = None
+    if len(lines) > _LARGE:
+        with contextlib.suppress(InputError):
+            large = _block(lines, separator, *laid_out(lines[:_HEAD]))
+    layout, decimals = large or laid_out(lines)
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
-    layout = replace(layout, faults=[*faults, *layout.faults])
     return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
 
 
-def _large(
-    path: Path, lines: list[str], how: tuple[int, str], stated: Stated, encoding: str
-) -> Record | None:  # fmt: skip
-    """The table of a text of many lines that are all numbers, by NumPy; None where one is not: cells are then looked at."""
-    (first, separator), file = how, File(str(path), "line")
-    try:
-        rows, faults = _rows(lines[:_HEAD], first, separator, file)
-        layout = found(rows, file, stated.header)
-        marks = set(decimal_marks(layout, stated, file, commas_part=separator == "comma"))
-    except InputError:
+def _block(
+    lines: list[str], separator: str, layout: Layout, decimals: list[str]
+) -> tuple[Layout, list[str]] | None:  # fmt: skip
+    """The layout of many lines that are all numbers, read by NumPy; None where one is not: cells are then looked at."""
+    marks, data = set(decimals), lines[layout.rows[0].line - 1 :]
+    if layout.faults or layout.left or len(marks) != 1:
         return None
-    if faults or layout.faults or layout.left or len(marks) != 1:
-        return None
-    begin, data = layout.rows[0].line - 1, lines[layout.rows[0].line - 1 :]
     while data and not data[-1].strip():
         data.pop()
     if marks == {","}:
@@ -123,33 +107,22 @@ def _large(
         )
     except (ValueError, OverflowError):
         return None
-    if len(values) != len(data) or values.shape[1] != len(layout.kept) or layout.kept != tuple(range(values.shape[1])):
-        return None
-    mark = "points" if marks == {"."} else "commas"
-    said = table(path, layout, (), file, f"{encoding} text, {_SAID[separator]}, decimal {mark}")
-    size, timed = len(values), len(said.header) > values.shape[1]
-    columns = [*values.T]
-    if timed:
-        start, step = clock.stated(layout.facts, str(path)) or (0.0, 1.0)
-        columns = [start + step * np.arange(size), *columns]
-    shown = said.found.replace(
-        f"{len(layout.rows)} rows, lines {begin + 1} to {layout.rows[-1].line}",
-        f"{size} rows, lines {begin + 1} to {begin + size}",
-    )
-    return replace(said, columns=tuple(columns), lines=np.arange(begin + 1, begin + size + 1), found=shown)
+    whole = len(values) == len(data) and layout.kept == tuple(range(values.shape[1]))
+    return (replace(layout, block=values), decimals) if whole else None
 
 
 def table(
     path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
 ) -> Record:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
-    counted = file.counted
-    lines = np.array([r.line for r in layout.rows])
-    columns = []
-    for j in range(len(layout.names)):
-        cells = np.empty(len(layout.rows), dtype=object)
-        cells[:] = [r.cells[j] for r in layout.rows]
-        columns.append(cells)
+    counted, names, columns = file.counted, layout.names, []
+    if layout.block is not None:
+        lines, columns, decimals = layout.rows[0].line + np.arange(len(layout.block)), [*layout.block.T], ()
+    else:
+        lines = np.array([r.line for r in layout.rows])
+        for j in range(len(names)):
+            columns.append(np.empty(lines.size, dtype=object))
+            columns[j][:] = [r.cells[j] for r in layout.rows]
     parts = [how]
     for count, what in ((layout.above, f"{counted}@ above the names"), (layout.comments, f"comment {counted}@")):
         if count:
@@ -160,14 +133,13 @@ def table(
     parts.append(f"{lines.size} rows, {counted}s {lines[0]} to {lines[-1]}")
     if layout.left:
         parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
-    named = ", ".join(name or "(no name)" for name in layout.names[:12])
-    parts.append(f"{len(layout.names)} columns: {clip(named)}{', ...' if len(layout.names) > 12 else ''}")
-    names = layout.names
+    named = ", ".join(name or "(no name)" for name in names[:12])
+    parts.append(f"{len(names)} columns: {clip(named)}{', ...' if len(names) > 12 else ''}")
     timed = any(map(clock.is_time, names)) or any(len(c) and clock.is_of_day(c[0]) for c in columns)
     if not timed and (even := clock.stated(layout.facts, str(path))):
         start, step = even
         names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
-        decimals = (".", *decimals)
+        decimals = (".", *decimals) if decimals else ()
         parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
     return Record(
         path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
@@ -191,7 +163,6 @@ def _is_comment(line: str, separator: str) -> bool:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """One line in cells."""
     if separator == "blank":
         line = line.replace("\t", " ").strip()
         if '"' not in line:
@@ -205,12 +176,8 @@ def _cells(line: str, separator: str) -> list[str]:
     ]
 
 
-def _separator(lines: Sequence[str], path: Path) -> str:
-    """The separator by which most lines become numbers.
-
-    Raises:
-        InputError: where none makes a number of any line.
-    """
+def _separator(lines: Sequence[str]) -> str:
+    """The separator by which most lines become numbers; where none does, ``layout`` says so."""
     full = [line for line in lines if line.strip()]
     if len(full) > _SAMPLE:
         half = _SAMPLE // 2
@@ -220,11 +187,7 @@ def _separator(lines: Sequence[str], path: Path) -> str:
         best = max(scores, key=lambda k: scores[k])
         if scores[best] > 0.0:
             return best
-    if sum(not _is_comment(line, "comma") for line in full) < 2:
-        raise InputError(str(path), *NO_ROWS)
-    shown = clip(full[len(full) // 2].strip(), 80)
-    found = f"no line holds a number; the one in the middle reads '{shown}'"
-    raise InputError(str(path), found, NO_NUMBERS)
+    return "comma"
 
 
 def _score(lines: Sequence[str], separator: str, least: int) -> float:
@@ -310,11 +273,7 @@ def _join(match: re.Match) -> str:
 def decimal_marks(
     layout: Layout, stated: Stated, file: File, commas_part: bool = False
 ) -> list[str]:  # fmt: skip
-    """The decimal mark of each column; of a table whose cells commas part, that of bare points is a point.
-
-    Raises:
-        InputError: where every number with a mark may be read in two ways.
-    """
+    """The decimal mark of each column; refuses numbers that may all be read in two ways, but bare points where commas part."""
     if stated.decimal:
         return [stated.decimal] * len(layout.names)
     sample = layout.rows[:: max(1, len(layout.rows) // 5000)]

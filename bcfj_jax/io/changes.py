@@ -46,11 +46,7 @@ _changed: dict[str, tuple[Change, ...]] = {}
 
 
 def parse(text: str) -> Change:
-    """A change from ``path=value``: a value is read as in TOML, and what is no TOML is a text.
-
-    Raises:
-        InputError: for a text without "=", and for an empty path or value.
-    """
+    """A change from ``path=value``: a value is read as in TOML, and what is no TOML is a text."""
     path, equals, given = (part.strip() for part in text.partition("="))
     words = tuple(word.strip().strip("\"'") for word in path.split("."))
     if not equals or not all(words) or not given:
@@ -78,10 +74,7 @@ def changing(
 ) -> Iterator[None]:
     """Within, a file (or a built-in scene) reads as if it said what the changes say; run.toml then has them.
 
-    ``tables`` are those of a file of this kind, which may be ``inside`` another table.
-
-    Raises:
-        InputError: of what is checked within; where a change is to blame, it names the change in the file's place.
+    ``tables``: of a file of this kind, which may be ``inside`` another table. An error that a change is to blame for names it.
     """
     placed = [_placed(change, tables) for change in changes]
     where = str(Path(what))
@@ -127,45 +120,31 @@ def _placed(change: Change, tables: Sequence[str]) -> Change:
     return change
 
 
-def _set(table: dict[str, Any], words: tuple[str, ...], change: Change) -> dict[str, Any]:
-    """A copy of a table in which one place has another value."""
+def _set(table: Any, words: Sequence[str], change: Change, name: str = "") -> Any:
+    """A copy of a table, or of a list of tables, in which one place has another value."""
     first, *rest = words
+    if isinstance(table, list) and len(table) in (2, 3) and first in _KEYS:
+        # NAME = [lower, upper] under [free]; under a design's [vary] the tolerance may follow.
+        table = dict(zip(("lower", "upper", "tolerance"), table, strict=False))
+    if isinstance(table, list):
+        numbers = [str(k + 1) for k in range(len(table))]
+        names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in table]
+        k = next((known.index(first) for known in (names, numbers) if first in known), None)
+        if k is None:
+            shown = [name or number for name, number in zip(names, numbers, strict=True)]
+            raise InputError(change.text[:200], f"no entry '{first}'", nearest(first, shown))
+        made = _set(table[k], rest, change, first) if rest else change.value
+        return [*table[:k], made, *table[k + 1 :]]
+    if not isinstance(table, dict):
+        # A study's scene: what is inside of it is not in this file.
+        found = f"'{name}' is {quoted(table)} in the file"
+        raise InputError(change.text[:200], found, "give its table in the file, or set it as a whole")
     if not rest:
         return {**table, first: change.value}
-    inner = table.get(first, {})
-    if isinstance(inner, list) and len(inner) in (2, 3) and rest[0] in _KEYS:
-        # NAME = [lower, upper] under [free]; under a design's [vary] the tolerance may follow.
-        inner = dict(zip(("lower", "upper", "tolerance"), inner, strict=False))
-    if isinstance(inner, list):
-        return {**table, first: _set_in_list(inner, rest, change)}
-    if not isinstance(inner, dict):
-        # A study's scene: what is inside of it is not in this file.
-        raise _no_table(first, inner, change)
-    other = _INSTEAD.get((first, rest[0]))
-    inner = {key: value for key, value in inner.items() if key != other}
-    return {**table, first: _set(inner, tuple(rest), change)}
-
-
-def _set_in_list(entries: list[Any], words: Sequence[str], change: Change) -> list[Any]:
-    which, *rest = words
-    numbers = [str(k + 1) for k in range(len(entries))]
-    names = [str(entry.get("name", "")) if isinstance(entry, dict) else "" for entry in entries]
-    for known in (names, numbers):
-        if which in known:
-            k = known.index(which)
-            break
-    else:
-        shown = [name or number for name, number in zip(names, numbers, strict=True)]
-        raise InputError(change.text[:200], f"no entry '{which}'", nearest(which, shown))
-    if rest and not isinstance(entries[k], dict):
-        raise _no_table(which, entries[k], change)
-    made = _set(entries[k], tuple(rest), change) if rest else change.value
-    return [*entries[:k], made, *entries[k + 1 :]]
-
-
-def _no_table(name: str, value: Any, change: Change) -> InputError:
-    found = f"'{name}' is {quoted(value)} in the file"
-    return InputError(change.text[:200], found, "give its table in the file, or set it as a whole")
+    inner, other = table.get(first, {}), _INSTEAD.get((first, rest[0]))
+    if isinstance(inner, dict):
+        inner = {key: value for key, value in inner.items() if key != other}
+    return {**table, first: _set(inner, rest, change, first)}
 
 
 def _about(where: str, change: Change) -> bool:

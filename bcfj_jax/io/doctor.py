@@ -108,7 +108,6 @@ def _devices() -> list[Finding]:
 
 
 def _of_studies() -> str:
-    """What a study would use."""
     if backend.on_cpu():
         return f"on the CPU, {cores()} threads"
     size = f", {backend.memory() / 2**30:.0f} GiB of its memory" if backend.memory() else ""

@@ -47,29 +47,18 @@ _REMEDIES = {
 
 
 class Claim(NamedTuple):
-    """What a command will do to its folder.
+    """What a command will do to its folder."""
 
-    Attributes:
-        verb: of the command.
-        names: of the files to come.
-        goes_on: name of the file that keeps finished work; a folder that holds it is gone on with.
-        size: free space that the results need [bytes].
-        wait_s: how long to wait for a folder that another process has [s].
-    """
-
-    verb: str
-    names: Sequence[str]
-    goes_on: str = ""
-    size: int = LEAST_FREE
-    wait_s: float = WAIT_S
+    verb: str  # of the command
+    names: Sequence[str]  # of the files to come
+    goes_on: str = ""  # name of the file that keeps finished work; a folder that holds it is gone on with
+    size: int = LEAST_FREE  # free space that the results need [bytes]
+    wait_s: float = WAIT_S  # how long to wait for a folder that another process has [s]
 
 
 @dataclass
 class _Reserved:
-    """A folder of this process, with the files that it may write and the folders that were made for it.
-
-    ``stage``: how far its result has come, where that stays after an interruption.
-    """
+    """A folder of this process: files that it may write, folders that were made for it, and the ``stage`` that stays."""
 
     folder: Path
     names: tuple[str, ...]
@@ -101,10 +90,7 @@ class _Reserved:
 
 @dataclass
 class Session:
-    """Folders ``reserved`` for this process; those ``kept`` hold finished work that the same command goes on with.
-
-    ``stages``: what an interruption leaves of a result, in words.
-    """
+    """Folders ``reserved`` for this process, those ``kept`` with finished work, and ``stages`` that an interruption leaves."""
 
     kept: list[Path] = field(default_factory=list)
     stages: list[str] = field(default_factory=list)
@@ -145,15 +131,8 @@ def stays(folder: Path, stage: str) -> None:
 def open_folder(out: Path | None, stem: str, claim: Claim) -> Path:
     """The folder for a command's results. Within a ``session`` it is made, locked and tried here.
 
-    Args:
-        out: what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists.
-        stem: what the command was given.
-        claim: what it will do.
-
-    Raises:
-        InputError: if the folder asked for already holds one of the files, is no folder, cannot be written, has no
-            space, or another process writes there.
-        KeyboardInterrupt: if Ctrl-C came before work began and was lost, as where a library's import catches everything.
+    ``out`` is what the user asked for; None: ``results/<verb>-<stem>``, numbered where that exists. Refused are a folder that
+    holds one of the files already, is none, cannot be written, has no space, or in which another process writes.
     """
     stop.check()
     default = Path("results") / f"{claim.verb}-{stem}"
@@ -316,11 +295,7 @@ def _refuse_what_is_there(folder: Path, asked: Claim) -> None:
 
 
 def inside(folder: Path, name: str, where: str) -> Path:
-    """The path of a file in a folder by a name (parts separated by "/") that came from a worker, a file, a record.
-
-    Raises:
-        InputError: for an absolute name, one with "..", with a backslash, a colon or a control character, or too long.
-    """
+    """The path of a file in a folder by a name (parts separated by "/") that came from a worker, a file, a record."""
     parts = name.split("/")
     bad = [x for x in parts if x in ("", ".", "..") or len(os.fsencode(x)) > 255]
     if bad or any(x in "\\:" or not x.isprintable() for x in name):

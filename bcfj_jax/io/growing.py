@@ -13,10 +13,7 @@ COMPLETE = "complete"
 
 
 class Growing:
-    """A command's result so far: its main file names the stage that it has come to (``stage``), and what is new is shown.
-
-    Each stage stays in its folder where the command is interrupted after it.
-    """
+    """A result as it grows: its main file names its ``stage``, in which an interruption leaves it, and what is new is shown."""
 
     def __init__(self, path: Path, show: Callable[[str], None]) -> None:
         self.path, self.show = path, show

@@ -15,11 +15,9 @@ _SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 def guarded(verb: Callable[[], int], say: Callable[[str], None]) -> int:
-    """Run a verb; its exit code.
+    """Run a verb; its exit code: 2 for bad input and what the system refuses, 5 where finished work was kept.
 
-    Bad input and what the system refuses end with 2; with 5 where finished work was kept, so that the same command
-    goes on. Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143, and the folder is as it was, or has the
-    stage that a result had come to (``folder.stays``).
+    Ctrl-C and SIGTERM end with 5 where work was kept, else with 130 or 143; the folder is as it was, or has a result's stage.
     """
     held = Session()
     try:

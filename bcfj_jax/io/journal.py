@@ -42,10 +42,8 @@ def key_of(*parts: Any, packages: Sequence[str] = ("bcfj_jax",)) -> str:
 class Journal:
     """Finished pieces of one job (``key_of``) by name, kept in ``folder/journal.jsonl``.
 
-    A line that is torn, as a crash while writing leaves it, or damaged is dropped, which is said, and its work done again.
-
-    Raises:
-        InputError: if the folder holds the journal of another job, or one of which nothing can be read.
+    A line that is torn by a crash, or damaged, is dropped, which is said, and its work done again. Refused is the journal of
+    another job, and one of which nothing can be read.
     """
 
     def __init__(self, folder: Path, key: str) -> None:

@@ -24,11 +24,10 @@ from jax import Array
 
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.gaps import GAPS, AbstractGap, make_gap
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, one_of
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_value
 from bcfj_jax.io import mechanismtables as keys
-from bcfj_jax.io import tables, usercode
-from bcfj_jax.io.programmes import OF_LOADS
+from bcfj_jax.io import programmes, tables, usercode
 from bcfj_jax.io.units import alike, coherent, quantity
 from bcfj_jax.io.usercode import MECHANISM as KIND
 from bcfj_jax.mechanism import channels, sizes
@@ -45,8 +44,10 @@ _NAME = re.compile(r"-?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 _WHERE = re.compile(r"(?:mechanism|scene) '[^']*'\s*(.*)", re.DOTALL)
 _PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
 # What a drive of each kind reads.
-_DRIVES = {"constant": ("speed", "start"), "ramp": ("speed", "over", "start", "first", "shape"), "table": ("table",)}
-_DRIVES["speeds"] = ("start", "table")
+_DRIVES = {
+    "constant": ("speed", "start"), "ramp": ("speed", "over", "first", "shape", "start"), "table": ("table",),
+    "speeds": ("table", "start"),
+}  # fmt: skip
 M = TypeVar("M", bound=tables.Table)
 
 
@@ -67,9 +68,6 @@ def build(content: Mapping[str, Any], where: str, given: Mapping[str, Any]) -> t
     """The mechanism that the tables of a file list, and the tables with every default, SI, which a file may hold again.
 
     ``given`` is what the file's [parameters] say, as they are written.
-
-    Raises:
-        InputError: for anything that is not right, with the table, the entry and what would be.
     """
     return _Builder(content, where, given).built()
 
@@ -94,11 +92,7 @@ def placed(content: Mapping[str, Any], where: str) -> contextlib.AbstractContext
 
 
 def refuse_unread(scene: Any, params: Mapping[str, Array], given: Mapping[str, Any], where: str) -> None:
-    """Refuse a parameter that the file gives and that every part has a value of its own in place of.
-
-    Raises:
-        InputError: naming it.
-    """
+    """Refuse a parameter that the file gives and that every part has a value of its own in place of."""
     read, defaults = names_read(scene, params, where), dict(scene.defaults)
     for key in given:
         name = scene.canonical(key)
@@ -111,11 +105,7 @@ def refuse_unread(scene: Any, params: Mapping[str, Array], given: Mapping[str, A
 
 
 def readings(content: Mapping[str, Any], scene: Any, where: str) -> tuple[list[dict[str, str]], tuple[Channel, ...]]:
-    """What [[read]] asks for: the resolved tables, and the readings.
-
-    Raises:
-        InputError: for a reading that the scene has not, with the nearest that it has.
-    """
+    """What [[read]] asks for: the resolved tables, and the readings."""
     found, resolved = [], []
     for k, table in enumerate(_listed(content, "read", where)):
         place = f"{where}: [[read]] {k + 1}"
@@ -142,7 +132,7 @@ class _Builder:
         self.options = scene.model_copy(update={"law": scene.law or ("exact" if returns else "memory_free")})
         own, quantities = self._quantities()
         parts: list[tuple[Any, ...]] = []
-        resolved: dict[str, Any] = {"scene": _plain(self.options)}
+        resolved: dict[str, Any] = {"scene": self.options.model_dump(exclude_none=True)}
         for table, read in (("body", self._body), ("contact", self._contact), ("load", self._load)):
             entries = enumerate(_listed(self.content, table, self.where))
             found = [read(entry, self._place(table, k, entry)) for k, entry in entries]
@@ -206,15 +196,10 @@ class _Builder:
                 found[key] = self._sized(found[key], keys.TURNED.get(unit, unit) if turns else unit, shape, place + key)
         return found
 
-    def _table(self, rows: list[list[Any]] | None, units: tuple[str, str], place: str) -> Any:
-        if rows is None:
-            return None
+    def _table(self, rows: list[list[Any]], unit: str, place: str) -> Any:
         if len(rows) != 2 or len(rows[0]) != len(rows[1]):
             raise InputError(place, "has not two rows of one length", "give [[times], [values]]")
-        return tuple(
-            tuple(quantity(x, unit, f"{place}[{i}][{k}]") for k, x in enumerate(row))
-            for i, (row, unit) in enumerate(zip(rows, units, strict=True))
-        )
+        return tuple(map(tuple, programmes.table(rows, unit, place)))
 
     def _quantities(self) -> tuple[list[tuple[Quantity, float | None]], dict[str, dict[str, Any]]]:
         found, resolved = [], {}
@@ -249,15 +234,13 @@ class _Builder:
     def _body(self, table: Mapping[str, Any], place: str) -> tuple[Body, dict[str, Any]]:
         entry = _checked(keys.BodyTable, table, place)
         if isinstance(entry.parent, list):
-            found = (
-                f"'{entry.name}' hangs on {' and on '.join(map(repr, entry.parent))}: joints alone would close a loop"
-            )
+            parents = " and on ".join(map(repr, entry.parent))
+            found = f"'{entry.name}' hangs on {parents}: joints alone would close a loop"
             remedy = "give it one parent, and close the loop by a contact with clearance or a bush"
             raise InputError(f"{place} parent", found, remedy)
         if not isinstance(entry.parent, str):
             raise InputError(f"{place} parent", f"{entry.parent!r}", f"give the name of a body, or '{GROUND}'")
-        if entry.joint not in JOINTS:
-            raise InputError(f"{place} joint", f"no joint '{entry.joint}'", nearest(entry.joint, JOINTS))
+        one_of(f"{place} joint", "joint", entry.joint, JOINTS)
         given = self._numbers(entry, f"{place} ") | {"axis": _axis(entry.axis, f"{place} axis")}
         if entry.tilt is not None:
             if len(entry.tilt) != 2:
@@ -269,8 +252,7 @@ class _Builder:
         moves = None if drive else Body("moves", entry.joint)
         known = (*moves.coordinates, *moves.rates) if moves else ()
         for key in entry.start:
-            if key not in known:
-                raise InputError(f"{place} start.{key}", f"no coordinate '{key}'", nearest(key, known))
+            one_of(f"{place} start.{key}", "coordinate", key, known)
         given["start"] = {key: self._size(x, unit_of(key), f"{place} start.{key}") for key, x in entry.start.items()}
         with _said_of(f"body '{entry.name}'", place):
             body = Body(**{key: x for key, x in given.items() if key != "tilt" or x is not None}, drive=drive)
@@ -279,10 +261,7 @@ class _Builder:
 
     def _drive(self, entry: keys.DriveTable, turns: bool, place: str) -> Drive:
         known = (*_DRIVES, *usercode.functions())
-        if entry.kind not in known:
-            raise InputError(
-                f"{place}.kind", f"no kind of drive '{entry.kind}'", nearest(entry.kind, known) + usercode.hint()
-            )
+        one_of(f"{place}.kind", "kind of drive", entry.kind, known, usercode.hint())
         reads = _DRIVES.get(entry.kind, ())
         for key in ("speed", "over", "start", "first", "shape", "table"):
             if key not in reads and getattr(entry, key) is not None:
@@ -293,9 +272,8 @@ class _Builder:
         given = {key: x for key, x in self._numbers(entry, f"{place}.", turns).items() if x is not None}
         if "table" in given:
             values = "m/s" if entry.kind == "speeds" else "m"
-            given["table"] = self._table(
-                given["table"], ("s", keys.TURNED[values] if turns else values), f"{place}.table"
-            )
+            unit = keys.TURNED[values] if turns else values
+            given["table"] = self._table(given["table"], unit, f"{place}.table")
         with _said_of("drive", place):
             return Drive(**given)
 
@@ -310,9 +288,7 @@ class _Builder:
         except InputError as error:
             raise InputError(f"{place} friction", error.found, error.remedy + usercode.hint()) from None
         smoothing = self.options.smoothing if entry.smoothing is None else entry.smoothing
-        if entry.approach not in ("memory", "parameter"):
-            found = f"no approach '{entry.approach}'"
-            raise InputError(f"{place} approach", found, nearest(entry.approach, ("memory", "parameter")))
+        one_of(f"{place} approach", "approach", entry.approach, ("memory", "parameter"))
         given: dict[str, Any] = {
             "name": entry.name, "between": tuple(entry.between), "gap": gap, "law": law, "friction": friction,
             "smoothing": smoothing, "at": self._numbers(entry, f"{place} ")["at"],
@@ -347,13 +323,13 @@ class _Builder:
         kind, known = table.get("kind"), (*LOADS, *usercode.functions())
         if kind is None:
             raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(known)}")
-        if kind not in known:
-            raise InputError(f"{place} kind", f"no kind of load '{kind}'", nearest(str(kind), known) + usercode.hint())
+        one_of(f"{place} kind", "kind of load", kind, known, usercode.hint())
         if kind not in LOADS:
             own = _checked(keys.OwnTable, table, place)
-            return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), _plain(own)
+            return Load(own.name, usercode.functions()[kind], tuple(own.bodies)), own.model_dump(exclude_none=True)
         entry: Any = _checked(keys.LOAD_TABLES[kind], table, place)
-        turns = kind in ("joint_spring", "joint_friction") and self._joint(entry.body) == "hinge"
+        joints = {body.get("name"): body.get("joint") for body in self.content.get("body", ())}
+        turns = kind in ("joint_spring", "joint_friction") and joints.get(entry.body) == "hinge"
         given = self._numbers(entry, f"{place} ", turns)
         del given["kind"]
         if "direction" in given:
@@ -365,7 +341,7 @@ class _Builder:
         if given.get("table") is not None:
             if any(x is not None for x in (entry.size, entry.ramp, entry.amplitude, entry.reversal)):
                 raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
-            given["table"] = self._table(given["table"], ("s", OF_LOADS[kind]), f"{place} table")
+            given["table"] = self._table(given["table"], programmes.OF_LOADS[kind], f"{place} table")
         drive = given.pop("drive", None)
         made: dict[str, Any] = {"drive": self._drive(drive, turns, f"{place} drive")} if drive else {}
         with _said_of(f"load '{entry.name}'", place):
@@ -373,18 +349,13 @@ class _Builder:
         plain = {"kind": kind} | {key: _listing(x) for key, x in given.items() if x is not None}
         return load, plain | ({"drive": _drive_table(drive, made["drive"])} if drive else {})
 
-    def _joint(self, body: str) -> str:
-        found = (entry for entry in self.content.get("body", ()) if entry.get("name") == body)
-        return next(found, {}).get("joint", "free")
-
 
 def _listed(content: Mapping[str, Any], table: str, where: str) -> list[Mapping[str, Any]]:
     entries = content.get(table) or []
     for k, entry in enumerate(entries):
         if not isinstance(entry, Mapping):
-            raise InputError(
-                f"{where}: [[{table}]] {k + 1}", f"{entry!r} is no table", f"write [[{table}]] and keys below"
-            )
+            remedy = f"write [[{table}]] and keys below"
+            raise InputError(f"{where}: [[{table}]] {k + 1}", f"{entry!r} is no table", remedy)
     return entries
 
 
@@ -416,8 +387,7 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
     kind = given if isinstance(given, str) else given.get("kind")
     if kind is None:
         raise InputError(f"{place}.kind", "the key 'kind' is missing", f"give one of {', '.join(GAPS)}")
-    if not isinstance(kind, str) or kind not in GAPS:
-        raise InputError(place, f"no gap '{kind}'", nearest(str(kind), GAPS) + usercode.hint())
+    one_of(place, "gap", kind, GAPS, usercode.hint())
     try:
         gap = make_gap(kind, **options)
     except InputError as error:
@@ -431,8 +401,8 @@ def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:
 
 def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
     for key, value, known in ((what, name, laws.LAWS), ("elastic", elastic, laws.ELASTIC)):
-        if value is not None and value not in known:
-            raise InputError(f"{place} {key}", f"no such {key} '{value}'", nearest(value, known) + usercode.hint())
+        if value is not None:
+            one_of(f"{place} {key}", f"such {key}", value, known, usercode.hint())
     with tables.placed(lambda where: f"{place} {where}"):
         return laws.make(name or "memory_free", elastic)
 
@@ -446,14 +416,8 @@ def _end(bodies: Sequence[Body]) -> Any:
 
 
 def _drive_table(entry: keys.DriveTable, drive: Drive) -> dict[str, Any]:
-    given = {"kind": entry.kind, "speed": drive.speed, "over": drive.over, "table": drive.table}
-    given |= {"first": drive.first, "shape": drive.shape} if entry.kind == "ramp" else {}
-    given |= {"start": drive.start} if "start" in _DRIVES.get(entry.kind, ()) else {}
-    return {key: _listing(x) for key, x in given.items() if x is not None}
-
-
-def _plain(entry: tables.Table) -> dict[str, Any]:
-    return {key: x for key, x in entry.model_dump().items() if x is not None}
+    given = {key: _listing(getattr(drive, key)) for key in _DRIVES.get(entry.kind, ())}
+    return {"kind": entry.kind} | {key: x for key, x in given.items() if x is not None}
 
 
 def _listing(x: Any) -> Any:

@@ -20,28 +20,18 @@ LARGEST_TEXT, LARGEST_TOML, LARGEST_BINARY = 64 * MEGABYTE, 2 * MEGABYTE, 16384 
 
 
 def check(path: Path, largest: int, where: str, missing: str, remedy: str) -> None:
-    """Refuse what is not a regular file of at most ``largest`` bytes; the last three arguments are parts of the message.
-
-    Raises:
-        InputError: where there is no such file, it is a folder, pipe or device, cannot be read, or is too large.
-    """
+    """Refuse what is not a regular file of at most ``largest`` bytes; the last three arguments are parts of the message."""
     os.close(_opened(path, largest, where, missing, remedy))
 
 
 def head(path: Path, where: str, missing: str, size: int = 4096) -> bytes:
-    """The first bytes of a regular file.
-
-    Args, Raises: as ``check``.
-    """
+    """The first bytes of a regular file; arguments as ``check``."""
     with os.fdopen(_opened(path, LARGEST_BINARY, where, missing, "give a smaller file"), "rb") as file:
         return file.read(size)
 
 
 def content(path: Path, largest: int, where: str, missing: str, remedy: str) -> bytes:
-    """All bytes of a regular file.
-
-    Args, Raises: as ``check``.
-    """
+    """All bytes of a regular file; arguments as ``check``."""
     handle = _opened(path, largest, where, missing, remedy)
     with os.fdopen(handle, "rb") as file:
         try:

@@ -60,22 +60,17 @@ def atomic(path: Path, place: Callable[[str, Path], None] = os.replace) -> Itera
         Path(name).unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, place: Callable[[str, Path], None] = os.replace) -> None:
     """A UTF-8 file, atomically. What is no character, as in a file name of other bytes, is written as its escape."""
-    with atomic(path) as temporary:
+    with atomic(path, place) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def create(path: Path, text: str) -> None:
-    """A UTF-8 file that was not there, whole: of two processes that ask at once, one gets it.
-
-    Raises:
-        InputError: if it is there already, or cannot be written.
-    """
+    """A UTF-8 file that was not there, whole: of two processes that ask at once, one gets it, the other is refused."""
     check_folder(path.parent, [path.name])
     try:
-        with atomic(path, _new) as temporary:
-            temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+        write_text(path, text, _new)
     except OSError as error:
         raise unwritable(f"--out {path.parent}", error) from None
 
@@ -146,9 +141,8 @@ def write_origin(folder: Path, resolved: Mapping[str, Any], comment: str, known:
 
 
 def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str, np.ndarray]:
-    """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``.
-
-    ``components``: number of axes after time and members: 1 for forces, 0 for penetrations and rates.
+    """Histories by contact, members apart: (T, 6, 3) under ``seat_ball`` becomes ``seat_ball_1`` .. ``_6``; ``components``: axes
+    after time and members, 1 for forces.
     """
     apart: dict[str, np.ndarray] = {}
     for name, values in history.items():
@@ -157,16 +151,6 @@ def channels(history: Mapping[str, np.ndarray], components: int = 0) -> dict[str
         else:
             apart[name] = values
     return apart
-
-
-def write_table(path: Path, header: Sequence[str], table: np.ndarray) -> None:
-    """A CSV file of numbers (T, k)."""
-    write_columns(path, dict(zip(header, np.asarray(table).T, strict=True)))
-
-
-def write_histories(path: Path, times: np.ndarray, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
-    """A CSV file of histories: time [s], then columns by their heads."""
-    write_columns(path, {"time [s]": np.asarray(times), **columns})
 
 
 def force_columns(run: Run) -> dict[str, np.ndarray]:

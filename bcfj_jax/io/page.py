@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.errors import counted as counted
 from bcfj_jax.io.units import engineering, format_si
 
 Rows = Sequence[Sequence[str]]
@@ -66,29 +67,18 @@ class Listing:
 
 @dataclass(frozen=True)
 class Page:
-    """One report.
+    """One report."""
 
-    Attributes:
-        title: its heading.
-        verdict: the answer.
-        pictures: those that matter, two at most.
-        warnings: what the reader must know before the numbers.
-        tables: tables and listings, by type of contact where there are contacts.
-        more: further pictures.
-        folded: members, input, solver; ``report`` adds the folder's run.toml and environment.json.
-        animation: HTML of an animation, written by this package: it is not escaped.
-        model_form: how wrong the model may be, whatever the error of its computation.
-    """
-
-    title: str
-    verdict: Verdict
-    pictures: tuple[Picture, ...] = ()
-    warnings: tuple[str, ...] = ()
-    tables: tuple[Table | Listing, ...] = ()
-    more: tuple[Picture, ...] = ()
+    title: str  # its heading
+    verdict: Verdict  # the answer
+    pictures: tuple[Picture, ...] = ()  # those that matter, two at most
+    warnings: tuple[str, ...] = ()  # what the reader must know before the numbers
+    tables: tuple[Table | Listing, ...] = ()  # tables and listings, by type of contact where there are contacts
+    more: tuple[Picture, ...] = ()  # further pictures
+    # Members, input, solver; ``report`` adds the folder's run.toml and environment.json
     folded: tuple[Table | Listing, ...] = ()
-    animation: str = ""
-    model_form: str = ""
+    animation: str = ""  # HTML of an animation, written by this package: it is not escaped
+    model_form: str = ""  # how wrong the model may be, whatever the error of its computation
 
     def content(self) -> dict[str, Any]:
         """The page as ``report.json`` has it; the animation is left out."""
@@ -103,11 +93,7 @@ def model_form(known: str) -> str:
 
 
 def from_content(content: Mapping[str, Any], where: str) -> Page:
-    """The page of a ``report.json``.
-
-    Raises:
-        InputError: for a content that is no page.
-    """
+    """The page of a ``report.json``."""
     import pydantic
 
     try:
@@ -142,10 +128,7 @@ def brief(value: float | None, unit: str = "1", digits: int = 3) -> str:
 
 
 def bounded(values: Sequence[float], ends: Sequence[float], unit: str = "1") -> list[str]:
-    """Values that an interval bounds: three significant digits, or as many as show the interval's width with two.
-
-    1.50481 within 1.48421 and 1.52607 -> "1.505", with its ends "1.484" and "1.526".
-    """
+    """Values that an interval bounds, in three digits or as many as show its width with two: 1.50481 in 1.484..1.526: "1.505"."""
     size, width = max((abs(x) for x in ends), default=0.0), abs(ends[-1] - ends[0]) if len(ends) > 1 else 0.0
     known = 0.0 < width < size < math.inf
     digits = min(max(3, 2 + math.floor(math.log10(size)) - math.floor(math.log10(width))), 12) if known else 3
@@ -163,11 +146,6 @@ def span(values: Iterable[float], unit: str = "1", digits: int = 3) -> str:
     scale, prefix = engineering([low, high], unit)
     ends = f"{low * scale:.{digits}g} to {high * scale:.{digits}g}"
     return ends if unit == "1" else f"{ends} {prefix.replace('u', 'µ')}{unit}"
-
-
-def counted(number: int, what: str) -> str:
-    """A number of things: "1 record", "2 records"."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def percent(share: float | None, digits: int = 3) -> str:

@@ -31,9 +31,8 @@ COLOURS = ("#0072b2", "#b84e00", "#007a5a", "#a8508a", "#8a6500", "#4a4a4a")
 def get_ready() -> None:
     """Import what drawing needs, beside other work.
 
-    While the system loads the library of matplotlib's fonts, it holds a lock, and the library runs Python code. Beside a
-    thread that imports another library, which takes that lock with Python's own held, each could wait for the other
-    without end. So that library alone is loaded here, before there is another thread.
+    The library of matplotlib's fonts runs Python code while the system holds a lock to load it: beside a thread that imports
+    another library each could wait for the other without end. So it is loaded here, before there is another thread.
     """
     load_fonts()
     ahead(_import)
@@ -86,10 +85,7 @@ def plain(name: str) -> str:
 
 
 class Margins(NamedTuple):
-    """Room about each panel [in] for labels of known size: left, right, below, above.
-
-    Matplotlib's own layout measures every label, which takes as long as drawing them.
-    """
+    """Room about each panel [in] for labels of known size; matplotlib's own layout takes as long as drawing them."""
 
     left: float = 0.75
     right: float = 0.2
@@ -175,8 +171,7 @@ class Kept:
 def save(drawing: Figure, path: Path | Kept, colours: int = 256) -> None:
     """Write a PNG of so many colours, atomically: a third of the bytes of one with all colours, and no slower.
 
-    Pictures of many thin lines need fewer: 64 take a sixth less than 256; with 32 two of our colours become one. Light
-    fills need 256.
+    Pictures of many thin lines need 64, light fills 256; with 32 two of our colours become one.
     """
     if isinstance(path, Kept):
         path.drawing = drawing

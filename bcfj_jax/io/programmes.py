@@ -25,18 +25,14 @@ def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list
     """[[times], [values]] in SI, of such rows, whose numbers may be texts with a unit, or the name of a CSV file.
 
     A name counts from the scene file's ``folder``; without one from the working directory.
-
-    Raises:
-        InputError: for a file that cannot be read, cells that are no numbers of the unit, and rows of unlike lengths.
     """
     if isinstance(given, str):
         return _read((folder or Path()) / given, unit, where)
     if not (
         isinstance(given, (list, tuple)) and len(given) == 2 and all(isinstance(row, (list, tuple)) for row in given)
     ):
-        raise InputError(
-            where, f"{clip(str(given))} is no table", "give [[times], [values]], or the name of a CSV file"
-        )
+        remedy = "give [[times], [values]], or the name of a CSV file"
+        raise InputError(where, f"{clip(str(given))} is no table", remedy)
     return [
         [quantity(x, one, f"{where}[{i}][{k}]") for k, x in enumerate(row)]
         for i, (row, one) in enumerate(zip(given, ("s", unit), strict=True))

@@ -52,10 +52,7 @@ def solver_table(stats: Mapping[str, float], more: Sequence[Sequence[str]] = ())
 
 
 def write(folder: Path, page: Page, known: str = "") -> Path:
-    """Write ``report.json`` and ``report.html`` into a folder that holds the page's pictures; the HTML file.
-
-    ``known``: a model's ``model_form``, for a page that has none.
-    """
+    """Write ``report.json`` and ``report.html``, which it returns. ``known``: a model's ``model_form``, where a page has none."""
     if known and not page.model_form:
         page = replace(page, model_form=model_form(known))
     write_json(folder / JSON, page.content())
@@ -68,11 +65,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     """The page as one file: pictures of the folder, or before them of the folder ``drawn``, inside; none is fetched.
 
     A picture that is not there is left out, and a warning names it.
-
-    Raises:
-        InputError: for a picture whose name leaves the folder.
     """
-    import jinja2
     from markupsafe import Markup  # HTML and CSS of this package, which is not escaped
 
     missing: list[str] = []
@@ -93,15 +86,22 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     shown, more = inline(page.pictures), inline(page.more)
     lost = [f"The picture {name} is no longer in the result folder." for name in missing]
     page = replace(page, warnings=(*page.warnings, *lost))
+    style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
+    return rendered(
+        "report.html", page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)],
+        version=version(), sign=SIGNS[page.verdict.kind], style=Markup(style), animation=Markup(page.animation),
+    )  # fmt: skip
+
+
+def rendered(name: str, **values: Any) -> str:
+    """HTML of a template of this package; values are escaped unless they are ``Markup``."""
+    import jinja2
+
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("bcfj_jax.io", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     templates.filters["micro"] = lambda cell: _MICRO.sub(" µ", cell)
-    style = resources.files("bcfj_jax.io").joinpath("templates", "report.css").read_text(encoding="utf-8")
-    return templates.get_template("report.html").render(
-        page=page, main_pictures=shown, more_pictures=more, folded=[*page.folded, *_files(folder)], version=version(),
-        sign=SIGNS[page.verdict.kind], style=Markup(style), animation=Markup(page.animation),
-    ).lstrip()  # fmt: skip
+    return templates.get_template(name).render(**values).lstrip()
 
 
 def _files(folder: Path) -> list[Listing]:
@@ -115,11 +115,7 @@ def _files(folder: Path) -> list[Listing]:
 
 
 def kept(folder: Path) -> Page:
-    """The page that a result folder keeps, with the animation of its ``report.html`` if that is still there.
-
-    Raises:
-        InputError: for a folder that is not there, holds no ``report.json``, or one that no command has written.
-    """
+    """The page that a result folder keeps, with the animation of its ``report.html`` if that is still there."""
     if not folder.is_dir():
         raise InputError(str(folder), "there is no such folder", "name a folder that a command of bcfj has written")
     path = folder / JSON

@@ -29,7 +29,7 @@ from jax import Array
 
 from bcfj_jax.contact import laws, stiffness
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.core.errors import InputError, clip, one_of
 from bcfj_jax.core.quantities import check_order, check_value, scalar
 from bcfj_jax.io import changes, mechanismfile, mechanismtables, programmes, tables, usercode
 from bcfj_jax.io.scenetemplate import template as template
@@ -48,32 +48,20 @@ _DEFAULT_LEVEL = "balanced"
 
 @dataclass(frozen=True)
 class SceneFile:
-    """A scene ready to run.
+    """A scene ready to run."""
 
-    Attributes:
-        scene, params, times: what ``simulate`` takes.
-        accuracy: level, or force error as a fraction of the peak.
-        resolved: the file with every default, SI numbers: what ``run.toml`` gets; loads back to the same.
-        source: the file; None for a built-in scene's defaults.
-        max_steps: budget of attempted steps.
-        solver: by which values are integrated; None: the scene's own.
-        open: whether the level of the model was left to what runs it.
-        resolved_peaks: whether peaks are found in the solver's steps, and not in the samples.
-        reads: what [[read]] asks for.
-        tolerances: how well parameters are known, SI, where the file says it; read by the calibration.
-    """
-
-    scene: AbstractModel
+    scene: AbstractModel  # what ``simulate`` takes, with the next two
     params: dict[str, Array]
     times: np.ndarray
-    accuracy: str | float
-    resolved: dict[str, Any]
-    source: Path | None
-    max_steps: int = MAX_STEPS
-    solver: str | None = None
-    open: bool = False
-    resolved_peaks: bool = False
-    reads: tuple[Channel, ...] = ()
+    accuracy: str | float  # level, or force error as a fraction of the peak
+    resolved: dict[str, Any]  # the file with every default, SI numbers: what ``run.toml`` gets; loads back to the same
+    source: Path | None  # the file; None for a built-in scene's defaults
+    max_steps: int = MAX_STEPS  # budget of attempted steps
+    solver: str | None = None  # by which values are integrated; None: the scene's own
+    open: bool = False  # whether the level of the model was left to what runs it
+    resolved_peaks: bool = False  # whether peaks are found in the solver's steps, and not in the samples
+    reads: tuple[Channel, ...] = ()  # what [[read]] asks for
+    # How well parameters are known, SI, where the file says it; read by the calibration
     tolerances: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -90,26 +78,15 @@ def _stiffness(modulus: Pair, poisson: Pair, radius: Pair) -> Array:
 
 
 class Spheres(tables.Table):
-    """``[scene.spheres]``: one value a body; a plane is a sphere of infinite radius, and infinitely heavy.
+    """``[scene.spheres]``: one value a body; a plane is a sphere of infinite radius, and infinitely heavy."""
 
-    Attributes:
-        radius: > 0 [m], ``inf`` for a plane.
-        youngs_modulus: > 0 [Pa], ``inf`` for a rigid body.
-        poisson: Poisson's ratios [-], -1 < nu <= 0.5.
-        density: > 0 [kg/m^3]; that of a plane does not matter.
-    """
-
-    radius: list[Any]
-    youngs_modulus: list[Any]
-    poisson: list[Any]
-    density: list[Any]
+    radius: list[Any]  # > 0 [m], ``inf`` for a plane
+    youngs_modulus: list[Any]  # > 0 [Pa], ``inf`` for a rigid body
+    poisson: list[Any]  # Poisson's ratios [-], -1 < nu <= 0.5
+    density: list[Any]  # > 0 [kg/m^3]; that of a plane does not matter
 
     def derived(self, where: str) -> dict[str, float]:
-        """Stiffness (4/3) E* sqrt(R), exponent 1.5 and effective mass m1 m2/(m1 + m2) of a Hertz contact.
-
-        Raises:
-            InputError: for values out of range, two planes, or two rigid bodies.
-        """
+        """Stiffness (4/3) E* sqrt(R), exponent 1.5 and effective mass m1 m2/(m1 + m2) of a Hertz contact."""
         radius = self._pair("radius", "m", where, 0.0, math.inf)
         modulus = self._pair("youngs_modulus", "Pa", where, 0.0, math.inf)
         poisson = self._pair("poisson", "1", where, -1.0, 0.5)
@@ -172,12 +149,13 @@ def schema() -> dict[str, Any]:
     """The JSON Schema of a scene file: of every built-in scene, and of a mechanism's tables."""
     made: Any = pydantic.create_model
     literal: Any = Literal
-    tables_of = {kind: _options(kind) for kind in scenes.SCENES} | {mechanismfile.KIND: mechanismtables.SceneTable}
-    kinds = [made(f"{kind} scene", __base__=base, kind=(literal[kind], ...)) for kind, base in tables_of.items()]
-    loads = [
-        made(f"{kind} load", __base__=base, kind=(literal[kind], ...))
-        for kind, base in mechanismtables.LOAD_TABLES.items()
-    ]
+
+    def one_of_kinds(models: Mapping[str, type[tables.Table]], what: str) -> list[Any]:
+        return [made(f"{kind} {what}", __base__=base, kind=(literal[kind], ...)) for kind, base in models.items()]
+
+    kinds = one_of_kinds({kind: _options(kind) for kind in scenes.SCENES}, "scene")
+    kinds += one_of_kinds({mechanismfile.KIND: mechanismtables.SceneTable}, "scene")
+    loads = one_of_kinds(mechanismtables.LOAD_TABLES, "load")
     fields: dict[str, Any] = {
         "scene": (typing.Union[tuple(kinds)], ...),  # noqa: UP007
         "parameters": (dict[str, tables.Number], {}),
@@ -191,28 +169,19 @@ def schema() -> dict[str, Any]:
 
 
 def load(what: str | Path) -> SceneFile:
-    """A scene file, or the name of a built-in scene, which means its defaults.
-
-    Raises:
-        InputError: for a file that is missing, is no TOML, or holds anything that is not right.
-    """
+    """A scene file, or the name of a built-in scene, which means its defaults; refuses anything that is not right."""
     return from_table(content(what), None if str(what) in scenes.SCENES else Path(what))
 
 
 def content(what: str | Path) -> dict[str, Any]:
-    """What a scene file says, or the name of a built-in scene stands for, as ``--set`` has changed it; unchecked.
-
-    Raises:
-        InputError: for a file that is missing or no TOML.
-    """
+    """What a scene file says, or the name of a built-in scene stands for, as ``--set`` has changed it; unchecked."""
     path = Path(what)
     if str(what) in scenes.SCENES:
         return changes.applied(str(what), {"scene": {"kind": str(what)}})
     if path.suffix != ".toml" and not os.path.exists(path):
         names = ", ".join(scenes.SCENES)
-        raise InputError(
-            clip(str(what)), "no such file and no such scene", f"give a .toml file or a scene's name: {names}"
-        )
+        remedy = f"give a .toml file or a scene's name: {names}"
+        raise InputError(clip(str(what)), "no such file and no such scene", remedy)
     return tables.read(path)
 
 
@@ -246,18 +215,17 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
         scene = _with_life(scene, file.life, f"{where}: [life]")
     scene = scene.suited(params, end, solver)
     named.check(solver, scene.traits.stiff, f"{where}: [accuracy] ")
-    resolved = (
-        {
-            **made_of,
-            "parameters": {name: float(value) for name, value in params.items()},
-            "time": {"end": end, "samples": samples} | ({} if longest is None else {"longest_step": longest}),
-            "accuracy": {"level" if isinstance(accuracy, str) else "force_error": accuracy, "max_steps": steps}
-            | ({"solver": solver} if solver else {})
-            | ({"resolved_peaks": True} if peaks else {}),
-        }
-        | ({"read": readings} if readings else {})
-        | ({"life": materials.listed(scene.life)} if scene.life else {})
-    )
+    resolved = {
+        **made_of,
+        "parameters": {name: float(value) for name, value in params.items()},
+        "time": {"end": end, "samples": samples, **_said(longest_step=longest)},
+        "accuracy": {
+            "level" if isinstance(accuracy, str) else "force_error": accuracy,
+            "max_steps": steps,
+            **_said(solver=solver, resolved_peaks=peaks),
+        },
+        **_said(read=readings, life=scene.life and materials.listed(scene.life)),
+    }
     times = np.linspace(0.0, end, samples)
     levels = scene.choice_options()
     free = bool(levels) and not set(levels) & set(file.scene)
@@ -267,8 +235,11 @@ def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     return SceneFile(scene, params, times, accuracy, resolved, source, steps, solver, free, peaks, reads, tolerances)
 
 
+def _said(**optional: Any) -> dict[str, Any]:
+    return {key: value for key, value in optional.items() if value}
+
+
 def _with_life(scene: AbstractModel, given: Mapping[str, Any], where: str) -> AbstractModel:
-    """A scene with the numbers of its materials, SI."""
 
     def plain(name: str, value: Any) -> Any:
         return quantity(value, materials.GIVEN[name], f"{where} {name}") if name in materials.GIVEN else value
@@ -287,18 +258,13 @@ def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def shown(given: SceneFile) -> SceneFile:
-    """A scene file whose scene has contacts; where it has none, its [[read]] tables stand in their place.
-
-    Raises:
-        InputError: for a scene without either.
-    """
+    """A scene file whose scene has contacts; where it has none, its [[read]] tables stand in their place."""
     if given.scene.contacts:
         return given
     if not given.reads:
         where = str(given.source) if given.source else f"scene '{given.scene.kind}'"
-        raise InputError(
-            where, "has no contact and no reading", 'say what is to be seen: [[read]] of = "<body>.place.x"'
-        )
+        remedy = 'say what is to be seen: [[read]] of = "<body>.place.x"'
+        raise InputError(where, "has no contact and no reading", remedy)
     return replace(given, scene=Observed(given.scene, given.reads))
 
 
@@ -308,9 +274,8 @@ def model(table: Mapping[str, Any], where: str = "scene") -> AbstractModel:
 
 
 def quickest(given: SceneFile) -> SceneFile:
-    """A scene file as ``bcfj simulate`` runs it: at ``fast`` the level of the model is chosen, if it was left open.
-
-    The run keeps the 5 % all the same. Derivatives and fits need a model by name, and take the whole one.
+    """A scene file as ``bcfj simulate`` runs it: at ``fast`` the level of the model is chosen, if it was left open, within the
+    same 5 %. Derivatives and fits need a model by name, and take the whole one.
     """
     if not (given.open and given.accuracy == "fast"):
         return given
@@ -325,8 +290,7 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
     place = f"{where}: [scene]"
     if kind is None:
         raise InputError(f"{place} kind", "the key 'kind' is missing", f"give one of {', '.join(kinds)}")
-    if not isinstance(kind, str) or kind not in kinds:
-        raise InputError(f"{place} kind", f"no scene '{kind}'", nearest(str(kind), kinds) + usercode.hint())
+    one_of(f"{place} kind", "scene", kind, kinds, usercode.hint())
     parts = {name: getattr(file, name) for name in mechanismfile.TABLES}
     if kind == mechanismfile.KIND:
         return *mechanismfile.build({"scene": file.scene, **parts}, where, file.parameters), None
@@ -339,9 +303,8 @@ def _scene(file: _File, where: str) -> tuple[AbstractModel, dict[str, Any], Sphe
     if "law" in options and "law" not in file.scene and "restitution" in file.parameters:
         options["law"] = "exact"
     for name, known in (("law", laws.LAWS), ("elastic", laws.ELASTIC)):
-        if options.get(name) is not None and options[name] not in known:
-            hint = nearest(options[name], known) + usercode.hint()
-            raise InputError(f"{place} {name}", f"no such {name} '{options[name]}'", hint)
+        if options.get(name) is not None:
+            one_of(f"{place} {name}", f"such {name}", options[name], known, usercode.hint())
     own = f"scene '{kind}'"
     with tables.placed(lambda said: f"{place} {said.removeprefix(own).strip()}"):
         scene = scenes.make(kind, **options)
@@ -421,8 +384,7 @@ def _accuracy(table: _Accuracy, where: str) -> str | float:
         raise InputError(place, "both level and force_error are given", "give exactly one of them")
     if table.force_error is None:
         level = table.level or _DEFAULT_LEVEL
-        if level not in LEVELS:
-            raise InputError(f"{place} level", f"no level '{level}'", nearest(level, LEVELS))
+        one_of(f"{place} level", "level", level, LEVELS)
         return level
     error = quantity(table.force_error, "1", f"{place} force_error")
     if not 1e-9 <= error <= 0.5:

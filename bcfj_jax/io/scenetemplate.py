@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bcfj_jax.contact import laws
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import one_of
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io.units import format_si
 from bcfj_jax.io.usercode import MECHANISM
@@ -41,15 +41,10 @@ _OF_A_MECHANISM = Path(__file__).with_name("templates") / "mechanism.toml"
 
 
 def template(kind: str) -> str:
-    """A scene's file to start from: every parameter with unit, range, meaning and default.
-
-    Raises:
-        InputError: for a scene that does not exist.
-    """
+    """A scene's file to start from: every parameter with unit, range, meaning and default."""
     if kind == MECHANISM:
         return _OF_A_MECHANISM.read_text(encoding="utf-8")
-    if kind not in scenes.SCENES:
-        raise InputError("scene", f"no scene '{kind}'", nearest(kind, (*scenes.SCENES, MECHANISM)))
+    one_of("scene", "scene", kind, (*scenes.SCENES, MECHANISM))
     scene, sources = scenes.make(kind), scenes.SOURCES.get(kind, scenes.Sources())
     defaults = dict(scene.defaults)
     given = [(quantity, defaults[name]) for name, quantity in scene.quantities.items() if name in defaults]
@@ -149,12 +144,8 @@ def _legend(text: str) -> str:
 
 
 def _wrapped(names: Iterable[str]) -> str:
-    text, width = "one of", 8
-    for name in names:
-        if width + len(name) > 84:
-            text, width = text + "\n#    ", 4
-        text, width = f"{text} {name},", width + len(name) + 2
-    return text.rstrip(",")
+    text = f"one of {', '.join(names)}"
+    return textwrap.fill(text, 85, initial_indent="   ", subsequent_indent="#     ", break_on_hyphens=False).lstrip()
 
 
 def _parameter(quantity: Quantity, default: float, source: str | None) -> str:

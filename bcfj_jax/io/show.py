@@ -9,12 +9,11 @@ import importlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.core.extras import library
 from bcfj_jax.io import plots, report
 
@@ -46,57 +45,38 @@ class Dataset(NamedTuple):
 class View(Protocol):
     """What a result's ``_view`` module has."""
 
-    def told(self, found: Any) -> Told:
-        """The result in short."""
-        ...
-
-    def frame(self, found: Any) -> tuple[Mapping[str, Any], str]:
-        """Columns by their heads, and the head of the one that is the index; "" for none."""
-        ...
-
-    def dataset(self, found: Any) -> Dataset:
-        """Arrays with named dimensions."""
-        ...
-
-    def figures(self, found: Any) -> Mapping[str, Callable[[Any], Any]]:
-        """By name, what draws a picture to a path or a ``plots.Kept``; the first is drawn where none is named."""
-        ...
+    # The result in short.
+    told: Callable[[Any], Told]
+    # Columns by their heads, and the head of the one that is the index; "" for none.
+    frame: Callable[[Any], tuple[Mapping[str, Any], str]]
+    dataset: Callable[[Any], Dataset]
+    # By name, what draws a picture to a path or a ``plots.Kept``; the first is drawn where none is named.
+    figures: Callable[[Any], Mapping[str, Callable[[Any], Any]]]
 
 
 def _view(found: Any) -> View:
     return importlib.import_module(type(found)._view)  # type: ignore[return-value]
 
 
-def _short(rows: Rows) -> tuple[list[Sequence[str]], int]:
-    left = max(0, len(rows) - 1 - MOST_ROWS)
-    return list(rows[: len(rows) - left]), left
+def _short(rows: Rows) -> tuple[list[Sequence[str]], list[str]]:
+    """The rows that are shown, and a line that says how many more there are."""
+    left = len(rows) - 1 - MOST_ROWS
+    return list(rows[: MOST_ROWS + 1]), [f"... and {left} more"] if left > 0 else []
 
 
 def text(found: Any) -> str:
     """A result in at most 15 lines."""
     told = _view(found).told(found)
-    rows, left = _short(told.rows)
+    rows, more = _short(told.rows)
     table = report.text([[str(cell) for cell in row] for row in rows]).splitlines() if rows else []
-    more = [f"... and {left} more"] if left else []
     return "\n".join([f"{type(found).__name__}: {told.verdict}", *told.lines, *table, *more, *told.after])
 
 
 def html(found: Any) -> str:
     """The same as HTML; all of it is escaped."""
     told = _view(found).told(found)
-    rows, left = _short(told.rows)
-
-    def cells(row: Sequence[str], tag: str) -> str:
-        return "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in row)
-
-    table = ""
-    if rows:
-        body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows[1:])
-        table = f"<table><thead><tr>{cells(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
-    more = [f"... and {left} more"] if left else []
-    lines = (f"<p>{escape(line)}</p>" for line in (*more, *told.after))
-    head = f"<p><b>{escape(type(found).__name__)}: {escape(told.verdict)}</b></p>"
-    return "".join([head, *(f"<p>{escape(line)}</p>" for line in told.lines), table, *lines])
+    rows, more = _short(told.rows)
+    return report.rendered("result.html", kind=type(found).__name__, told=told, rows=rows, after=[*more, *told.after])
 
 
 def frame(found: Any) -> Any:
@@ -126,8 +106,8 @@ def figure(found: Any, what: str = "") -> Figure:
     known = _view(found).figures(found)
     if not known:
         raise InputError("plot", f"this {type(found).__name__} has nothing to draw", "see its status and reason")
-    if what and what not in known:
-        raise InputError("plot", f"no picture '{what}'", nearest(what, known))
+    if what:
+        one_of("plot", "picture", what, known)
     kept = plots.Kept()
     known[what or next(iter(known))](kept)
     drawing = kept.drawing

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from types import FrameType
 from typing import TypeVar
 
@@ -120,10 +121,9 @@ def last() -> int:
 
 @contextlib.contextmanager
 def heeded(*others: signal.Signals) -> Iterator[None]:
-    """Within, Ctrl-C is remembered, and ``others`` like it. Where it is ignored, as by a shell's background jobs, it stays so.
+    """Within, Ctrl-C is remembered, and ``others`` like it; where it is ignored, as by a shell's background jobs, it stays so.
 
-    Raises:
-        KeyboardInterrupt: within another, if Ctrl-C came since that one began, and was reported to nobody.
+    Within another it raises what came since that one began and was reported to nobody.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -157,51 +157,38 @@ def ended() -> None:
 
 
 def check() -> None:
-    """Raise what was asked for and may have been forgotten.
-
-    Raises:
-        KeyboardInterrupt: if Ctrl-C came since ``heeded`` began.
-    """
+    """Raise ``KeyboardInterrupt`` if Ctrl-C came since ``heeded`` began: it may have been forgotten."""
     if _asked.is_set():
         _unheard.clear()
         raise KeyboardInterrupt
 
 
 def within(seconds: float, what: Callable[[], T]) -> T:
-    """What a function gives, or raises, in so many seconds.
+    """What a function gives, or raises, in so many seconds; ``OutOfTime`` when they are over.
 
     Neither a compilation nor a run in compiled code can be stopped. So it is done in a thread of its own, which is left
-    behind when the time is over; ``leave`` then ends the process without it.
-
-    Raises:
-        OutOfTime: when the time is over, or there is none.
+    behind; ``leave`` then ends the process without it.
     """
     if seconds <= 0.0:
         raise OutOfTime
-    found: list[T] = []
-    raised: list[BaseException] = []
-    done = threading.Event()
+    future: Future[T] = Future()
 
     def work() -> None:
         try:
-            found.append(what())
+            future.set_result(what())
         except BaseException as error:
-            raised.append(error)
-        finally:
-            done.set()
+            future.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
     try:
-        in_time = done.wait(seconds if seconds < threading.TIMEOUT_MAX else None)
-    except KeyboardInterrupt:
+        return future.result(seconds if seconds < threading.TIMEOUT_MAX else None)
+    except BaseException as error:
+        if future.done() and future.exception() is error:
+            raise
         abandon()
+        if isinstance(error, TimeoutError):
+            raise OutOfTime from None
         raise
-    if not in_time:
-        abandon()
-        raise OutOfTime
-    if raised:
-        raise raised[0]
-    return found[0]
 
 
 def abandon() -> None:

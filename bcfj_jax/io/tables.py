@@ -32,10 +32,7 @@ class Table(pydantic.BaseModel):
 
 
 def published(model: type[Table], kind: str) -> dict[str, Any]:
-    """The JSON Schema of a file of one kind, from its model.
-
-    Names of parameters that have a point are quoted in it, as ``"seat_ball.stiffness"``; the loader needs no quotes.
-    """
+    """The JSON Schema of a file of one kind; in it names with a point are quoted, which the loader does not need."""
     schema = model.model_json_schema()
     # Long notes for readers of the code do not help who writes a file.
     for part in (schema, *schema.get("$defs", {}).values()):
@@ -46,11 +43,7 @@ def published(model: type[Table], kind: str) -> dict[str, Any]:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The content of a TOML file, with what the command line changed of it (``io.changes``).
-
-    Raises:
-        InputError: when there is no such file, it is no text or no TOML; the last with its line.
-    """
+    """The content of a TOML file, with what the command line changed of it (``io.changes``); a fault is named with its line."""
     shown, right = clip(str(path)), "give the path of a TOML file"
     try:
         raw = content(path, LARGEST_TOML, shown, right, "give a file of settings; data go in a file of their own")
@@ -82,12 +75,8 @@ def read(path: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def changing_both(path: Path, wanted: Sequence[changes.Change], own: Sequence[str]) -> Iterator[None]:
-    """Within, a study's or a design's file and the scene that it names, or holds as a table, read as changed.
-
-    Changes of a table in ``own`` are the file's, others the scene's.
-
-    Raises:
-        InputError: as ``changing``, and for what is no such file.
+    """Within, a study's or a design's file and the scene that it names, or holds as a table, read as changed: changes of a table
+    in ``own`` are the file's, others the scene's.
     """
     mine = [change for change in wanted if change.words[0] in own]
     others = [change for change in wanted if change.words[0] not in own]
@@ -122,9 +111,8 @@ def flat(table: Mapping[str, Any], inside: str = "") -> dict[str, Any]:
 
 
 def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> dict[str, Any]:
-    """As ``flat``, of tables by name: ``[free.seat_ball.stiffness]`` is the table of ``seat_ball.stiffness``.
-
-    A table of nothing but keys that ``model`` does not have, all tables, is a part of a name.
+    """As ``flat``, of tables by name: ``[free.seat_ball.stiffness]`` is the table of ``seat_ball.stiffness``, since a table of
+    nothing but tables that are no keys of ``model`` is a part of a name.
     """
     found: dict[str, Any] = {}
     for key, value in table.items():
@@ -136,10 +124,8 @@ def nested(table: Mapping[str, Any], model: type[Table], inside: str = "") -> di
 
 
 def validated(model: type[M], table: object, where: str, inside: str = "") -> M:
-    """A table checked against its model; ``inside`` is its own name, where it is part of a file.
-
-    Raises:
-        InputError: for the first key that is unknown (with the nearest right one), missing or of a wrong type.
+    """A table checked against its model; ``inside``: its own name in the file. The first key that is unknown is refused with the
+    nearest right one, else one that is missing or of a wrong type.
     """
     try:
         return model.model_validate(table)

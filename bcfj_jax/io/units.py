@@ -105,20 +105,15 @@ def _times(value: float, factor: float) -> float:
     return value / inverse if inverse and float(f"{1 / inverse:.15g}") == factor else value * factor
 
 
-def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None = None) -> float:
-    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000; further arguments as ``quantity``.
+def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None = None, given: str = "") -> float:
+    """Factor that takes numbers in a unit to SI: ("kN", "N") -> 1000; refuses one with an offset (degC). See ``quantity``.
 
-    Raises:
-        InputError: for an unknown unit, a wrong dimension, and a unit with an offset (degC).
+    ``given``: the text that the unit stands in, for the message.
     """
-    return _factor(unit_text, si_unit, where, exponent, unit_text)
-
-
-def _factor(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
     if si_unit == "m/s^2" and unit_text in GRAVITIES:
         return GRAVITIES[unit_text]
     common = _COMMON.get((unit_text, si_unit))
-    return _by_pint(unit_text, si_unit, where, exponent, given) if common is None else common
+    return _by_pint(unit_text, si_unit, where, exponent, given or unit_text) if common is None else common
 
 
 def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
@@ -188,16 +183,13 @@ def _stiffness_factor(unit_text: str, where: str, exponent: float | None, given:
 
 
 def quantity(value: object, unit: str, where: str, *, exponent: float | None = None) -> float:
-    """A number (SI already) or a text with its unit, in SI.
+    """A number (SI already) or a text with its unit, in SI; refuses what is none of the right dimension.
 
     Args:
         value: 1.2e-3 or "1.2 mm".
         unit: the SI unit wanted; "1" is dimensionless, "N/m^n" a contact stiffness.
         where: place, for the message, as ``InputError``.
-        exponent: n of a stiffness; its unit must then agree with it. None: the unit's own exponent is taken.
-
-    Raises:
-        InputError: for what is no number with a known unit of the right dimension.
+        exponent: n of a stiffness, with which its unit must agree; None: the unit's own is taken.
     """
     remedy = f"give {_remedy(unit)}" if unit != _STIFFNESS else 'give a stiffness such as "1e10 N/m^1.5"'
     if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -216,7 +208,7 @@ def quantity(value: object, unit: str, where: str, *, exponent: float | None = N
     if math.isinf(number) and "inf" not in match[1]:
         raise InputError(where, f"'{value}' is too large for a number of 64 bits", remedy)
     if text:
-        return _times(number, _factor(text, unit, where, exponent, value))
+        return _times(number, scale_of(text, unit, where, exponent=exponent, given=value))
     # The unit of a stiffness goes with the exponent; without one it is SI, as a bare number is.
     if unit not in (_STIFFNESS, "1"):
         raise InputError(where, f"'{value}' has no unit", f"{remedy}, or a bare number without quotes for {unit}")
@@ -259,8 +251,6 @@ def toleranced(value: object, unit: str, where: str, *, exponent: float | None =
     """A value and how well it is known with 95 %, both SI: "0.55 kg +- 2 %", "12 mm +- 0.1 mm"; None where nothing is said.
 
     A certificate's coverage factor may follow: "1 +- 0.5 %, k = 2" is "1 +- 0.49 %".
-
-    Args, Raises: as ``quantity``; and for a tolerance that is no share and no value of the same unit, or below 0.
     """
     if isinstance(value, str):
         _short(value, where, f"give {_remedy(unit)}")
@@ -280,11 +270,7 @@ def toleranced(value: object, unit: str, where: str, *, exponent: float | None =
 
 
 def coherent(unit: str, where: str) -> str:
-    """A unit in which values are kept as they are: SI without a prefix or a factor; "1" is dimensionless.
-
-    Raises:
-        InputError: for a unit that is not known, and for one such as "mm" with the one to give in its place.
-    """
+    """A unit in which values are kept as they are, SI without prefix or factor, or "1"; of another the right one is named."""
     if unit in ("1", _STIFFNESS):
         return unit
     right = "an SI unit such as m, N/m or rad/s"
@@ -348,10 +334,7 @@ def known(text: str) -> bool:
 
 
 def engineering(values: Iterable[float], unit: str = "m") -> tuple[float, str]:
-    """Scale and prefix that bring the largest magnitude to 1 .. 1000: multiply by the scale, show the prefix.
-
-    Example: [0.0, 4.0e-5] (seconds) -> (1e6, "u"); no finite value but 0, and a unit without prefixes -> (1.0, "").
-    """
+    """Scale and prefix that bring the largest magnitude to 1 .. 1000: [0.0, 4.0e-5] (seconds) -> (1e6, "u"); else (1.0, "")."""
     if unit not in _PREFIXABLE:
         return 1.0, ""
     largest = max((abs(v) for v in map(float, values) if math.isfinite(v)), default=0.0)

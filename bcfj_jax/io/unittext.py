@@ -52,11 +52,7 @@ def registry() -> pint.UnitRegistry:
 
 
 def parse(text: str) -> pint.Unit:
-    """The unit that a text states; "", "1" and "-" are dimensionless.
-
-    Raises:
-        UnitText: for an unknown symbol, a text that is no product of powers, and one beyond the limits.
-    """
+    """The unit that a text states; "", "1" and "-" are dimensionless. ``UnitText`` says why a text is none."""
     if len(text) > LONGEST:
         raise UnitText(f"is {len(text)} characters long, more than the {LONGEST} of the longest unit")
     text = text.strip()
@@ -66,11 +62,7 @@ def parse(text: str) -> pint.Unit:
 
 
 def symbols(text: str) -> list[str]:
-    """The symbols of a unit text, for a question about how it is written.
-
-    Raises:
-        UnitText: as ``parse``.
-    """
+    """The symbols of a unit text, for a question about how it is written."""
     return [symbol for symbol, _ in _factors(_plain(text.strip()))] if text.strip() not in DIMENSIONLESS else []
 
 
@@ -102,7 +94,6 @@ def _factors(text: str) -> list[tuple[str, float]]:
 
 
 def _fault(rest: str) -> str:
-    """Why no factor begins here."""
     if re.match(r"\s*(\^|\*\*)", rest):
         return "is no unit: a power stands where a symbol must"
     rest = re.sub(r"^\s*[*/]?\s*", "", rest)

@@ -51,21 +51,13 @@ _KINDS: tuple[tuple[type, str, MutableMapping[str, Any]], ...] = (
 
 @dataclass(frozen=True)
 class Code:
-    """A file that was executed.
+    """A file that was executed."""
 
-    Attributes:
-        path: as it was named, absolute.
-        sha256: of its content.
-        text: its content, for workers on other machines.
-        module: what it defined.
-        names: (registry, name) of what scene files can name now.
-    """
-
-    path: Path
-    sha256: str
-    text: bytes
-    module: ModuleType
-    names: tuple[tuple[MutableMapping[str, Any], str], ...]
+    path: Path  # as it was named, absolute
+    sha256: str  # of its content
+    text: bytes  # its content, for workers on other machines
+    module: ModuleType  # what it defined
+    names: tuple[tuple[MutableMapping[str, Any], str], ...]  # (registry, name) of what scene files can name now
 
 
 _used: dict[Path, Code] = {}
@@ -134,11 +126,7 @@ def hint() -> str:
 
 
 def same_as(kept: Iterable[Mapping[str, str]], where: str) -> None:
-    """Refuse to go on with a job that was begun with other code; ``kept`` is what ``record`` was then.
-
-    Raises:
-        InputError: naming the file.
-    """
+    """Refuse to go on with a job that was begun with other code; ``kept`` is what ``record`` was then."""
     before, now = ({Path(x["path"]).name: x["sha256"] for x in entries} for entries in (kept, record()))
     for name, digest in before.items():
         if name not in now:
@@ -203,7 +191,6 @@ def _executed(path: Path, text: bytes, shown: str, digest: str) -> ModuleType:
 
 
 def _registered(module: ModuleType, shown: str) -> tuple[tuple[MutableMapping[str, Any], str], ...]:
-    """Put what a module defines among the names of its kind."""
     found: list[tuple[MutableMapping[str, Any], str, Any]] = []
     for name, value in vars(module).items():
         if name.startswith("_"):

@@ -251,7 +251,7 @@ def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> Non
             unit = derivative_unit(unit_of(parts[0]), scene.quantities[name].unit)
             header += [f"d({part})/d({name}) [{unit}]" for part in parts]
             columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))[: len(parts)]
-    outputs.write_table(path, header, np.column_stack(columns))
+    outputs.write_columns(path, dict(zip(header, columns, strict=True)))
 
 
 def _end(found: Sensitivity, name: str) -> float:

@@ -287,7 +287,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     found: dict[str, Any] = {"forces.csv": outputs.force_columns(run), "contacts.csv": outputs.contact_columns(run)}
     found |= {name: _readings(reads, run) for name, reads in ((READINGS[0], given.reads), (FRAMED, framed)) if reads}
     for name, columns in {**found, **extra}.items():
-        outputs.write_histories(folder / name, run.times, columns)
+        outputs.write_columns(folder / name, {"time [s]": run.times, **columns})
     judged = balance.of_run(given.scene, given.params, run, force_error(given.accuracy))
     if judged.verdict == balance.MISSED:
         warnings.insert(0, judged.reason)

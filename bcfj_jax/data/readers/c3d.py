@@ -9,19 +9,11 @@ import numpy as np
 from bcfj_jax.data.columns import Content, Sampled, Tables, sampled
 
 KINDS, LIBRARY = (".c3d",), "ezc3d"
-# The second byte of a C3D file.
-_KEY = 0x50
-
-
-def sniff(head: bytes) -> bool:
-    """Named files alone: two bytes are too few to tell."""
-    del head
-    return False
+SIGNATURE = b""
 
 
 def read(file: str, wanted: str) -> Content:
     """The plates; analog channels only where no plate uses them; the places of points where there are some."""
-    del wanted
     import ezc3d
 
     note = ""

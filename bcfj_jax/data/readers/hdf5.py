@@ -11,14 +11,9 @@ import numpy as np
 from bcfj_jax.data.columns import UNIT_NAMES, Column, Content, Tables, matrix, text, with_units
 
 KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
+SIGNATURE = b""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _RATES = ("dt", "sample_interval", "sample_rate", "sampling_rate", "samplerate", "fs")
-
-
-def sniff(head: bytes) -> bool:
-    """Named files alone; of others the bytes are shown (``decoding``)."""
-    del head
-    return False
 
 
 def read(file: str, wanted: str) -> Content:

@@ -9,18 +9,13 @@ import numpy as np
 from bcfj_jax.data.columns import Column, Content, Refused, Sampled, Tables, sampled
 
 KINDS, LIBRARY = (".lvm",), ""
+SIGNATURE = rb"[\xef\xbb\xbf]*LabVIEW Measurement"
 _END = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 
-def sniff(head: bytes) -> bool:
-    """Whether the file begins as LabVIEW's do."""
-    return head.lstrip(b"\xef\xbb\xbf").startswith(b"LabVIEW Measurement")
-
-
 def read(file: str, wanted: str) -> Content:
     """Its segments: as one table with a column "segment" where all hold the same channels of one clock, else a table each."""
-    del wanted
     with open(file, encoding="utf-8", errors="replace", newline=None) as content:
         lines = content.read().split("\n")
     if not any(line.startswith("LabVIEW Measurement") for line in lines[:3]):

@@ -9,16 +9,11 @@ import numpy as np
 from bcfj_jax.data.columns import Column, Columns, Content, Tables, text, vector
 
 KINDS, LIBRARY = (".mf4", ".mdf", ".dat4"), "asammdf"
-
-
-def sniff(head: bytes) -> bool:
-    """Whether these are the first bytes of a measurement data file."""
-    return head[:8] in (b"MDF     ", b"UnFinMF ")
+SIGNATURE = rb"MDF     |UnFinMF "
 
 
 def read(file: str, wanted: str) -> Content:
     """The channels of each group, physical values."""
-    del wanted
     from asammdf import MDF
 
     tables: Tables = {}

@@ -7,16 +7,11 @@ import numpy as np
 from bcfj_jax.data.columns import Columns, Content, Refused, matrix, vector
 
 KINDS, LIBRARY = (".npy", ".npz"), ""
-
-
-def sniff(head: bytes) -> bool:
-    """Whether the file begins as an array does; an archive is any zip's, by its name alone."""
-    return head.startswith(b"\x93NUMPY")
+SIGNATURE = rb"\x93NUMPY"
 
 
 def read(file: str, wanted: str) -> Content:
     """One table; pickled objects are refused, which could run anything."""
-    del wanted
     content = np.load(file, allow_pickle=False)
     arrays = {"column": content} if isinstance(content, np.ndarray) else {k: content[k] for k in content.files}
     columns: Columns = {}

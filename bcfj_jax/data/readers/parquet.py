@@ -9,17 +9,11 @@ import numpy as np
 from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, vector
 
 KINDS, LIBRARY = (".parquet", ".pq"), "pyarrow.parquet"
-
-
-def sniff(head: bytes) -> bool:
-    """Named files alone; of others the bytes are shown (``decoding``)."""
-    del head
-    return False
+SIGNATURE = b""
 
 
 def read(file: str, wanted: str) -> Content:
     """The columns of a file."""
-    del wanted
     # The system's own allocator keeps to the limit of memory; one core is all that a child has.
     os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
     from pyarrow import parquet as library

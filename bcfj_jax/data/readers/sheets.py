@@ -9,21 +9,15 @@ from typing import Any
 from bcfj_jax.data.columns import Content, Refused
 
 KINDS, LIBRARY = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), "python_calamine"
+SIGNATURE = b""
 # Of a spreadsheet, whose cells are texts in an archive [bytes].
 _UNPACKED = 1 << 28
-
-
-def sniff(head: bytes) -> bool:
-    """Named files alone; of others the bytes are shown (``decoding``)."""
-    del head
-    return False
 
 
 def read(file: str, wanted: str) -> Content:
     """Rows that hold something, by the name of their sheet: [number, cells]. Of other sheets than ``wanted`` none.
 
-    Between the first and the last cell that holds something the library keeps every cell of a sheet, whatever little the
-    file holds of them.
+    The library keeps every cell between the first and the last that holds something, however few do.
     """
     import python_calamine
 

@@ -13,17 +13,11 @@ from bcfj_jax.data.columns import Columns, Content, Refused, Sampled, Tables, sa
 from bcfj_jax.data.tdms_segments import cut
 
 KINDS, LIBRARY = (".tdms",), "nptdms"
-
-
-def sniff(head: bytes) -> bool:
-    """Named files alone; of others the bytes are shown (``decoding``)."""
-    del head
-    return False
+SIGNATURE = b""
 
 
 def read(file: str, wanted: str) -> Content:
     """The columns of every group; raises ``Refused`` where the library does not know how values are scaled."""
-    del wanted
     import nptdms
 
     tables: Tables = {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
@@ -10,20 +9,15 @@ import numpy as np
 from bcfj_jax.data.columns import Content, Refused, Sampled, sampled
 
 KINDS, LIBRARY = (".uff", ".unv", ".uf", ".bunv", ".58"), "pyuff"
+SIGNATURE = rb"\s*-1\s*\r?\n\s{0,6}(15|55|58b?|82|151|164|2411|2414)\b"
 _NONE = ("", "NONE", "none", "None")
 # Of ordinates by the code of what they measure, where their axis has no name.
 _MEASURED = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
 _HISTORY = 1
 
 
-def sniff(head: bytes) -> bool:
-    """Whether the first lines are -1 and a number of a dataset."""
-    return re.match(rb"\s*-1\s*\r?\n\s{0,6}(15|55|58b?|82|151|164|2411|2414)\b", head) is not None
-
-
 def read(file: str, wanted: str) -> Content:
     """The histories in a file; other functions, as of frequency, are left out and said."""
-    del wanted
     import pyuff
 
     content = pyuff.UFF(file)

@@ -9,16 +9,11 @@ import numpy as np
 from bcfj_jax.data.columns import FULL_SCALE, Content, Refused, Sampled, sampled
 
 KINDS, LIBRARY = (".wav", ".wave"), "scipy.io"
-
-
-def sniff(head: bytes) -> bool:
-    """Whether these are the first bytes of a WAV file."""
-    return head[:4] in (b"RIFF", b"RF64", b"RIFX") and head[8:12] == b"WAVE"
+SIGNATURE = rb"(?s)(RIFF|RF64|RIFX).{4}WAVE"
 
 
 def read(file: str, wanted: str) -> Content:
     """The channels; whole numbers of b bits are divided by 2^(b - 1)."""
-    del wanted
     from scipy.io import wavfile
 
     with warnings.catch_warnings():

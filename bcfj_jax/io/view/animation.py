@@ -36,26 +36,17 @@ _WAYS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1
 
 
 class Track(NamedTuple):
-    """A body, or one of its members, over F frames.
+    """A body, or one of its members, over F frames."""
 
-    Attributes:
-        name: as "ball 2".
-        place, quaternion: (F, 3) [m], (F, 4) scalar first: the ideal pose.
-        shift, turn: (F, 3) true place less ideal [m]; rotation vector from the ideal to the true axes [rad], world.
-    """
-
-    name: str
-    place: np.ndarray
-    quaternion: np.ndarray
-    shift: np.ndarray
-    turn: np.ndarray
+    name: str  # as "ball 2"
+    place: np.ndarray  # (F, 3) [m], of the ideal pose, as the next
+    quaternion: np.ndarray  # (F, 4), scalar first
+    shift: np.ndarray  # (F, 3) true place less ideal [m]
+    turn: np.ndarray  # (F, 3) rotation vector from the ideal to the true axes [rad], world
 
 
 class Force(NamedTuple):
-    """The force of a contact, or of one of its members: (F, 3) point from its body's place [m], (F, 3) force [N].
-
-    ``track`` is the body's, -1 for the ground.
-    """
+    """The force of a contact, or of a member: (F, 3) point from the place of its body ``track`` [m], (F, 3) force [N]."""
 
     contact: str
     member: int
@@ -65,33 +56,21 @@ class Force(NamedTuple):
 
 
 class Animation(NamedTuple):
-    """All that is drawn.
+    """All that is drawn."""
 
-    Attributes:
-        title: what it is of.
-        parts: (track, mesh, tone); track -1 is the ground.
-        tracks, forces, times: over F frames; [s].
-        samples: of the run that the frames were taken from.
-        centre: (3,) middle of the scene [m].
-        half: (3,) half of its extent to the right, upwards and towards the eye [m].
-        eye, up: from where to look, and which way is up.
-        exaggeration, most: of displacements by default, and at most; both 1 where play is seen as it is.
-        notes: what a viewer must know, in sentences.
-    """
-
-    title: str
-    parts: list[tuple[int, Mesh, str]]
-    tracks: list[Track]
+    title: str  # what it is of
+    parts: list[tuple[int, Mesh, str]]  # (track, mesh, tone); track -1 is the ground
+    tracks: list[Track]  # over F frames, as the forces and the times [s]
     forces: list[Force]
     times: np.ndarray
-    samples: int
-    centre: np.ndarray
-    half: np.ndarray
-    eye: tuple[float, float, float]
+    samples: int  # of the run that the frames were taken from
+    centre: np.ndarray  # (3,) middle of the scene [m]
+    half: np.ndarray  # (3,) half of its extent to the right, upwards and towards the eye [m]
+    eye: tuple[float, float, float]  # from where to look
     up: tuple[float, float, float]
-    exaggeration: float
-    most: float
-    notes: list[str]
+    exaggeration: float  # of displacements by default; 1 where play is seen as it is
+    most: float  # and at most
+    notes: list[str]  # what a viewer must know, in sentences
 
     @property
     def size(self) -> float:
@@ -105,10 +84,7 @@ class Animation(NamedTuple):
 
 
 def chosen_frames(run: Run, count: int = FRAMES) -> np.ndarray:
-    """Samples that are shown: of each of ``count`` equal spells the one with the greatest force.
-
-    A contact shorter than a spell is therefore seen. Samples of a failed run end at the failure.
-    """
+    """Samples that are shown, up to a failure: of each of ``count`` equal spells the one with the greatest force."""
     assert run.trajectory is not None
     good = np.flatnonzero(np.isfinite(run.trajectory).all(axis=1))
     last = int(good[-1]) + 1 if good.size else 0
@@ -175,7 +151,7 @@ def _tracks(model: AbstractModel, found: Any) -> tuple[list[Track], dict[str, li
         index[name] = list(range(len(tracks), len(tracks) + (members or 1)))
         for k in range(members or 1):
             place, axes, at, to = (x[:, k] if members else x for x in (true.place, true.axes, ideal.place, ideal.axes))
-            turn = rotation_vector(np.einsum("fij,fkj->fik", axes, to))
+            turn = Rotation.from_matrix(np.einsum("fij,fkj->fik", axes, to)).as_rotvec()
             tracks.append(Track(f"{name} {k + 1}" if members else name, at, quaternion(to), place - at, turn))
     return tracks, index
 
@@ -215,20 +191,19 @@ def _bounds(
     parts: list[tuple[int, Mesh, str]], tracks: list[Track], axes: np.ndarray, forces: Sequence[Force] = ()
 ) -> tuple[np.ndarray, np.ndarray]:
     """Middle, in world axes, and half edges of the box along ``axes`` that holds the scene and its arrows at some frames."""
-    corners = []
+    corners, drawn = [], poses(tracks)
     for track, mesh, _ in parts:
         # Extreme points of a mesh stand for it.
         extreme = mesh.points[np.unique(np.argmax(mesh.points @ _WAYS.T, axis=0))]
-        count = len(tracks[track].place) if track >= 0 else 1
-        for k in np.unique(np.linspace(0, count - 1, _SIZED).astype(int)):
-            place, turn = _pose_of(tracks, track, int(k))
-            corners.append(extreme @ turn.T + place)
+        place, turn = drawn[track]
+        for k in np.unique(np.linspace(0, len(place) - 1, _SIZED).astype(int)):
+            corners.append(extreme @ turn[k].T + place[k])
     points = np.concatenate(corners)
     size = float(np.ptp(points, axis=0).max())
     for force in forces:
         lengths = np.linalg.norm(force.force, axis=1)
         k = int(np.argmax(lengths))
-        at = force.lever[k] + _pose_of(tracks, force.track, k)[0]
+        at = force.lever[k] + drawn[force.track][0][k]
         tail = at - ARROW * size * force.force[k] / max(float(lengths[k]), 1e-300)
         points = np.concatenate([points, tail[None]])
     seen = points @ axes
@@ -236,14 +211,20 @@ def _bounds(
     return axes @ (0.5 * (low + high)), 0.5 * (high - low)
 
 
-def _pose_of(tracks: list[Track], track: int, k: int) -> tuple[np.ndarray, np.ndarray]:
-    return posed(tracks[track], k) if track >= 0 else (np.zeros(3), np.eye(3))
+def posed(track: Track, k: Any, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Place (3,) [m] and axes (3, 3) of a body as it is drawn at a frame; (F, 3) and (F, 3, 3) at a slice of frames."""
+    ideal = Rotation.from_quat(track.quaternion[k], scalar_first=True).as_matrix()
+    turn = Rotation.from_rotvec(exaggeration * track.turn[k]).as_matrix()
+    return track.place[k] + exaggeration * track.shift[k], turn @ ideal
 
 
-def posed(track: Track, k: int, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Place (3,) [m] and axes (3, 3) of a body as it is drawn at a frame."""
-    place = track.place[k] + exaggeration * track.shift[k]
-    return place, rotation(exaggeration * track.turn[k]) @ matrix(track.quaternion[k])
+def poses(
+    tracks: Sequence[Track], k: Any = slice(None), exaggeration: float = 1.0
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """``posed`` of every track and, at their end, of the ground: the track -1."""
+    found = [posed(track, k, exaggeration) for track in tracks]
+    place, axes = found[0] if found else (np.zeros((1, 3)), np.zeros((1, 3, 3)))
+    return [*found, (np.zeros_like(place), np.broadcast_to(np.eye(3), axes.shape))]
 
 
 def _exaggeration(tracks: list[Track], size: float) -> tuple[float, float]:
@@ -264,26 +245,8 @@ def steps(most: float) -> list[float]:
     return [d * 10.0**k for k in powers for d in (1.0, 2.0, 5.0) if d * 10.0**k <= max(most, 1.0) * (1.0 + 1e-9)]
 
 
-# Rotations.
-
-
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """(F, 4) of matrices (F, 3, 3), scalar first; neighbours in one half-space."""
     q = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
-
-
-def rotation_vector(axes: np.ndarray) -> np.ndarray:
-    """(F, 3) of matrices (F, 3, 3), of at most half a turn."""
-    return Rotation.from_matrix(axes).as_rotvec()
-
-
-def matrix(q: np.ndarray) -> np.ndarray:
-    """(3, 3) of a unit quaternion, scalar first."""
-    return Rotation.from_quat(q, scalar_first=True).as_matrix()
-
-
-def rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) of a rotation vector [rad]."""
-    return Rotation.from_rotvec(vector).as_matrix()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic, write_text
@@ -35,14 +35,10 @@ SIZE = (640, 400)
 
 
 def checked(word: str, where: str = "--animate") -> str:
-    """The suffix of a format by its name, whose library is there.
-
-    Raises:
-        InputError: for a name that is not known, and a format whose extra is not installed.
-    """
-    if word not in FORMATS:
-        raise InputError(where, f"no format '{word}'", nearest(word, FORMATS))
-    _needed(FORMATS[word])
+    """The suffix of a format by its name; refuses one that is not known, or whose extra is not installed."""
+    one_of(where, "format", word, FORMATS)
+    if FORMATS[word] == ".mp4":
+        library("imageio_ffmpeg", "animation .mp4", "animation")
     return FORMATS[word]
 
 
@@ -64,8 +60,7 @@ def animate(scene: AbstractModel, params: Params, run: Run, path: str | Path, ti
     """
     path = Path(path)
     words = {suffix: word for word, suffix in FORMATS.items()}
-    if path.suffix not in words:
-        raise InputError(f"animate {path}", f"no format '{path.suffix}'", nearest(path.suffix, words))
+    one_of(f"animate {path}", "format", path.suffix, words)
     checked(words[path.suffix], f"animate {path}")
     if path.exists():
         raise InputError(f"animate {path}", "is there already", "give another name")
@@ -91,25 +86,10 @@ def write(of: Animation, path: Path) -> None:
         movie(of, path)
 
 
-def _needed(suffix: str) -> None:
-    """Refuse a movie whose library is missing, before anything is computed.
-
-    Raises:
-        InputError: naming the extra.
-    """
-    if suffix == ".mp4":
-        library("imageio_ffmpeg", "animation .mp4", "animation")
-
-
 def movie(of: Animation, path: Path) -> None:
-    """Write a GIF or an MP4, by the path's suffix.
-
-    Raises:
-        InputError: for an MP4 without the extra ``animation``.
-    """
+    """Write a GIF or an MP4, by the path's suffix."""
     from PIL import Image
 
-    _needed(path.suffix)
     with stage(f"drawing {path.name}"), atomic(path) as temporary:
         if path.suffix == ".gif":
             count, rate = _GIF

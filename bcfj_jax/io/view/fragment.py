@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 from importlib import resources
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.core.shapes import Mesh
+from bcfj_jax.io.report import rendered
 from bcfj_jax.io.units import engineering
 from bcfj_jax.io.view import painter
 from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, steps
@@ -128,20 +128,6 @@ def strongest(of: Animation) -> int:
     return int(np.argmax(np.max(sizes, axis=0))) if sizes and of.peak > 0 else len(of.times) // 2
 
 
-def _legend(of: Animation) -> str:
-    if not of.peak > 0:
-        return ""
-    stops = ",".join("rgb({:.0f},{:.0f},{:.0f})".format(*(255.0 * x for x in c)) for c in painter.COLOURS)
-    factor, unit, _ = unit_of(of.peak, "N")
-    ticks = "".join(f"<span>{of.peak * factor * share:.3g}</span>" for share in (0.0, 0.25, 1.0))
-    return (
-        f'<div class="legend"><div class="bar" role="img" aria-label="Colours of the arrows, from 0 to '
-        f'{of.peak * factor:.3g} {unit}" style="background:linear-gradient(90deg,{stops})"></div>'
-        f'<div class="ticks" aria-hidden="true">{ticks}</div>Force on an arrow [{unit}]; its length and its colour grow '
-        "with the square root of the force.</div>"
-    )
-
-
 def _sentences(of: Animation) -> list[str]:
     found = []
     if of.samples > len(of.times):
@@ -168,43 +154,18 @@ def still(of: Animation) -> bytes:
     return stream.getvalue()
 
 
-def _boxes(of: Animation) -> str:
-    contacts = dict.fromkeys(f.contact for f in of.forces)
-    bodies = dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts)
-    found = ""
-    for title, letter, names in (("Forces of", "c", contacts), ("Bodies", "b", bodies)):
-        each = ""
-        for name in list(names)[:12]:
-            shown = html.escape(name.replace("_", " "))
-            each += f'<label><input type="checkbox" value="{letter}{html.escape(name)}" checked>{shown}</label>'
-        if len(names) > 1:
-            found += f'<div class="row"><fieldset><legend>{title}</legend>{each}</fieldset></div>'
-    return found
-
-
 def fragment(of: Animation) -> str:
     """One ``<figure>`` with picture, controls, caption, data and script; several may stand on one page."""
-    title = html.escape(of.title)
+    from markupsafe import Markup  # CSS and JavaScript of this package, and JSON without an end of its script
+
+    factor, unit, _ = unit_of(of.peak, "N")
+    contacts = dict.fromkeys(f.contact for f in of.forces)
+    bodies = dict.fromkeys(of.tracks[t].name.split(" ")[0] if t >= 0 else "ground" for t, *_ in of.parts)
     data = json.dumps(content(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    image = base64.b64encode(still(of)).decode("ascii")
-    scale = ""
-    if of.most > 1.0:
-        scale = (
-            '<div class="row"><label class="wide">Clearances are drawn <output data-bcfj="words"></output>'
-            '<input type="range" min="0" step="1" data-bcfj="scale"></label></div>'
-        )
-    caption = html.escape(" ".join(_sentences(of)))
-    return (
-        f'<figure class="bcfj-view" aria-label="Animation of {title}"><style>{_text("viewer.css")}</style>'
-        f'<div class="stage"><img alt="{title}: a still picture at the largest force." src="data:image/png;base64,{image}">'
-        f'<canvas tabindex="0" role="application" aria-label="{title} in three dimensions: arrow keys turn it, plus and '
-        'minus zoom, space plays, Home resets the view"></canvas></div>'
-        '<div class="controls"><div class="row"><button type="button" data-bcfj="play">Play</button>'
-        '<label class="wide">Time<input type="range" min="0" step="1" data-bcfj="time"></label>'
-        '<output data-bcfj="clock" aria-live="off"></output>'
-        f'<button type="button" data-bcfj="home">Reset view</button></div>{scale}{_boxes(of)}</div>{_legend(of)}'
-        '<p class="keys">Drag to turn, Shift and drag to move, pinch to zoom; click the picture, then the wheel zooms. '
-        "Keys: arrows turn, + and - zoom, space plays, comma and full stop step, Home resets.</p>"
-        f"<figcaption>{caption}</figcaption>"
-        f'<script type="application/json">{data}</script><script>{_text("viewer.js")}</script></figure>\n'
-    )
+    return rendered(
+        "figure.html", of=of, style=Markup(_text("viewer.css")), script=Markup(_text("viewer.js")), data=Markup(data),
+        still=base64.b64encode(still(of)).decode("ascii"), sentences=_sentences(of), unit=unit,
+        boxes=(("Forces of", "c", list(contacts)), ("Bodies", "b", list(bodies))),
+        ticks=[f"{of.peak * factor * share:.3g}" for share in (0.0, 0.25, 1.0)],
+        stops=",".join("rgb({:.0f},{:.0f},{:.0f})".format(*(255.0 * x for x in c)) for c in painter.COLOURS),
+    )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 
 from bcfj_jax.core.shapes import Mesh, frame
 from bcfj_jax.io.provenance import version
-from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, posed, quaternion
+from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, poses, quaternion
 from bcfj_jax.io.view.painter import COLOURS, TONES, arrow, arrow_share
 
 _FLOAT, _INDEX = 5126, 5125
@@ -76,8 +76,8 @@ def glb(of: Animation, lasts: float = 12.0) -> bytes:
     materials = [_material(name, TONES[name]) for name in tones] + [_material("force", (*COLOURS[-1], 1.0))]
     span = float(of.times[-1] - of.times[0])
     clock = file.put((of.times - of.times[0]) * lasts / span, "SCALAR")
-    poses = [[posed(t, k, of.exaggeration) for k in range(len(of.times))] for t in of.tracks]
-    tops = _bodies(file, of, clock, poses) + _arrows(file, of, clock, poses, len(materials) - 1)
+    drawn = poses(of.tracks, exaggeration=of.exaggeration)
+    tops = _bodies(file, of, clock, drawn) + _arrows(file, of, clock, drawn, len(materials) - 1)
     note = {
         "exaggeration": of.exaggeration, "seconds_of_the_run_in_a_second": span / lasts,
         "largest_force_N": of.peak, "length_of_an_arrow": "square root of the force", "notes": of.notes,
@@ -99,7 +99,7 @@ def glb(of: Animation, lasts: float = 12.0) -> bytes:
     return head + struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(data), _BIN) + data
 
 
-def _bodies(file: _File, of: Animation, clock: int, poses: list[Any]) -> list[int]:
+def _bodies(file: _File, of: Animation, clock: int, drawn: list[Any]) -> list[int]:
     """A node for each body, with a child for each of its tones; their indices."""
     kept: dict[tuple[int, str], int] = {}
 
@@ -119,25 +119,24 @@ def _bodies(file: _File, of: Animation, clock: int, poses: list[Any]) -> list[in
         if children:
             file.tables["nodes"][own]["children"] = children
         if k >= 0:
-            file.keyed(own, clock, "translation", np.array([place for place, _ in poses[k]]))
-            file.keyed(own, clock, "rotation", np.array([axes for _, axes in poses[k]]))
+            file.keyed(own, clock, "translation", drawn[k][0])
+            file.keyed(own, clock, "rotation", drawn[k][1])
         tops.append(own)
     return tops
 
 
-def _arrows(file: _File, of: Animation, clock: int, poses: list[Any], material: int) -> list[int]:
+def _arrows(file: _File, of: Animation, clock: int, drawn: list[Any], material: int) -> list[int]:
     """A node for each force; their indices. The arrow has the longest one's size, and a force scales it."""
     longest, tops = ARROW * of.size, []
-    drawn = file.mesh(arrow(longest, longest), material, "force") if of.forces else 0
+    shape = file.mesh(arrow(longest, longest), material, "force") if of.forces else 0
     for force in of.forces:
         size = np.linalg.norm(force.force, axis=1)
         seen = size >= LEAST * of.peak
         way = np.where(seen[:, None], force.force / np.where(size > 0, size, 1.0)[:, None], [0.0, 0.0, 1.0])
         share = np.array([arrow_share(float(x), of.peak) if s else _NOTHING for x, s in zip(size, seen, strict=True)])
-        base = np.zeros(3) if force.track < 0 else np.array([place for place, _ in poses[force.track]])
         name = f"force {force.contact}{f' {force.member}' if force.member else ''}"
-        node = file.add("nodes", {"name": name, "mesh": drawn, "extras": {"unit": "N", "largest": float(size.max())}})
-        file.keyed(node, clock, "translation", force.lever + base)
+        node = file.add("nodes", {"name": name, "mesh": shape, "extras": {"unit": "N", "largest": float(size.max())}})
+        file.keyed(node, clock, "translation", force.lever + drawn[force.track][0])
         file.keyed(node, clock, "rotation", np.stack([frame(w) for w in way]))
         file.keyed(node, clock, "scale", np.stack([share, share, share], axis=1))
         tops.append(node)
@@ -150,19 +149,3 @@ def _material(name: str, colour: tuple[float, ...]) -> dict[str, Any]:
     look = {"baseColorFactor": [*linear, colour[3]], "metallicFactor": 0.1, "roughnessFactor": 0.6}
     see_through = {"alphaMode": "BLEND", "doubleSided": True} if colour[3] < 1.0 else {}
     return {"name": name, "pbrMetallicRoughness": look, **see_through}
-
-
-def read(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """JSON and binary part of a file's content.
-
-    Raises:
-        ValueError: for what is no binary glTF 2.0 of these two chunks.
-    """
-    magic, edition, whole = struct.unpack_from("<III", data)
-    if (magic, edition, whole) != (_MAGIC, 2, len(data)):
-        raise ValueError("no binary glTF 2.0 of this length")
-    size, kind = struct.unpack_from("<II", data, 12)
-    rest, second = struct.unpack_from("<II", data, 20 + size)
-    if (kind, second) != (_JSON, _BIN) or 28 + size + rest != len(data):
-        raise ValueError("chunks of another kind or length")
-    return json.loads(data[20 : 20 + size]), data[28 + size :]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.core import shapes
-from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, home, posed
+from bcfj_jax.io.view.animation import ARROW, LEAST, Animation, home, poses
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -62,13 +62,13 @@ def paint(of: Animation, k: int, size: tuple[int, int], exaggeration: float | No
     factor = of.exaggeration if exaggeration is None else exaggeration
     fine = (2 * size[0], 2 * size[1])
     seen = camera(of, size[0] / size[1])
-    poses = [posed(t, k, factor) for t in of.tracks]
+    drawn = poses(of.tracks, k, factor)
     lit = []
     for track, mesh, tone in of.parts:
-        place, axes = (np.zeros(3), np.eye(3)) if track < 0 else poses[track]
+        place, axes = drawn[track]
         own = mesh.points if mesh.slack is None else mesh.points + (factor - 1.0) * mesh.slack
         lit.append(_lit(own @ axes.T + place, mesh, axes, seen, np.array(TONES[tone])))
-    for place, mesh, colour in _arrows(of, k, poses):
+    for place, mesh, colour in _arrows(of, k, drawn):
         lit.append(_lit(mesh.points + place, mesh, np.eye(3), seen, np.array([*colour, 1.0]), flat=0.55))
     points, colour = (np.concatenate(each) for each in zip(*lit, strict=True))
     relative = points - seen.eye
@@ -106,7 +106,7 @@ def _lit(
     return corners, np.column_stack([rgb, np.full(len(rgb), colour[3])])
 
 
-def _arrows(of: Animation, k: int, poses: list[Any]) -> list[tuple[np.ndarray, shapes.Mesh, np.ndarray]]:
+def _arrows(of: Animation, k: int, drawn: list[Any]) -> list[tuple[np.ndarray, shapes.Mesh, np.ndarray]]:
     """Place, mesh and colour of every arrow of a frame."""
     found, longest = [], ARROW * of.size
     for force in of.forces:
@@ -115,7 +115,7 @@ def _arrows(of: Animation, k: int, poses: list[Any]) -> list[tuple[np.ndarray, s
             continue
         share = arrow_share(size, of.peak)
         way = force.force[k] / size
-        point = force.lever[k] + (poses[force.track][0] if force.track >= 0 else 0.0)
+        point = force.lever[k] + drawn[force.track][0]
         mesh = arrow(share * longest, longest).moved((0.0, 0.0, 0.0), shapes.frame(way))
         found.append((point, mesh, shade(share)))
     return found

@@ -196,7 +196,7 @@ def handmade():
 
 def test_contacts_csv(tmp_path):
     run = handmade()
-    outputs.write_histories(tmp_path / "contacts.csv", run.times, outputs.contact_columns(run))
+    outputs.write_columns(tmp_path / "contacts.csv", {"time [s]": run.times, **outputs.contact_columns(run)})
     with (tmp_path / "contacts.csv").open(newline="") as file:
         header, first, second = csv.reader(file)
     assert header[:4] == [
@@ -212,7 +212,7 @@ def test_contacts_csv(tmp_path):
 
 def test_histories_csv_keeps_the_order_of_its_columns(tmp_path):
     columns = {"seat_cage.x [N]": np.array([1.0, 4.0]), "seat_ball.x [N]": np.array([7.0, 10.0])}
-    outputs.write_histories(tmp_path / "resultants.csv", np.array([0.0, 1.0]), columns)
+    outputs.write_columns(tmp_path / "resultants.csv", {"time [s]": np.array([0.0, 1.0]), **columns})
     lines = (tmp_path / "resultants.csv").read_text().splitlines()
     assert lines == ["time [s],seat_cage.x [N],seat_ball.x [N]", "0.0,1.0,7.0", "1.0,4.0,10.0"]
 
