@@ -57,11 +57,7 @@ _SHORT = {
 
 
 def asked(options: Mapping[str, Any]) -> list[Change]:
-    """The changes that options ask for, the short forms last.
-
-    Raises:
-        InputError: as ``changes.parse``.
-    """
+    """The changes that options ask for, the short forms last."""
     found = [changes.parse(text) for text in options.get("set_") or ()]
     for name, words in _SHORT.items():
         if (value := options.get(name)) is not None:

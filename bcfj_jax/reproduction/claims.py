@@ -15,10 +15,7 @@ class Claim(NamedTuple):
     """One row of the paper's reference-load table.
 
     Attributes:
-        id: Q1 to Q39.
-        quantity: what is claimed.
-        printed: the paper's value, as printed.
-        section: where it stands in the paper.
+        id, quantity, printed, section: Q1 to Q39; what is claimed; the paper's value, as printed; where it stands.
         kind: "input" (what the paper's simulation was given), "figure" (what it gave), "statement" (neither).
         values: the printed numbers in SI, as the paper must have meant them; empty where there are none.
         unit: of ``values``; "1" for none, "%" for a share shown as one.

@@ -87,9 +87,8 @@ def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Fou
 
 
 def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[str, np.ndarray], bool]:
-    """The numbers of ``TARGETS`` [N], their derivatives by each parameter in ``free``, and whether equilibrium was found.
-
-    Those in ``free`` replace the ones in ``params``; stiffnesses follow (``tied``).
+    """The numbers of ``TARGETS`` [N] with ``free`` in place of ``params`` (``tied``), their derivatives by each of these, and
+    whether equilibrium was found.
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}
@@ -129,9 +128,8 @@ def targets() -> np.ndarray:
 
 
 class Estimate(NamedTuple):
-    """One fitted unknown: "determined", "not determined" or "at bound".
-
-    It could be larger or smaller by ``factor95``, were the peaks known to ``ERROR`` and the model right.
+    """One fitted unknown: "determined", "not determined" or "at bound"; it could be larger or smaller by ``factor95``, were the
+    peaks known to ``ERROR`` and the model right.
     """
 
     value: float
@@ -143,9 +141,7 @@ class PeakFit(NamedTuple):
     """A fit to the peaks.
 
     Attributes:
-        estimates: by name.
-        peaks: the quasistatic model's, in the order of ``TARGETS`` [N].
-        residuals: peaks/paper - 1.
+        estimates: by name; peaks: the quasistatic model's [N], in the order of ``TARGETS``; residuals: peaks/paper - 1.
         singular: singular values of the residuals' derivative by the unknowns in the unit box, over ``ERROR``.
         directions: (k, unknowns), the combination each belongs to.
         combinations: how many of them the data determine: singular value above ``KNOWN``.
@@ -229,10 +225,7 @@ def fit(
     wanted: np.ndarray | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> PeakFit:
-    """Fit unknowns to six peaks in the order of ``TARGETS``, by default the paper's.
-
-    The unknowns' values in ``params`` are the first start.
-    """
+    """Fit unknowns, from their values in ``params`` and others, to six peaks ordered as ``TARGETS``, by default the paper's."""
     model = _Model(params, unknowns, targets() if wanted is None else wanted)
     design = qmc.Sobol(len(unknowns), rng=0).random(_SCREENED)
     costs = [_cost(model(point)[0]) for point in design]

@@ -78,9 +78,8 @@ def slip(record: Record) -> float:
 
 
 def rhythm(times: np.ndarray, seat: np.ndarray, head: np.ndarray, turn: float) -> dict[str, tuple[float, ...]]:
-    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units.
-
-    NaN for what they do not show; ``turn`` is the time of one revolution [s].
+    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units; NaN for what they do not
+    show. ``turn`` is the time of one revolution [s].
     """
     window = later(times)
     periods = tuple(histories.period(times, seat[:, k], window) for k in range(3))

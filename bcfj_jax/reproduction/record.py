@@ -39,12 +39,8 @@ class Balance(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """How the bodies are turned at T instants.
-
-    Attributes:
-        seat, head: (T,) turns about their axes [rad].
-        cage_axis: (T, 3) unit vectors.
-        cage: (T,) the cage's azimuth [rad]: a state where windows have ends, else the integral of its spin.
+    """How the bodies are turned at T instants: seat and head about their axes (T,) [rad], the cage's axis (T, 3), the cage's
+    azimuth (T,) [rad]: a state where windows have ends, else the integral of its spin.
     """
 
     seat: np.ndarray
@@ -59,8 +55,7 @@ class Record(NamedTuple):
     Attributes:
         fine: the same run at every time it was asked for; where peaks and onsets are read.
         world: by contact (T, 3) or (T, balls, 3), force on the second body in world axes at the paper's times [N].
-        turns: of the bodies at the paper's times.
-        angle: the joint's [rad].
+        turns, angle: of the bodies at the paper's times; the joint's [rad].
     """
 
     run: Run
@@ -113,11 +108,8 @@ def record(
 ) -> Record:
     """Run a dynamic joint with a free cage as the paper did: output every ``STEP`` up to ``end`` [s].
 
-    Args:
-        scene, params, end: of the run.
-        start: until when and how finely the start is looked at besides [s, s]; None for not.
-        instants: least number of instants to look at, the added ones before the end: runs of one scene with as many
-            share a compiled program.
+    ``start``: until when and how finely the start is looked at besides [s, s]. ``instants``: least number of instants to look
+    at, the added ones before the end: runs of one scene with as many share a compiled program.
     """
     regular = np.linspace(0.0, end, round(end / STEP) + 1)
     instant = INSTANT if end > INSTANT + _HALF else 0.5 * end

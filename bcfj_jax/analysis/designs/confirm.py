@@ -38,13 +38,10 @@ class Confirmation(NamedTuple):
     """What independent runs found.
 
     Attributes:
-        before, after: the true objective; NaN where a run failed.
-        features_before, features_after: what it is made of, by name.
-        gain: of the objective, positive where it became better.
-        share: that gain over the optimiser's.
+        before, after: the true objective; NaN where a run failed; features_before, features_after: what it is made of.
+        gain: of the objective, positive where it became better; share: that over the optimiser's.
         confirmed: whether the share is enough, ``SAME`` or ``OTHER``.
-        how: in words: fidelity, solver, accuracy.
-        reason: why a run failed; "" for none.
+        how: in words: fidelity, solver, accuracy; reason: why a run failed; "" for none.
     """
 
     before: float
@@ -59,8 +56,8 @@ class Confirmation(NamedTuple):
 
 
 def independent(scene: AbstractModel, model: AbstractModel | str, accuracy: str | float) -> By:
-    """What a design of a scene is checked by: what leaves nothing out, or the model that is named, by another method, at a
-    tenth of the optimiser's force error, and no more than ``reference``.
+    """What checks a design: the model that leaves nothing out, or the one named, by another method, at a tenth of the
+    optimiser's force error, and no more than ``reference``.
     """
     checker = scene.full() if isinstance(model, str) else model
     asked = max(min(0.1 * force_error(accuracy), LEVELS["reference"]), _TIGHTEST)

@@ -78,12 +78,9 @@ class Question:
     """A design ready to be found.
 
     Attributes:
-        given: the scene file; scene, times: the model that is searched, and its times [s].
-        note: which model that is, where the file left it open; else "".
-        objective, sense: what is made least or most.
-        free: by name, as ``design`` takes it.
-        search: its options.
-        steady: whether the objective is of steady motion.
+        scene, times: the model that is searched, and its times [s]; note: which one, where the file left it open; else "".
+        objective, sense, steady: what is made least or most; whether of steady motion.
+        free, search: as ``design`` takes them.
     """
 
     given: SceneFile
@@ -129,10 +126,7 @@ def is_design(table: Mapping[str, Any]) -> bool:
 
 
 def load(what: str, more: Mapping[str, Any]) -> Question:
-    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own.
-
-    ``InputError`` for anything that is not right names the key and what would be.
-    """
+    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own."""
     path = Path(what)
     table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
     table, beside = (table, path.parent) if is_design(table) else ({"scene": what}, Path("."))

@@ -1,9 +1,8 @@
 """The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
 
-Descents, refine, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
-one the objective out of them, so that another objective costs no other simulation to compile. Equilibria are all
-searched for from those of the given design. A point that is refused (a joint that does not assemble) or whose run fails
-is NaN, with its reason.
+One program makes the runs and their tangents, a small one the objective out of them, so that another objective costs no
+other simulation to compile. Equilibria are all searched for from those of the given design. A point that is refused (a
+joint that does not assemble) or whose run fails is NaN, with its reason.
 """
 
 from __future__ import annotations
@@ -74,11 +73,8 @@ class Spent:
 
 
 class _Read(NamedTuple):
-    """What N runs left, for any objective.
-
-    Attributes:
-        value: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); slopes: theirs, (..., P).
-        code: (N,); near: equilibria, from which the next search begins.
+    """What N runs left, for any objective: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); their
+    slopes (..., P); codes (N,); equilibria, from which the next search begins.
     """
 
     value: tuple[Any, Any, Any]
@@ -113,8 +109,7 @@ class Evaluator:
     Attributes:
         scene, params, times, how: as ``force_history`` takes them.
         space, objective: what is free, what is made least.
-        batch: points in one batch.
-        spent: the account of all calls.
+        batch: points in one batch; spent: the account of all calls.
         steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
             shares of a turn. None for the runs themselves.
     """
@@ -172,9 +167,8 @@ class Evaluator:
         return found
 
     def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates.
-
-        None where the run fails, and for an objective that is no greatest sample.
+        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates; None where
+        the run fails, and for an objective that is no greatest sample.
         """
         values = self.space.values(unit)
         self.spent.points += 1

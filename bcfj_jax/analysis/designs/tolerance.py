@@ -21,7 +21,7 @@ from scipy.stats import norm as normal
 from scipy.stats import qmc
 
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
-from bcfj_jax.analysis.designs.search import SIGMAS, Search
+from bcfj_jax.analysis.designs.space import SIGMAS, Search
 from bcfj_jax.core.progress import stage
 
 # Differences for the gradient of a worst change, over a range; and where |g_i| t_i is rounded, over the objective.
@@ -32,12 +32,9 @@ class Robustness(NamedTuple):
     """Of the true feature at the nominal design; NaN where unknown.
 
     Attributes:
-        nominal: its value.
-        linear_worst, linear_deviation: worst value and standard deviation by the gradient.
-        sampled_worst, sampled_deviation, sampled_mean: by runs.
-        worst_at: SI values of the worst run, by name.
-        samples, failed: runs asked for, and those without a value.
-        reasons: of these, with their numbers.
+        nominal: its value; linear_worst, linear_deviation: worst value and standard deviation by the gradient.
+        sampled_worst, sampled_deviation, sampled_mean: by runs; worst_at: SI values of the worst, by name.
+        samples, failed, reasons: runs asked for, those without a value, and why with their numbers.
     """
 
     nominal: float

@@ -1,8 +1,7 @@
 """Many points of a study at once: how each run ended, its features and their derivatives, and on request its forces.
 
-Scenes with a history go through a batch with a work queue; instants that are solved for themselves, each run from the one
-before it. On several devices each has its own part of the batch and its own queue. What has no batch is done one by one.
-One program a size of batch.
+Scenes with a history go through a batch with a work queue, on several devices a part each; instants that are solved for
+themselves, each run from the one before it. What has no batch is done one by one. One program a size of batch.
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ class Batch(NamedTuple):
     Attributes:
         features: (N, F), NaN where a run failed; with derivatives these behind them, (N, F (1 + P)).
         reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
-        steps: (N,) attempted steps, or iterations.
-        rounds: rounds of all places of the batch; 0 where there are none.
+        steps: (N,) attempted; rounds: of all places of the batch; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
     """
 
@@ -62,9 +60,8 @@ class Batch(NamedTuple):
 
 
 def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safety: float) -> Batch:
-    """Run points of a study with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's size.
-
-    The scene's tolerance is taken ``safety`` times.
+    """Run points with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's ``size``, at
+    ``safety`` times the scene's tolerance.
     """
     given, scene, how = study.given, study.given.scene, planned(study.given, safety)
     points = Points(study.params(values), ends, given.times / given.times[-1])
@@ -109,7 +106,7 @@ class _Static(NamedTuple):
 def run(
     scene: AbstractModel, points: Points, wanted: Sequence[Feature], how: Plan, size: int, forces: bool = False
 ) -> Batch:
-    """Features of N points of a scene whose level is chosen, without derivatives, and their forces where these are wanted.
+    """Features of N points of a scene whose level is chosen, without derivatives; their forces where these are wanted.
 
     ``size`` is the program's: fewer points need no other one.
     """
@@ -208,9 +205,7 @@ def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Bat
 
 
 def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
-    """As ``run``, for what has no batch: a solver of one's own, a level to be chosen, features of single contacts,
-    tangents that have a say in the steps (``derivatives.batch.possible``).
-    """
+    """As ``run``, for what has no batch (``together``)."""
     given, scene = study.given, study.given.scene
     finer = plan(scene, given.accuracy, given.max_steps)
     rows: list[tuple] = []
@@ -243,9 +238,8 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
 def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
     """As ``run``, of one turn of steady motion; where it does not repeat itself, the reason says so.
 
-    All points run to their ends in one batch; from there each point's orbit is found by itself (``derivatives.steady``),
-    whose matrix over all states leaves nothing to gain by doing several side by side (docs/studies.md). It has its own
-    tolerances.
+    All points run to their ends in one batch; from there each point's orbit is found by itself, whose matrix over all states
+    leaves nothing to gain by doing several side by side (docs/studies.md). It has its own tolerances.
     """
     scene, count = study.given.scene, len(points.ends)
     found = to_the_end(scene, points.params, points.ends, how, size)

@@ -1,7 +1,6 @@
 """A block of a study: some of its points, computed together and never apart, as a table.
 
-A block's content follows from the study and the block's number alone, not from who computes it nor when: that is what
-lets it be thrown away and done again.
+Its content follows from the study and the block's number alone: that lets it be thrown away and done again.
 """
 
 from __future__ import annotations
@@ -37,16 +36,12 @@ SAFER = 0.1
 
 
 class Table(NamedTuple):
-    """What a block's points gave, one row a point.
+    """What a block's n points gave, one row a point.
 
     Attributes:
-        point: (n,) numbers in the design.
-        values: (n, D) of the varied parameters.
-        results: (n, F) of ``Study.columns``.
-        status, reason: (n,) texts.
-        steps: (n,) attempted steps; rounds: of all places of the batch (``solve.work_queue``).
-        force: (n, T, C, 3) [N], or empty.
-        ends: (n,) last times [s].
+        point: numbers in the design; values: (n, D) of the varied parameters; results: (n, F) of ``Study.columns``.
+        steps: (n,) attempted; rounds: of all places of the batch (``solve.work_queue``).
+        force: (n, T, C, 3) [N], or empty; ends: (n,) last times [s].
     """
 
     point: np.ndarray
@@ -61,10 +56,9 @@ class Table(NamedTuple):
 
 
 class Blocks:
-    """A study cut into blocks.
+    """A study cut into blocks of the ``size`` that it was begun with, else one that suits the device.
 
-    Costly points come first, so that no worker begins a long block when all others are done. ``size``: of a block, where the
-    study was begun with one; else what suits the device (``block_size``).
+    Costly points come first, so that no worker begins a long block when all others are done.
     """
 
     def __init__(self, study: Study, size: int | None = None) -> None:
@@ -102,10 +96,8 @@ class Blocks:
 
 
 def fitting(study: Study, accelerated: bool | None = None) -> int:
-    """Points that are run at once: by memory, and so many that more would be no faster.
-
-    ``accelerated``: whether on an accelerator; None for where this process computes. Points that are taken one by one gain
-    nothing there.
+    """Points that are run at once: by memory, and so many that more would be no faster; on an accelerator, where this process
+    computes or as ``accelerated`` says, more of what is one program.
     """
     many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
     scene = study.given.scene

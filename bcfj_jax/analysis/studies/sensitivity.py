@@ -64,12 +64,11 @@ class Indices(NamedTuple):
 
 
 def indices(source: Source, feature: str, seed: int = 0) -> Indices:
-    """Sensitivity indices of a feature over a finished study, by the method that its design is for.
+    """Sensitivity indices of a feature ("contact.peak") over a finished study, by the method that its design is for.
 
     Args:
         source: what ``bcfj_jax.study`` gave back, or the study's folder.
-        feature: such as "contact.peak".
-        seed: of the bootstrap.
+        feature, seed: its name; of the bootstrap.
 
     Raises:
         InputError: for a design that says nothing of a distribution (grid, list), a feature that is not there or does

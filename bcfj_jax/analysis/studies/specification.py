@@ -48,9 +48,8 @@ class Study:
     """A study ready to run.
 
     Attributes:
-        given: the scene that is varied; design: its points.
-        features: what is kept of each point.
-        histories: whether forces are kept, too.
+        given, design: the scene that is varied, and its points.
+        features, histories: what is kept of each point; whether forces are, too.
         derivatives: parameters by which features are differentiated.
         steady: whether features are those of the steady motion (``derivatives.steady``).
         own_end: whether each point runs to the horizon of its own parameters.
@@ -164,10 +163,9 @@ def load(path: Path) -> Study:
 
 
 def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Path(".")) -> Study:
-    """The study that a file's content describes.
+    """The study that a file's content describes; ``InputError`` for what is not right names the key and what would be.
 
-    ``where``: the file, for messages; ``beside``: the folder in which a scene file is sought. ``InputError`` for anything that
-    is not right names the key and what would be.
+    ``where``: the file, for messages; ``beside``: the folder in which a scene file is sought.
     """
     table = dict(table)
     if isinstance(table.get("vary"), Mapping):

@@ -122,13 +122,8 @@ def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
 
 
 def singles(every: Sequence[Mapping[str, Any]], seconds: float) -> list[Trial | RuntimeError]:
-    """Run scene files in 32-bit numbers, in one other process, for so many seconds at most.
-
-    Returns:
-        Of each its run; an error where the other process failed, with its last line, or did not come so far in time.
-
-    Raises:
-        KeyboardInterrupt: for a Ctrl-C that came meanwhile, which the other process takes as well.
+    """Run scene files in 32-bit numbers, in one other process, for so many seconds at most: of each its run, or an error where
+    that process failed, with its last line, or did not come so far in time. A Ctrl-C that came meanwhile is raised.
     """
     with tempfile.TemporaryDirectory() as place:
         for k, table in enumerate(every):
