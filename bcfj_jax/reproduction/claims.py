@@ -1,7 +1,5 @@
-"""Every quantitative claim of the paper, as printed, with what is wrong with it where something is.
-
-Zhu et al., Machines 2023, 11(4), 466. A number is in SI; a text is the paper's own, misprints included. Where the
-paper contradicts itself or its inputs the remark says so, and the printed number stands unchanged.
+"""Every quantitative claim of the paper (Zhu et al., Machines 2023, 11(4), 466), as printed, with what is wrong with it where
+something is. A number is in SI; a text is the paper's own, misprints included.
 """
 
 from __future__ import annotations

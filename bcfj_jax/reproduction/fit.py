@@ -1,11 +1,9 @@
 """Unknowns of the joint fitted to the paper's five peaks, and what those peaks determine of them.
 
-Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over
-the logarithms of the unknowns in a box. The loss is Huber's at ``ERROR``: a number that the model cannot reach counts
-by its size and not its square, so that it does not drag the others along. Forces are those of the quasistatic joint
-without friction, whose derivatives are exact and cheap: two small programs instead of one large one, which takes minutes
-to compile, search for equilibrium, and give forces as functions of the parameters about the places found, by the implicit
-function theorem. Neither computes velocities. ``calibration.fit`` takes histories over time, not peaks.
+Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over the
+logarithms of the unknowns in a box, with Huber's loss at ``ERROR``: a number that the model cannot reach does not drag the
+others along. Forces are those of the quasistatic joint without friction: two small programs in place of one that takes
+minutes to compile search for equilibrium, and give forces as functions of the parameters by the implicit function theorem.
 """
 
 from __future__ import annotations

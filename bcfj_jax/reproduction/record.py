@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -21,6 +18,7 @@ from bcfj_jax.models.joint.system import contact_forces, on_bodies, view
 from bcfj_jax.solve.integrate import Solution, integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, story
+from bcfj_jax.xla.programs import program
 
 END, STEP, INSTANT = 3.0, 1e-3, 1.51
 # Of a force error in fractions of the peak, as ``simulate`` takes it.
@@ -77,11 +75,7 @@ class Seen(NamedTuple):
     head: Array
 
 
-_Outcome = tuple[Solution, dict[str, Reading], Seen]
-
-
-@eqx.filter_jit
-def _run(scene: Joint, params: Params, times: Array, how: Plan) -> _Outcome:
+def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading], Seen]:
     """Solution, readings, and what else is read of the states."""
     solution = integrate(scene, params, times, how, "forward")
     c = constants(scene, params)
@@ -98,9 +92,6 @@ def _run(scene: Joint, params: Params, times: Array, how: Plan) -> _Outcome:
 
     readings, seen = jax.vmap(look)(solution.states)
     return solution, readings, seen
-
-
-_compiled: dict[tuple[Joint, int], Callable[..., _Outcome]] = {}
 
 
 def record(
@@ -121,16 +112,12 @@ def record(
     added = np.linspace(times[-2], times[-1], max(instants - times.size, 0) + 2)[1:-1]
     times = np.concatenate([times[:-1], added, times[-1:]])
     how = plan(scene, ACCURACY, _MAX_STEPS)
-    arguments = (scene, dict(params), jnp.asarray(times), how)
+    arguments = dict(params), times, how
+    run_it, compile_s = program("paper", _run, (scene,), arguments)
     begin = time.perf_counter()
-    key = (scene, times.size)
-    if key not in _compiled:
-        _compiled[key] = _run.lower(*arguments).compile()
-    compiled = time.perf_counter()
-    solution, readings, seen = jax.device_get(_compiled[key](*arguments))
-    done = time.perf_counter()
+    solution, readings, seen = run_it(*arguments)
+    walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     keep = np.searchsorted(times, regular - 1e-9)
-    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
     fine = story(scene, times, solution, readings, how, walls)
     readings = jax.tree.map(lambda part: part[keep], readings)
     run = story(scene, regular, solution, readings, how, walls)

@@ -15,7 +15,7 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
 from bcfj_jax.analysis.designs import result as ended
-from bcfj_jax.analysis.designs.confirm import confirm, independent
+from bcfj_jax.analysis.designs.confirm import confirm, independent, robust, robustness
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
 from bcfj_jax.analysis.designs.evaluate import Evaluator
 from bcfj_jax.analysis.designs.objective import Combine
@@ -23,7 +23,6 @@ from bcfj_jax.analysis.designs.objective import objective as objective_of
 from bcfj_jax.analysis.designs.refine import ARRIVED, Kink, Refined, minimax, refine
 from bcfj_jax.analysis.designs.result import Design, Slice
 from bcfj_jax.analysis.designs.space import Free, Search, SearchKeys, space
-from bcfj_jax.analysis.designs.tolerance import robust, robustness
 from bcfj_jax.analysis.features import KINDS, NAMED, OF_TURN
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.progress import stage

@@ -12,7 +12,6 @@ from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.api import design, posed
 from bcfj_jax.analysis.designs.designfile import Question, load
 from bcfj_jax.analysis.designs.result import FAILED, Design, shown, value_rows
-from bcfj_jax.analysis.designs.space import Search
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
@@ -72,7 +71,7 @@ def run(
         growing.write(found.status, found.content() | {"plausibility": plausibility.content(doubts)})
         growing.tell([*_doubted(doubts), *_texts(found)], reason(found))
 
-    found = design(*given, asked.objective, asked.free, tell=so_far, **asked.options)
+    found = design(*given, asked.objective, asked.free, tell=so_far, **vars(asked.search))
     doubts = absurd(found) if found.status != FAILED else plausibility.at(*given)
     growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(doubts)})
     drawn: list[Picture] = []
@@ -105,13 +104,13 @@ def _texts(found: Design) -> list[str]:
 def check(asked: Question) -> None:
     """Refuse what ``design`` would refuse, before anything is written or compiled."""
     given = asked.scene, asked.given.params, asked.times
-    posed(given, asked.objective, asked.free, Search(**asked.options).checked())
+    posed(given, asked.objective, asked.free, asked.search.checked())
 
 
 def sentence(asked: Question) -> str:
     """The question in a sentence."""
     name = asked.objective if isinstance(asked.objective, str) else " + ".join(asked.objective)
-    return f"{'minimizing' if asked.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
+    return f"{'minimizing' if asked.search.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
 
 
 # What is said of a design.

@@ -1,8 +1,7 @@
 """Many starts, each by SciPy's L-BFGS-B within the unit box, all in one compiled batch.
 
-Every start has a thread in which ``scipy.optimize.minimize`` runs by itself. What they ask for is gathered until all
-that still run have asked, computed as one batch, and handed back; so nothing of the optimiser is written again, and
-every simulation runs beside the others. A start's way does not depend on those beside it.
+Every start has a thread in which ``scipy.optimize.minimize`` runs by itself. What they ask for is gathered until all that
+still run have asked, computed as one batch, and handed back. A start's way does not depend on those beside it.
 """
 
 from __future__ import annotations

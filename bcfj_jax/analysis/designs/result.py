@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.certificate import Certificate
-from bcfj_jax.analysis.designs.confirm import Confirmation
+from bcfj_jax.analysis.designs.confirm import Confirmation, Robustness
 from bcfj_jax.analysis.designs.descent import Path as Way
 from bcfj_jax.analysis.designs.space import Space
-from bcfj_jax.analysis.designs.tolerance import Robustness
 from bcfj_jax.core import presented
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import outputs

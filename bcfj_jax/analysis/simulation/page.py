@@ -251,10 +251,8 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
         folded.append(Table(f"Each of the {len(each)} contacts", _rows(each)))
     if all("share_of_time" in one for _, group in groups for one in group):
         folded.append(Table("Share of the time in each state", _shares(groups)))
-    read, ranges = (
-        content.get("engineering", {}),
-        "Of contacts with members the range over the members. " if many else "",
-    )
+    read = content.get("engineering", {})
+    ranges = "Of contacts with members the range over the members. " if many else ""
     text = f"{read.get('note', '')} {ranges}{note(contacts)}Three significant digits; all digits: summary.json.".strip()
     found = [Table("Contacts", contact_rows(scene, content), text, tuple(folded))]
     if rows := quantity_rows(content):

@@ -154,16 +154,14 @@ def chain(found: Chain, path: Path) -> Picture:
         most = float(np.hypot(*found.pushes.T).max(initial=0.0))
         if most > 0.0:
             reach = 0.25 * max(np.ptp(x), np.ptp(y)) / most
-            place.quiver(
-                x[1:-1],
-                y[1:-1],
-                *(reach * found.pushes.T),
-                angles="xy",
-                scale_units="xy",
-                scale=1.0,
-                color=COLOURS[1],
-                width=5e-3,
-            )
+            look: dict[str, Any] = {
+                "angles": "xy",
+                "scale_units": "xy",
+                "scale": 1.0,
+                "color": COLOURS[1],
+                "width": 5e-3,
+            }
+            place.quiver(x[1:-1], y[1:-1], *(reach * found.pushes.T), **look)
         place.set(title=f"{found.pushed}, at most {brief(most, 'N')}", xlabel="x [m]", ylabel="z [m]", aspect="equal")
         place.margins(0.25)
         for axis, (name, (unit, values)) in zip(axes, found.loads.items(), strict=True):

@@ -99,8 +99,7 @@ def fitting(study: Study, accelerated: bool | None = None) -> int:
     """Points that are run at once: by memory, and so many that more would be no faster; on an accelerator, where this process
     computes or as ``accelerated`` says, more of what is one program.
     """
-    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
-    scene = study.given.scene
+    scene, many = study.given.scene, _many(study, accelerated)
     large = scene.traits.large
     few, numbers = (_OF_MOTION if large and has_history(scene) else _OTHERS), _NUMBERS
     if many:
@@ -113,8 +112,12 @@ def fitting(study: Study, accelerated: bool | None = None) -> int:
 
 def block_size(study: Study, accelerated: bool | None = None) -> int:
     """Points of a block of a study: on a CPU four blocks at least, so that there is work for several."""
-    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
-    return max(_FEWEST, min(fitting(study, accelerated), study.count if many else -(-study.count // 4)))
+    most = study.count if _many(study, accelerated) else -(-study.count // 4)
+    return max(_FEWEST, min(fitting(study, accelerated), most))
+
+
+def _many(study: Study, accelerated: bool | None) -> bool:
+    return (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
 
 
 def predicted_cost(study: Study) -> np.ndarray:
@@ -156,11 +159,8 @@ def _together(study: Study, at: np.ndarray, size: int) -> Table:
     """Run points by their numbers, up to the program's size; those that fail once more, with safer settings."""
     values, last, scene = study.points[at], study.ends[at], study.given.scene
     reasons, rounds = _refusals(study, values, size), 0
-    status, results, steps = (
-        ["failed"] * len(at),
-        np.full((len(at), len(study.columns)), np.nan),
-        np.zeros(len(at), int),
-    )
+    status, steps = ["failed"] * len(at), np.zeros(len(at), int)
+    results = np.full((len(at), len(study.columns)), np.nan)
     shape = (len(study.given.times), sum(max(1, k) for k in scene.members.values()), 3)
     force = np.full((len(at), *shape), np.nan) if study.histories else np.zeros((len(at), 0, 0, 0))
     which = np.flatnonzero([not text for text in reasons])

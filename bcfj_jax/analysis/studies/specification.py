@@ -1,11 +1,4 @@
-"""Study files: which points of which scene, and what is kept of each; checked, in SI.
-
-scene     a scene file (beside the study file), a built-in scene's name, or a table with a scene file's content
-[design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
-          saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
-[vary.X]  lower, upper, steps, scale = linear | log | normal; or values. X may be a pattern: "ball_*.oversize"
-[results] features, histories, derivatives, steady
-"""
+"""Study files: which points of which scene, and what is kept of each; checked, in SI (docs/studies.md)."""
 
 from __future__ import annotations
 
@@ -312,12 +305,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
         (listed and some, "", "values and bounds are both given", "give one of them"),
         (listed and size, " values", f"a {kind} draws between bounds", "give lower and upper"),
         (table.values == [], " values", "is empty", "give one value or more"),
-        (
-            not listed and (lower is None or upper is None),
-            "",
-            "no bounds",
-            "give lower and upper, or values",
-        ),
+        (not listed and None in (lower, upper), "", "no bounds", "give lower and upper, or values"),
         (not listed and kind == "list", "", "a list needs values", "give values = [...]"),
         (size and table.steps is not None, " steps", f"a {kind} has no steps", f"say [design] {size} in place of it"),
         (not (size or listed or table.steps), " steps", "missing", "give the number of values of the grid"),

@@ -255,7 +255,12 @@ def _panel(
     for number, (kind, names) in enumerate(sorted(kinds.items(), key=lambda item: item[0] not in solvers)):
         x, y = np.array([walls[n] for n in names]), np.clip([errors[n] for n in names], _LEAST, _TOP)
         colour, mark = plots.COLOURS[number % len(plots.COLOURS)], _MARKS[number % len(_MARKS)]
-        look = {"linestyle": "-" if kind in solvers else "none", "color": colour, "marker": mark, "label": kind}
+        look: dict[str, Any] = {
+            "linestyle": "-" if kind in solvers else "none",
+            "color": colour,
+            "marker": mark,
+            "label": kind,
+        }
         axis.plot(x, y, markersize=4.5, linewidth=0.7, alpha=0.85, **look)
     axis.set(xscale="log", yscale="log", xlabel="wall time of a run, compiled [s]")
     low, high = axis.get_ylim()

@@ -1,9 +1,7 @@
 """The truth of a study and how far it can be trusted: two methods that know nothing of each other, both tight.
 
-The first method's run is the truth; its difference from the second, in every error of ``measures``, is the reference's
-own error. Both are tightened until they agree, or until more would cost more than a third of the time left. Where a
-method fails, another takes its place. Equilibria have no steps: there the second run has twice as many instants, which
-other neighbours start.
+The first method's run is the truth; its difference from the second, in every error of ``measures``, is the reference's own
+error. Both are tightened until they agree, or until more would cost more than a third of the time left (docs/tradeoff.md).
 """
 
 from __future__ import annotations

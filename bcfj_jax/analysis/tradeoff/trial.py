@@ -1,9 +1,7 @@
 """One setting run: what came out, what it cost. Compiling apart, every result waited for.
 
-    python -m bcfj_jax.analysis.tradeoff.trial FOLDER
-
-runs the scene files 0.json, 1.json, ... of a folder in 32-bit numbers, to know what they would cost: the package refuses them,
-and JAX's width of numbers belongs to a whole process, so that the study's own cannot change it for one run.
+``python -m bcfj_jax.analysis.tradeoff.trial FOLDER`` runs the scene files 0.json, 1.json, ... of a folder in 32-bit numbers,
+to know what they would cost: the package refuses them, and JAX's width of numbers belongs to a whole process.
 """
 
 from __future__ import annotations
