@@ -64,31 +64,23 @@ class Record(NamedTuple):
     angle: float
 
 
-class Seen(NamedTuple):
-    """Per instant: contact forces on the cage (T, 3), its velocity, axis and azimuth or its rate, the other turns."""
-
-    forces: Array
-    velocity: Array
-    axis: Array
-    azimuth: Array
-    seat: Array
-    head: Array
-
-
-def _run(scene: Joint, params: Params, times: Array, how: Plan) -> tuple[Solution, dict[str, Reading], Seen]:
-    """Solution, readings, and what else is read of the states."""
+def _run(
+    scene: Joint, params: Params, times: Array, how: Plan
+) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
+    """Solution, readings, and per instant contact forces on the cage, its velocity, axis and azimuth or its rate, other turns."""
     solution = integrate(scene, params, times, how, "forward")
     c = constants(scene, params)
 
-    def look(y: Array) -> tuple[dict[str, Reading], Seen]:
+    def look(y: Array) -> tuple[dict[str, Reading], dict[str, Array]]:
         state = view(scene, c, y)
         _, coupling = on_bodies(scene, c, state, contact_forces(scene, c, state))
         azimuth = state.cage_azimuth
         if azimuth is None:
             azimuth = azimuth_rate(state.cage_axis, state.cage_spin)
-        cage = coupling[scene.slices["cage"]]
-        seen = Seen(cage, state.cage_velocity, state.cage_axis, azimuth, state.seat_turn, state.head_turn)
-        return observe(scene, c, y), seen
+        return observe(scene, c, y), {
+            "forces": coupling[scene.slices["cage"]], "velocity": state.cage_velocity, "axis": state.cage_axis,
+            "azimuth": azimuth, "seat": state.seat_turn, "head": state.head_turn,
+        }  # fmt: skip
 
     readings, seen = jax.vmap(look)(solution.states)
     return solution, readings, seen
@@ -122,13 +114,13 @@ def record(
     readings = jax.tree.map(lambda part: part[keep], readings)
     run = story(scene, regular, solution, readings, how, walls)
     low, middle, high = np.searchsorted(times, at - 1e-9)
-    pace = np.asarray(seen.velocity)
+    pace = seen["velocity"]
     rate = (pace[high] - pace[low]) / (times[high] - times[low])
     mass = float(params["cage_mass"])
-    azimuth = np.asarray(seen.azimuth)
+    azimuth = seen["azimuth"]
     if scene.azimuth is None:
         azimuth = np.concatenate([[0.0], np.cumsum(0.5 * (azimuth[1:] + azimuth[:-1]) * np.diff(times))])
-    turns = Turns(*(np.asarray(x)[keep] for x in (seen.seat, seen.head, seen.axis, azimuth)))
+    turns = Turns(*(x[keep] for x in (seen["seat"], seen["head"], seen["axis"], azimuth)))
     world = {name: np.asarray(reading.world) for name, reading in readings.items()}
-    balance = Balance(float(times[middle]), np.asarray(seen.forces)[middle], mass * rate)
+    balance = Balance(float(times[middle]), seen["forces"][middle], mass * rate)
     return Record(run, balance, fine, world, turns, float(params["joint_angle"]))

@@ -66,7 +66,7 @@ def design(
             |F|), weights by feature for their sum, or a function of a dict of ``features``.
         free: by name ``Free`` or (lower, upper, tolerance, relative, scale); texts such as "20 um" are converted.
         tell: receives the best descent's end ("not checked yet"), then the optimum checked by runs ("not complete yet").
-        options: by name, those of ``search.Search``: features, sense, kappa, distribution, samples, starts, norms,
+        options: by name, those of ``space.Search``: features, sense, kappa, distribution, samples, starts, norms,
             iterations, accuracy, max_steps, confirm, certify, slices, seed, steady.
 
     Raises:

@@ -94,14 +94,6 @@ class _Given(NamedTuple):
     near: Any
 
 
-class _Static(NamedTuple):
-    """What a program of objectives is made for; the times as bytes, which are hashable."""
-
-    grid: bytes
-    objective: Objective
-    contacts: tuple[tuple[str, int], ...]
-
-
 @dataclass(frozen=True)
 class Evaluator:
     """A scene's objective over the unit box of its free parameters.
@@ -146,8 +138,8 @@ class Evaluator:
             return found
         read, whys = self._read(values[good])
         given = read.value, read.slopes, np.asarray(float(norm))
-        static = _Static(self.times.tobytes(), self.objective, tuple(self.scene.members.items()))
-        objectives, compile_s = program("design objective", _objectives, (static,), given)
+        static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
+        objectives, compile_s = program("design objective", _objectives, static, given)
         begin = time.perf_counter()
         numbers = [np.asarray(x)[: len(good)] for x in objectives(*given)]
         self.spent.wall_s += time.perf_counter() - begin
@@ -202,9 +194,8 @@ class Evaluator:
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
         curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
-        value = np.full(shape, np.nan), np.full(shape, np.nan), curves
-        none, by = np.zeros((*value[2].shape, len(names))), (*shape, len(names))
-        slopes = np.full(by, np.nan), np.full(by, np.nan), none
+        value = *np.full((2, *shape), np.nan), curves
+        slopes = *np.full((2, *shape, len(names)), np.nan), np.zeros((*curves.shape, len(names)))
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
 
@@ -298,14 +289,16 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
     return read, slopes, code, places
 
 
-def _objectives(static: _Static, value: tuple, slopes: tuple, norm: Array) -> tuple:
-    """Of N runs the objective on norms with its gradient, on crests, and as it is reported."""
-    times, contacts = np.frombuffer(static.grid), dict(static.contacts)
+def _objectives(
+    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], value: tuple, slopes: tuple, norm: Array
+) -> tuple:
+    """Of N runs the objective on norms with its gradient, on crests, and as it is reported; times as bytes: hashable."""
+    times, members = np.frombuffer(grid), dict(contacts)
 
     def of(read: tuple, norm: Array | None) -> Array:
         force, depth, curve = read
         found = Histories(force[:, :, None], depth, None, None, curve)
-        return static.objective.of(measured(times, found, static.objective, contacts, norm))
+        return objective.of(measured(times, found, objective, members, norm))
 
     def one(read: tuple, slopes: tuple) -> tuple:
         def push(*along: Array) -> Array:

@@ -126,7 +126,7 @@ def run(
         if on_host(feature):
             for i in range(count):
                 one = Histories(force[i], depth[i], rate[i], None)
-                values[i, k] = values_of(scene, grid, one, [feature])[0] if code[i] == OK else np.nan
+                values[i, k] = measured(scene, [feature], grid, one)[0][0] if code[i] == OK else np.nan
         # The samples' times are those of a run that takes one second.
         if KINDS[feature.kind].per_second:
             values[:, k] *= ends
@@ -144,14 +144,16 @@ def on_host(feature: Feature) -> bool:
     return KINDS[feature.kind].host or feature.kind == PAIR
 
 
-def none_of(value: Histories) -> Histories:
-    """The derivatives of histories by no parameter."""
-    return Histories(*(None if x is None else x[None][:0] for x in value))
-
-
-def values_of(scene: AbstractModel, times: np.ndarray, value: Histories, wanted: Sequence[Feature]) -> np.ndarray:
-    """Features (F,) of a finished run."""
-    return measure(times, value, none_of(value), wanted, scene.members, scene.traits.turning)[0]
+def measured(
+    scene: AbstractModel,
+    wanted: Sequence[Feature],
+    times: np.ndarray,
+    value: Histories,
+    slopes: Histories | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) of a finished run, and their derivatives (F, P); by no parameter without ``slopes``."""
+    none = Histories(*(None if x is None else x[None][:0] for x in value))
+    return measure(times, value, none if slopes is None else slopes, wanted, scene.members, scene.traits.turning)
 
 
 def _program(static: _Static, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
@@ -181,12 +183,6 @@ def _part(static: _Static, points: Points, how: Plan, count: Array) -> tuple:
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
 
 
-def _measured(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F,) of one run, and their derivatives (F, P)."""
-    scene = study.given.scene
-    return measure(times, value, slopes, study.features, scene.members, scene.traits.turning)
-
-
 def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Batch:
     """As ``run``, with derivatives of the features."""
     scene, (given, ends, grid) = study.given.scene, points
@@ -198,7 +194,8 @@ def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Bat
             Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
             for part in (found.value, found.derivative)
         )
-        rows[i] = np.concatenate([x.ravel() for x in _measured(study, ends[i] * grid, value, slopes)])
+        both = measured(scene, study.features, ends[i] * grid, value, slopes)
+        rows[i] = np.concatenate([x.ravel() for x in both])
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(ends), 0, 0, 0))
     return Batch(rows, reasons, found.end, found.steps, found.rounds, force)
@@ -210,7 +207,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
     finer = plan(scene, given.accuracy, given.max_steps)
     rows: list[tuple] = []
     for i, end in enumerate(points.ends):
-        one, wrt, times, peaks = points.one(i), (), end * points.grid, {}
+        one, wrt, times, peaks, slopes = points.one(i), (), end * points.grid, {}, None
         if study.derivatives:
             one, wrt = complete(scene, one, study.derivatives)
             found = differentiated(given, wrt, one, times, safety)
@@ -221,10 +218,9 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
             value = Histories(force, depth, rate, None)
-            slopes = none_of(value)
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
-        numbers, by = _measured(study, times, value, slopes)
+        numbers, by = measured(scene, study.features, times, value, slopes)
         with_events(Problem(scene, one, times, wrt, study.features), finer, numbers, by, safety * TIGHTER)
         for k, feature in enumerate(study.features):
             if feature.kind == "peak" and peaks:

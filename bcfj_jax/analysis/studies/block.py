@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -140,45 +140,35 @@ def _steps(scene: AbstractModel, params: dict, ends: Array, how: Plan) -> Array:
 
 
 def compute(study: Study, at: np.ndarray, size: int) -> Table:
-    """Run a block's points by their numbers, up to ``size``; in parts where this device takes fewer at once."""
-    size = min(size, fitting(study))
-    parts = [_together(study, at[k : k + size], size) for k in range(0, len(at), size)]
-    if len(parts) == 1:
-        return parts[0]
+    """Run a block's points by their numbers, up to ``size`` or what this device takes at once; those that fail once more,
+    with safer settings.
+    """
+    size, scene = min(size, fitting(study)), study.given.scene
 
-    def joined(name: str) -> Any:
-        each = [getattr(part, name) for part in parts]
-        if isinstance(each[0], np.ndarray):
-            return np.concatenate(each)
-        return sum(each) if name == "rounds" else [x for part in each for x in part]
+    def parts(which: np.ndarray) -> list[np.ndarray]:
+        return [which[k : k + size] for k in range(0, len(which), size)]
 
-    return Table(*map(joined, Table._fields))
-
-
-def _together(study: Study, at: np.ndarray, size: int) -> Table:
-    """Run points by their numbers, up to the program's size; those that fail once more, with safer settings."""
-    values, last, scene = study.points[at], study.ends[at], study.given.scene
-    reasons, rounds = _refusals(study, values, size), 0
-    status, steps = ["failed"] * len(at), np.zeros(len(at), int)
+    values, last = study.points[at], study.ends[at]
+    reasons = [why for part in parts(values) for why in _refusals(study, part, size)]
+    status, steps, rounds = ["failed"] * len(at), np.zeros(len(at), int), 0
     results = np.full((len(at), len(study.columns)), np.nan)
     shape = (len(study.given.times), sum(max(1, k) for k in scene.members.values()), 3)
     force = np.full((len(at), *shape), np.nan) if study.histories else np.zeros((len(at), 0, 0, 0))
     which = np.flatnonzero([not text for text in reasons])
     for safety in (1.0, SAFER) if has_history(scene) else (1.0,):
-        if not which.size:
-            break
-        batch = of_study(study, values[which], last[which], size, safety)
-        rounds += batch.rounds
-        steps[which] += batch.steps
-        results[which] = batch.features
-        if study.histories:
-            force[which] = batch.force
-        for i, why, end in zip(which, batch.reason, batch.end, strict=True):
-            failure = f"{why} at {end:.6g} s" if why else ""
-            status[i] = "failed" if failure else "ok"
-            again = f"{failure or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
-            reasons[i] = failure if safety == 1.0 else again
-        which = which[np.array([bool(why) for why in batch.reason])]
+        for part in parts(which):
+            batch = of_study(study, values[part], last[part], size, safety)
+            rounds += batch.rounds
+            steps[part] += batch.steps
+            results[part] = batch.features
+            if study.histories:
+                force[part] = batch.force
+            for i, why, end in zip(part, batch.reason, batch.end, strict=True):
+                failure = f"{why} at {end:.6g} s" if why else ""
+                status[i] = "failed" if failure else "ok"
+                again = f"{failure or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
+                reasons[i] = failure if safety == 1.0 else again
+        which = np.array([i for i in which if status[i] == "failed"], int)
     return Table(at, values, results, status, reasons, steps, rounds, force, last)
 
 

@@ -141,8 +141,8 @@ def _every(given: SceneFile) -> list[Setting]:
     # An empty change: the file as it stands.
     own = Setting(AS_GIVEN, "tolerance", solver, force_error(given.accuracy), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
-    narrow = _laddered if moves else lambda *of, **more: [_setting(*of[:-1], **more)]
-    more += [*_models(given), *narrow(given, "32-bit numbers", "precision", {}, moves, bits=32)]
+    narrow = given, "32-bit numbers", "precision", {}
+    more += [*_models(given), *(_laddered(*narrow, True, bits=32) if moves else [_setting(*narrow, bits=32)])]
     seen, found = {(_same(given.resolved), own.bits)}, [own]
     for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
         key = _same(setting.table), setting.bits
