@@ -194,8 +194,8 @@ class Evaluator:
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
         curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
-        value = *np.full((2, *shape), np.nan), curves
-        slopes = *np.full((2, *shape, len(names)), np.nan), np.zeros((*curves.shape, len(names)))
+        nothing, by = np.full(shape, np.nan), np.full((*shape, len(names)), np.nan)
+        value, slopes = (nothing, nothing.copy(), curves), (by, by.copy(), np.zeros((*curves.shape, len(names))))
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
 
