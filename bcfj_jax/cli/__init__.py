@@ -1,8 +1,7 @@
 """The command ``bcfj``: results to stdout and a folder, progress to stderr, exit codes as documented.
 
-``base`` has the application and what all verbs share, ``options`` the options that several verbs take; each other
-module has a group of verbs. Modules import what a verb needs when it runs, so that help is quick and nothing here
-pulls in calibration.
+``base`` has the application and what all verbs share, ``options`` the options that several take; each other module has a
+group of verbs. Modules import what a verb needs when it runs, so that help is quick and nothing here loads calibration.
 """
 
 from __future__ import annotations

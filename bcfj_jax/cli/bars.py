@@ -14,13 +14,12 @@ class Bars:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.display: Any = None
-        self.live = 0
 
     def __call__(self, text: str, total: int | None) -> Bar:
         """A stage's bar; it appears once the stage takes long."""
         return Bar(self, text, total)
 
-    def add(self, text: str, total: int | None, done: int) -> Any:
+    def add(self, text: str, total: int | None, **done: Any) -> Any:
         """Show one more stage; its key."""
         from rich.console import Console
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -33,48 +32,42 @@ class Bars:
                 )  # fmt: skip
                 self.display = Progress(*columns, console=Console(stderr=True), transient=True)
                 self.display.start()
-            self.live += 1
-            return self.display.add_task(text, total=total, completed=done, count=_count(done, total))
+            return self.display.add_task(text, total=total, **done)
 
-    def update(self, key: Any, done: int, total: int | None) -> None:
+    def update(self, key: Any, **done: Any) -> None:
         """So many parts of a stage are done."""
         with self.lock:
             if self.display is not None:
-                self.display.update(key, completed=done, count=_count(done, total))
+                self.display.update(key, **done)
 
     def remove(self, key: Any) -> None:
         """A stage has ended."""
         with self.lock:
             self.display.remove_task(key)
-            self.live -= 1
-            if not self.live:
+            if not self.display.tasks:
                 self.display.stop()
                 self.display = None
-
-
-def _count(done: int, total: int | None) -> str:
-    return "" if total is None else f"{done} of {total}"
 
 
 class Bar:
     """One stage."""
 
     def __init__(self, bars: Bars, text: str, total: int | None) -> None:
-        self.bars, self.text, self.total = bars, text, total
-        self.key: Any = None
-        self.done = 0
+        self.bars, self.text, self.total, self.key = bars, text, total, None
+        self.done: dict[str, Any] = {}
+        self.advance(0)
 
     def tick(self, took: float, last: bool) -> None:
         """Appear once the stage takes long."""
         del last
         if self.key is None and took >= Waiting.after:
-            self.key = self.bars.add(self.text, self.total, self.done)
+            self.key = self.bars.add(self.text, self.total, **self.done)
 
     def advance(self, done: int) -> None:
         """So many parts are done."""
-        self.done = done
+        self.done = {"completed": done, "count": "" if self.total is None else f"{done} of {self.total}"}
         if self.key is not None:
-            self.bars.update(self.key, done, self.total)
+            self.bars.update(self.key, **self.done)
 
     def close(self) -> None:
         """The stage has ended."""

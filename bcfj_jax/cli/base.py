@@ -83,8 +83,8 @@ def result(content: Mapping[str, Any]) -> None:
 def ready(files: list[Path] | None, what: str | Path = "") -> None:
     """Get ready for a file of the user's, or a scene's name, and execute the user's own code.
 
-    A file that cannot be read is refused before JAX is imported. The cache comes before all code: JAX decides at its
-    first compilation whether there is one.
+    A file that cannot be read is refused before JAX is imported. The cache comes before all code: JAX decides at its first
+    compilation whether there is one.
     """
     if Path(what).suffix == ".toml":
         from bcfj_jax.io import tables
@@ -110,11 +110,10 @@ def verb(
     changed: Changed | None = None,
     changes: Mapping[str, Any] = CHANGES,
 ) -> Callable[[Callable[..., int]], Callable[..., None]]:
-    """Make a function a verb: its return value is the exit code, its docstring the help.
+    """Make a function a verb: its return value is the exit code, its docstring the help; bad input becomes a message.
 
-    Bad input becomes a message instead of a traceback. The verb gets ``--quiet``, ``--verbose`` and ``--json``; with
-    ``changed`` also ``--set`` and what is short for it: from the verb's arguments and the changes ``changed`` makes a
-    context within which its file reads as changed.
+    It gets ``--quiet``, ``--verbose`` and ``--json``; with ``changed`` also ``--set`` and what is short for it: from the verb's
+    arguments and the changes ``changed`` makes a context within which its file reads as changed.
     """
 
     def added(function: Callable[..., int]) -> Callable[..., None]:

@@ -57,11 +57,7 @@ _SHORT = {
 
 
 def asked(options: Mapping[str, Any]) -> list[Change]:
-    """The changes that options ask for, the short forms last.
-
-    Raises:
-        InputError: as ``changes.parse``.
-    """
+    """The changes that options ask for, the short forms last."""
     found = [changes.parse(text) for text in options.get("set_") or ()]
     for name, words in _SHORT.items():
         if (value := options.get(name)) is not None:
@@ -76,24 +72,23 @@ def of_scene(options: Mapping[str, Any], wanted: Sequence[Change]) -> contextlib
 
 
 def of_problem(options: Mapping[str, Any], wanted: Sequence[Change]) -> contextlib.AbstractContextManager[None]:
-    """The context within which the verb's calibration file reads as changed."""
+    """The same of the verb's calibration file."""
     return changes.changing(options["problem"], wanted, changes.CALIBRATION)
 
 
 def of_design(options: Mapping[str, Any], wanted: Sequence[Change]) -> contextlib.AbstractContextManager[None]:
-    """The context within which the verb's design file, and its scene, read as changed; or the scene alone."""
+    """The same of the verb's design file and its scene, or of a scene alone."""
     path = Path(options["what"])
-    if not wanted or path.suffix != ".toml":
-        return changes.changing(options["what"], wanted)
-    from bcfj_jax.io import tables
+    if wanted and path.suffix == ".toml":
+        from bcfj_jax.io import tables
 
-    if "objective" in tables.read(path):
-        return tables.changing_both(path, wanted, changes.DESIGN)
-    return changes.changing(path, wanted)
+        if "objective" in tables.read(path):
+            return tables.changing_both(path, wanted, changes.DESIGN)
+    return changes.changing(options["what"], wanted)
 
 
 def of_study(options: Mapping[str, Any], wanted: Sequence[Change]) -> contextlib.AbstractContextManager[None]:
-    """The context within which the verb's study file, and the scene that it varies, read as changed."""
+    """The same of the verb's study file and the scene that it varies."""
     if not wanted:
         return contextlib.nullcontext()
     from bcfj_jax.analysis.studies.command import changing

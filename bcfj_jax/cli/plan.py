@@ -28,11 +28,7 @@ def ended(command: str, scene: str, begin: float, good: bool) -> int:
 
 
 def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
-    """Show what a verb would do with a scene, in rows of which some are the verb's own; the exit code.
-
-    Raises:
-        InputError: for a scene that is not right, and a folder that cannot be used.
-    """
+    """Show what a verb would do with a scene, in rows of which some are the verb's own; the exit code."""
     given = scenefile.load(scene)
     took = programs.seconds(f"bcfj {command} {given.scene.kind}")
     unknown = "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"
@@ -49,11 +45,7 @@ def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence
 
 
 def show(rows: Sequence[Sequence[str]], out: Path | None) -> None:
-    """Print the table of a dry run, and keep it for ``--json``.
-
-    Raises:
-        InputError: for a folder that cannot be used.
-    """
+    """Print the table of a dry run, and keep it for ``--json``."""
     if out is not None:
         check_folder(out)
     typer.echo(report.text([["dry run", "nothing is written"], *rows]))

@@ -26,13 +26,8 @@ Frames = Annotated[
 def simulate(
     scene: Scene,
     measure_error: Annotated[bool, typer.Option(help="Whether to run once more, finer, to measure the error.")] = True,
-    animate: Annotated[
-        str,
-        typer.Option(help="Also write animation.html, .glb, .mp4 or .gif: html, gltf, mp4 or gif, several by commas."),
-    ] = "",
-    frames: Annotated[
-        str, typer.Option(help="Also write forces_in_frames.csv: forces in the axes of bodies, or world, by commas.")
-    ] = "",
+    animate: Animate = "",
+    frames: Frames = "",
     code: Code = None,
     out: Out = None,
     dry_run: Dry = False,

@@ -98,9 +98,9 @@ def study_indices(
 ) -> int:
     """Say how much of each feature's variation each parameter brings: a table, indices.json and bars."""
     ready(code, study)
-    from bcfj_jax.analysis.studies import indices_command
+    from bcfj_jax.analysis.studies import sensitivity
 
-    return _told(indices_command.run(study, out, feature or [], seed))
+    return _told(sensitivity.run(study, out, feature or [], seed))
 
 
 @_of_study(

@@ -1,7 +1,5 @@
-"""Every quantitative claim of the paper, as printed, with what is wrong with it where something is.
-
-Zhu et al., Machines 2023, 11(4), 466. A number is in SI; a text is the paper's own, misprints included. Where the
-paper contradicts itself or its inputs the remark says so, and the printed number stands unchanged.
+"""Every quantitative claim of the paper (Zhu et al., Machines 2023, 11(4), 466), as printed, with what is wrong with it where
+something is. A number is in SI; a text is the paper's own, misprints included.
 """
 
 from __future__ import annotations
@@ -15,10 +13,7 @@ class Claim(NamedTuple):
     """One row of the paper's reference-load table.
 
     Attributes:
-        id: Q1 to Q39.
-        quantity: what is claimed.
-        printed: the paper's value, as printed.
-        section: where it stands in the paper.
+        id, quantity, printed, section: Q1 to Q39; what is claimed; the paper's value, as printed; where it stands.
         kind: "input" (what the paper's simulation was given), "figure" (what it gave), "statement" (neither).
         values: the printed numbers in SI, as the paper must have meant them; empty where there are none.
         unit: of ``values``; "1" for none, "%" for a share shown as one.

@@ -37,14 +37,10 @@ class Outcome(NamedTuple):
     """What was run, by name, and what follows from it.
 
     Attributes:
-        scene: the joint as given.
-        used: parameters.
-        records: the runs, failed ones too.
-        fit: to the paper's peaks.
+        scene, used, records, fit: the joint as given; parameters; the runs, failed ones too; the fit to the paper's peaks.
         end, seconds: time simulated, and that all of it took [s].
         runs: those that ended well.
-        seen: by variant and frame the claims that depend on the frame.
-        frame: the one that makes most sense of the paper.
+        seen, frame: by variant and frame the claims that depend on the frame; the one that makes most sense of the paper.
         measured, tests: by variant the numbers of each claim, and the qualitative claims.
         claims: the table of claims.
         starts: six peaks of every sudden start, by how finely they are read [s].
@@ -162,14 +158,7 @@ def tightened(params: Params) -> Params:
 
 
 def run(out: Path | None, say: Callable[[str], None], end: float = END) -> tuple[str, bool]:
-    """Run the paper's case to ``end`` [s], fit, measure, draw and write.
-
-    Returns:
-        The results in words, and whether every simulation ended well.
-
-    Raises:
-        InputError: where something would be overwritten.
-    """
+    """Run the paper's case to ``end`` [s], fit, measure, draw and write: the results in words, and whether all runs went well."""
     folder = outputs.open_folder(out, "joint", outputs.Claim("reproduce", FILES))
     begin = time.perf_counter()
     scene = joint_of_keys(**PLAIN)

@@ -1,11 +1,9 @@
 """Unknowns of the joint fitted to the paper's five peaks, and what those peaks determine of them.
 
-Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over
-the logarithms of the unknowns in a box. The loss is Huber's at ``ERROR``: a number that the model cannot reach counts
-by its size and not its square, so that it does not drag the others along. Forces are those of the quasistatic joint
-without friction, whose derivatives are exact and cheap: two small programs instead of one large one, which takes minutes
-to compile, search for equilibrium, and give forces as functions of the parameters about the places found, by the implicit
-function theorem. Neither computes velocities. ``calibration.fit`` takes histories over time, not peaks.
+Least squares on relative residuals r_i = F_i/paper_i - 1 of the six numbers that the five peaks are (Q23 has two), over the
+logarithms of the unknowns in a box, with Huber's loss at ``ERROR``: a number that the model cannot reach does not drag the
+others along. Forces are those of the quasistatic joint without friction: two small programs in place of one that takes
+minutes to compile search for equilibrium, and give forces as functions of the parameters by the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -87,9 +85,8 @@ def _slopes(scene: Joint, params: Params, free: Params, times: Array, found: Fou
 
 
 def peaks(scene: Joint, params: Params, free: Params) -> tuple[np.ndarray, dict[str, np.ndarray], bool]:
-    """The numbers of ``TARGETS`` [N], their derivatives by each parameter in ``free``, and whether equilibrium was found.
-
-    Those in ``free`` replace the ones in ``params``; stiffnesses follow (``tied``).
+    """The numbers of ``TARGETS`` [N] with ``free`` in place of ``params`` (``tied``), their derivatives by each of these, and
+    whether equilibrium was found.
     """
     times = jnp.asarray(instants(params, scene.balls))
     free = {name: jnp.asarray(value, dtype=float) for name, value in free.items()}
@@ -129,9 +126,8 @@ def targets() -> np.ndarray:
 
 
 class Estimate(NamedTuple):
-    """One fitted unknown: "determined", "not determined" or "at bound".
-
-    It could be larger or smaller by ``factor95``, were the peaks known to ``ERROR`` and the model right.
+    """One fitted unknown: "determined", "not determined" or "at bound"; it could be larger or smaller by ``factor95``, were the
+    peaks known to ``ERROR`` and the model right.
     """
 
     value: float
@@ -143,9 +139,7 @@ class PeakFit(NamedTuple):
     """A fit to the peaks.
 
     Attributes:
-        estimates: by name.
-        peaks: the quasistatic model's, in the order of ``TARGETS`` [N].
-        residuals: peaks/paper - 1.
+        estimates: by name; peaks: the quasistatic model's [N], in the order of ``TARGETS``; residuals: peaks/paper - 1.
         singular: singular values of the residuals' derivative by the unknowns in the unit box, over ``ERROR``.
         directions: (k, unknowns), the combination each belongs to.
         combinations: how many of them the data determine: singular value above ``KNOWN``.
@@ -229,10 +223,7 @@ def fit(
     wanted: np.ndarray | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> PeakFit:
-    """Fit unknowns to six peaks in the order of ``TARGETS``, by default the paper's.
-
-    The unknowns' values in ``params`` are the first start.
-    """
+    """Fit unknowns, from their values in ``params`` and others, to six peaks ordered as ``TARGETS``, by default the paper's."""
     model = _Model(params, unknowns, targets() if wanted is None else wanted)
     design = qmc.Sobol(len(unknowns), rng=0).random(_SCREENED)
     costs = [_cost(model(point)[0]) for point in design]

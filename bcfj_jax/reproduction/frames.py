@@ -1,11 +1,8 @@
 """Forces of the pilots in the axes of different observers, and which of these give the paper's rhythm.
 
-A force whose direction hardly moves in space turns once a revolution for an observer who turns. So the frame decides the
-period: in the contact's own frame (normal, axial, tangential) and in axes fixed in space equal balls repeat the force six
-times a turn; in axes that turn with a part, once a turn. The paper does not name its frame.
-
-Components in turning and fixed axes: x (radial, through the first window or track) in the place of "normal", z (the
-part's axis) of "axial", y of "tangential".
+In the contact's own frame (normal, axial, tangential) and in axes fixed in space equal balls repeat a force six times a turn;
+in axes that turn with a part, once a turn. The paper does not name its frame. In turning and fixed axes x (radial, through
+the first window or track) is in the place of "normal", z (the part's axis) of "axial", y of "tangential".
 """
 
 from __future__ import annotations
@@ -78,9 +75,8 @@ def slip(record: Record) -> float:
 
 
 def rhythm(times: np.ndarray, seat: np.ndarray, head: np.ndarray, turn: float) -> dict[str, tuple[float, ...]]:
-    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units.
-
-    NaN for what they do not show; ``turn`` is the time of one revolution [s].
+    """The claims of ``FRAMED`` from the forces of both pilots in a frame (T, 3) [N], in their units; NaN for what they do not
+    show. ``turn`` is the time of one revolution [s].
     """
     window = later(times)
     periods = tuple(histories.period(times, seat[:, k], window) for k in range(3))

@@ -25,9 +25,8 @@ RIM = 35.5e-3
 
 
 def onset_remark() -> str:
-    """What play gives the paper's onsets if the drive comes up to speed by a STEP until the joint is stable (Q31).
-
-    The rim moves by  w R (s^3 - s^4/2) T  with s = t/T (ADAMS' STEP s^2 (3 - 2 s) integrated).
+    """What play gives the paper's onsets if the drive comes up to speed by a STEP until the joint is stable (Q31): the rim
+    moves by w R (s^3 - s^4/2) T with s = t/T (ADAMS' STEP s^2 (3 - 2 s) integrated).
     """
     rise, speed = claim("Q31").values[0], claim("Q14").values[0]
 
@@ -165,9 +164,8 @@ def inequalities(run: Run, turn: float, tight: Run | None) -> list[Inequality]:
 
 
 def residuals(run: Run) -> dict[str, tuple[float, float]]:
-    """By contact the residual of the polynomial's fit in the window of Q33: rms [N], and rms over the mean fit.
-
-    Of ball 1 in the grooves. Empty for a run that ends before the window does.
+    """By contact (ball 1 in the grooves) what the polynomial's fit in the window of Q33 leaves: rms [N], and rms over the
+    mean fit. Empty for a run that ends before.
     """
     if run.times[-1] < WINDOW_NORMAL[1]:
         return {}

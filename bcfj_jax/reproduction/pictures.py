@@ -35,10 +35,8 @@ _WIDE, _THIN = 7.2, 0.9
 def draw(
     folder: Path, runs: dict[str, Run], tight: Run | None, observed: Record | None = None, sudden: Run | None = None
 ) -> list[Picture]:
-    """Write every picture there are runs for.
-
-    The first of ``runs`` leads; ``tight`` has small clearances; ``observed`` is looked at from several frames; ``sudden``
-    is a sudden start, finely sampled.
+    """Write every picture there are runs for: the first of ``runs`` leads, ``tight`` has small clearances, ``observed`` is looked
+    at from several frames, ``sudden`` is a sudden start, finely sampled.
     """
     written = []
     for point, (contact, name) in enumerate(zip(_POINTS, FILES, strict=False), 1):

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -21,6 +18,7 @@ from bcfj_jax.models.joint.system import contact_forces, on_bodies, view
 from bcfj_jax.solve.integrate import Solution, integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, story
+from bcfj_jax.xla.programs import program
 
 END, STEP, INSTANT = 3.0, 1e-3, 1.51
 # Of a force error in fractions of the peak, as ``simulate`` takes it.
@@ -39,12 +37,8 @@ class Balance(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """How the bodies are turned at T instants.
-
-    Attributes:
-        seat, head: (T,) turns about their axes [rad].
-        cage_axis: (T, 3) unit vectors.
-        cage: (T,) the cage's azimuth [rad]: a state where windows have ends, else the integral of its spin.
+    """How the bodies are turned at T instants: seat and head about their axes (T,) [rad], the cage's axis (T, 3), the cage's
+    azimuth (T,) [rad]: a state where windows have ends, else the integral of its spin.
     """
 
     seat: np.ndarray
@@ -59,8 +53,7 @@ class Record(NamedTuple):
     Attributes:
         fine: the same run at every time it was asked for; where peaks and onsets are read.
         world: by contact (T, 3) or (T, balls, 3), force on the second body in world axes at the paper's times [N].
-        turns: of the bodies at the paper's times.
-        angle: the joint's [rad].
+        turns, angle: of the bodies at the paper's times; the joint's [rad].
     """
 
     run: Run
@@ -71,41 +64,26 @@ class Record(NamedTuple):
     angle: float
 
 
-class Seen(NamedTuple):
-    """Per instant: contact forces on the cage (T, 3), its velocity, axis and azimuth or its rate, the other turns."""
-
-    forces: Array
-    velocity: Array
-    axis: Array
-    azimuth: Array
-    seat: Array
-    head: Array
-
-
-_Outcome = tuple[Solution, dict[str, Reading], Seen]
-
-
-@eqx.filter_jit
-def _run(scene: Joint, params: Params, times: Array, how: Plan) -> _Outcome:
-    """Solution, readings, and what else is read of the states."""
+def _run(
+    scene: Joint, params: Params, times: Array, how: Plan
+) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
+    """Solution, readings, and per instant contact forces on the cage, its velocity, axis and azimuth or its rate, other turns."""
     solution = integrate(scene, params, times, how, "forward")
     c = constants(scene, params)
 
-    def look(y: Array) -> tuple[dict[str, Reading], Seen]:
+    def look(y: Array) -> tuple[dict[str, Reading], dict[str, Array]]:
         state = view(scene, c, y)
         _, coupling = on_bodies(scene, c, state, contact_forces(scene, c, state))
         azimuth = state.cage_azimuth
         if azimuth is None:
             azimuth = azimuth_rate(state.cage_axis, state.cage_spin)
-        cage = coupling[scene.slices["cage"]]
-        seen = Seen(cage, state.cage_velocity, state.cage_axis, azimuth, state.seat_turn, state.head_turn)
-        return observe(scene, c, y), seen
+        return observe(scene, c, y), {
+            "forces": coupling[scene.slices["cage"]], "velocity": state.cage_velocity, "axis": state.cage_axis,
+            "azimuth": azimuth, "seat": state.seat_turn, "head": state.head_turn,
+        }  # fmt: skip
 
     readings, seen = jax.vmap(look)(solution.states)
     return solution, readings, seen
-
-
-_compiled: dict[tuple[Joint, int], Callable[..., _Outcome]] = {}
 
 
 def record(
@@ -113,11 +91,8 @@ def record(
 ) -> Record:
     """Run a dynamic joint with a free cage as the paper did: output every ``STEP`` up to ``end`` [s].
 
-    Args:
-        scene, params, end: of the run.
-        start: until when and how finely the start is looked at besides [s, s]; None for not.
-        instants: least number of instants to look at, the added ones before the end: runs of one scene with as many
-            share a compiled program.
+    ``start``: until when and how finely the start is looked at besides [s, s]. ``instants``: least number of instants to look
+    at, the added ones before the end: runs of one scene with as many share a compiled program.
     """
     regular = np.linspace(0.0, end, round(end / STEP) + 1)
     instant = INSTANT if end > INSTANT + _HALF else 0.5 * end
@@ -129,27 +104,23 @@ def record(
     added = np.linspace(times[-2], times[-1], max(instants - times.size, 0) + 2)[1:-1]
     times = np.concatenate([times[:-1], added, times[-1:]])
     how = plan(scene, ACCURACY, _MAX_STEPS)
-    arguments = (scene, dict(params), jnp.asarray(times), how)
+    arguments = dict(params), times, how
+    run_it, compile_s = program("paper", _run, (scene,), arguments)
     begin = time.perf_counter()
-    key = (scene, times.size)
-    if key not in _compiled:
-        _compiled[key] = _run.lower(*arguments).compile()
-    compiled = time.perf_counter()
-    solution, readings, seen = jax.device_get(_compiled[key](*arguments))
-    done = time.perf_counter()
+    solution, readings, seen = run_it(*arguments)
+    walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     keep = np.searchsorted(times, regular - 1e-9)
-    walls = {"wall_s": done - compiled, "compile_s": compiled - begin}
     fine = story(scene, times, solution, readings, how, walls)
     readings = jax.tree.map(lambda part: part[keep], readings)
     run = story(scene, regular, solution, readings, how, walls)
     low, middle, high = np.searchsorted(times, at - 1e-9)
-    pace = np.asarray(seen.velocity)
+    pace = seen["velocity"]
     rate = (pace[high] - pace[low]) / (times[high] - times[low])
     mass = float(params["cage_mass"])
-    azimuth = np.asarray(seen.azimuth)
+    azimuth = seen["azimuth"]
     if scene.azimuth is None:
         azimuth = np.concatenate([[0.0], np.cumsum(0.5 * (azimuth[1:] + azimuth[:-1]) * np.diff(times))])
-    turns = Turns(*(np.asarray(x)[keep] for x in (seen.seat, seen.head, seen.axis, azimuth)))
+    turns = Turns(*(x[keep] for x in (seen["seat"], seen["head"], seen["axis"], azimuth)))
     world = {name: np.asarray(reading.world) for name, reading in readings.items()}
-    balance = Balance(float(times[middle]), np.asarray(seen.forces)[middle], mass * rate)
+    balance = Balance(float(times[middle]), seen["forces"][middle], mass * rate)
     return Record(run, balance, fine, world, turns, float(params["joint_angle"]))

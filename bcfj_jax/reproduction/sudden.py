@@ -1,8 +1,7 @@
 """The sudden start: six knobs turned by hand until all peaks of the paper are met, and what that is worth.
 
 The torque is stepped on in 0.1 ms, the law is ADAMS' IMPACT with its default damping, there is play, and the first
-milliseconds are read every microsecond. The settled joint never sees such forces (a static balance with balls of 39.84 kN
-bears at most 1.65 kN of both signs at a window); they are impacts of parts that cross their play.
+milliseconds are read every microsecond: impacts of parts that cross their play, which the settled joint never sees.
 """
 
 from __future__ import annotations

@@ -136,9 +136,8 @@ def _cell(row: Claim, found: Mapping[str, Measured] | None, tests: Sequence[Ineq
 def rows(
     inputs: Mapping[str, str], measured: Found, tests: Mapping[str, Sequence[Inequality]], framed: Mapping[str, str]
 ) -> list[list[str]]:
-    """The table, its titles first, from ``used`` and, by variant, ``measured`` and ``tests``.
-
-    ``framed``: by claim the frame in which its number was read, where that is not the contact's.
+    """The table, its titles first, from ``used`` and, by variant, ``measured`` and ``tests``; ``framed``: by claim the frame in
+    which its number was read, where that is not the contact's.
     """
     table = [HEAD]
     for row in CLAIMS:

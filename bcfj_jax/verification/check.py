@@ -14,23 +14,24 @@ RELATIVE, LAST_DIGIT, ABSOLUTE = "relative", "units of the last printed digit", 
 
 
 class Check(NamedTuple):
-    """A comparison that runs on demand."""
+    """A comparison that runs on demand.
+
+    Attributes:
+        what, source: what is computed, in a few words; the paper, closed form or program that the expected numbers are from.
+        tolerance, measure: the largest deviation that passes; ``RELATIVE``, ``LAST_DIGIT`` or ``ABSOLUTE``.
+        run: computes, compares and returns the largest deviation; NaN where something failed.
+    """
 
     name: str
     what: str
-    """What is computed, in a few words."""
     source: str
-    """The paper, closed form or program that the expected numbers are from."""
     tolerance: float
-    """Largest deviation that passes."""
     measure: str
-    """``RELATIVE``, ``LAST_DIGIT`` or ``ABSOLUTE``."""
-    deviation: Callable[[], float]
-    """Computes, compares and returns the largest deviation; NaN where something failed."""
+    run: Callable[[], float]
 
 
 class Row(NamedTuple):
-    """The outcome of a check."""
+    """The outcome of a check, its ``deviation`` NaN where nothing could be compared, for which ``error`` has the reason."""
 
     name: str
     what: str
@@ -38,11 +39,9 @@ class Row(NamedTuple):
     measure: str
     tolerance: float
     deviation: float
-    """NaN where nothing could be compared."""
     ok: bool
     seconds: float
     error: str
-    """Why nothing could be compared; else empty."""
 
 
 def check(what: str, source: str, tolerance: float, measure: str = RELATIVE) -> Callable[[Callable[[], float]], Check]:
@@ -58,12 +57,11 @@ def carried_out(asked: Check) -> Row:
     """Run a check. A deviation of NaN and an exception are failures."""
     begin, error = time.perf_counter(), ""
     try:
-        deviation = float(asked.deviation())
+        deviation = float(asked.run())
     except Exception as raised:  # a check that cannot run has not passed, whatever stopped it
         deviation, error = float("nan"), f"{type(raised).__name__}: {raised}"
-    took = time.perf_counter() - begin
-    about = (asked.name, asked.what, asked.source, asked.measure, asked.tolerance)
-    return Row(*about, deviation, deviation <= asked.tolerance, took, error)
+    about = (*asked[:3], asked.measure, asked.tolerance)
+    return Row(*about, deviation, deviation <= asked.tolerance, time.perf_counter() - begin, error)
 
 
 def _apart(found: Any, expected: Any) -> tuple[np.ndarray, np.ndarray]:

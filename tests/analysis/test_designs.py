@@ -16,10 +16,10 @@ from shown import brief, drawn
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Check
 from bcfj_jax.analysis.designs import api
+from bcfj_jax.analysis.designs.confirm import robust
 from bcfj_jax.analysis.designs.evaluate import Evaluator
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.analysis.designs.space import space
-from bcfj_jax.analysis.designs.tolerance import robust
 from bcfj_jax.solve.plan import plan
 
 # A mass m on spring k and dashpot c = 2 z sqrt(k m), approaching at v: a linear oscillator until the force vanishes.

@@ -63,11 +63,11 @@ def test_settling_is_when_what_fades_no_longer_shows():
         at = feature(name, CONTACTS)
         three = np.repeat(force[:, :, None], 3, 2)
         value, none = Histories(three, force, force, None), np.zeros((0, *force.shape))
-        assert 6.0 * batch.values_of(Turning, grid, value, [at])[0] == pytest.approx(wanted, abs=0.02)
+        assert 6.0 * batch.measured(Turning, [at], grid, value)[0][0] == pytest.approx(wanted, abs=0.02)
         slopes = Histories(np.zeros((0, *three.shape)), none, none, None)
         assert measure(TIMES, value, slopes, [at], CONTACTS, True)[0][0] == pytest.approx(wanted, abs=0.02)
     onset = feature("ball.onset", CONTACTS)
-    assert batch.values_of(Turning, grid, value, [onset])[0] == 0.0
+    assert batch.measured(Turning, [onset], grid, value)[0][0] == 0.0
 
 
 def test_no_batch_differentiates_a_time_of_a_start():

@@ -15,7 +15,7 @@ import pytest
 from conftest import BUILD
 from studies import STUDY
 
-from bcfj_jax.analysis.studies import api, local, specification, worker
+from bcfj_jax.analysis.studies import api, specification, worker
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.xla import programs
 
@@ -78,9 +78,9 @@ def test_what_one_thread_raises_stops_the_others_after_their_block(here, monkeyp
 
     left = []
     monkeypatch.setattr(worker, "compute", fails)
-    monkeypatch.setattr(local, "abandon", lambda: left.append(True))
+    monkeypatch.setattr(worker, "abandon", lambda: left.append(True))
     with pytest.raises(type(raised)):
-        local.in_threads(store, 2, lambda _: None)
+        worker.in_threads(store, 2, lambda _: None)
     assert len(store.blocks) > 2
     time.sleep(0.6)
     assert len(begun) == 2 and left == [True]
@@ -89,7 +89,7 @@ def test_what_one_thread_raises_stops_the_others_after_their_block(here, monkeyp
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced(here, expected, monkeypatch):
     started = []
-    start = local.start
+    start = worker.start
 
     def watched(store, number):
         worker = start(store, number)
@@ -98,7 +98,7 @@ def test_a_worker_that_is_killed_is_replaced(here, expected, monkeypatch):
         started.append(worker)
         return worker
 
-    monkeypatch.setattr(local, "start", watched)
+    monkeypatch.setattr(worker, "start", watched)
     monkeypatch.setenv("PYTHONPATH", str(Path(api.__file__).parents[3]))
     result = api.study("study.toml", "two", workers=2)
     assert len(started) == 3 and digest(result.folder) == expected

@@ -16,7 +16,7 @@ from studies import IMPACT, POWERS, peak
 from typer.testing import CliRunner
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.studies import kriging, surface
+from bcfj_jax.analysis.studies import surface
 from bcfj_jax.analysis.studies.finished import Finished
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.cli import app
@@ -55,7 +55,7 @@ def test_covariances_with_derivatives_are_derivatives_of_the_covariance():
         return k(x, y), jax.grad(k)(x, y), jax.grad(k, 1)(x, y), jax.jacfwd(jax.grad(k), 1)(x, y)
 
     right = np.array([2, 0])
-    covariance = jax.jit(kriging.covariance, static_argnums=(3, 4))
+    covariance = jax.jit(surface.covariance, static_argnums=(3, 4))
     found = covariance(a, b, length, ALL, (2, 0)).reshape(4, 4, 5, 3)
     value, left, to, both = jax.jit(jax.vmap(lambda x: jax.vmap(lambda y: every(x, y))(b)))(a)
     np.testing.assert_allclose(found[:, 0, :, 0], value, rtol=1e-12)
@@ -73,13 +73,13 @@ def test_leaving_a_point_out_is_solving_without_it(directions):
     rng = np.random.default_rng(2)
     each = 1 + len(directions)
     x, y = jnp.asarray(rng.random((7, 3))), rng.standard_normal((7, each))
-    hyper = kriging.Hyper(jnp.array([0.5, 1.0, 2.0]), jnp.asarray(1e-3), jnp.asarray(1e-2))
-    whole = kriging.solve(x, jnp.asarray(y.ravel()), hyper, directions)
-    error, spread = kriging.left_out(whole, jnp.asarray(y.ravel()), directions)
+    hyper = surface.Hyper(jnp.array([0.5, 1.0, 2.0]), jnp.asarray(1e-3), jnp.asarray(1e-2))
+    whole = surface.solve(x, jnp.asarray(y.ravel()), hyper, directions)
+    error, spread = surface.left_out(whole, jnp.asarray(y.ravel()), directions)
     for i in range(7):
         rest = np.arange(7) != i
-        without = kriging.solve(x[rest], jnp.asarray(y[rest].ravel()), hyper, directions)
-        mean, variance = kriging.predict(without, x[i : i + 1], directions)
+        without = surface.solve(x[rest], jnp.asarray(y[rest].ravel()), hyper, directions)
+        mean, variance = surface.predict(without, x[i : i + 1], directions)
         assert error[i] == pytest.approx(y[i, 0] - float(mean[0]), rel=1e-8)
         assert spread[i] == pytest.approx(float(variance[0]), rel=1e-8)
 
@@ -121,7 +121,7 @@ def test_deviations_cover_draws_of_the_process_as_often_as_they_say(derivatives)
     for seed in range(4):
         train, test = closed(32, seed), closed(300, 50 + seed)
         x = jnp.asarray(np.concatenate([train.shares, test.shares]))
-        matrix = np.asarray(kriging.covariance(x, x, jnp.array([0.5, 1.0, 2.0]), ALL, ALL))
+        matrix = np.asarray(surface.covariance(x, x, jnp.array([0.5, 1.0, 2.0]), ALL, ALL))
         draw = np.linalg.cholesky(matrix + 1e-9 * np.eye(len(matrix))) @ rng.standard_normal(len(matrix))
         draw = 7.0 + 3.0 * draw.reshape(-1, 4)
         columns = {PEAK: draw[:32, 0]}

@@ -290,7 +290,7 @@ def test_a_block_computed_on_another_machine_has_the_code_sent_to_it():
 @pytest.mark.slow
 def test_workers_of_a_study_use_the_code_and_refuse_another(monkeypatch):
     pytest.importorskip("pyarrow", reason="the extra study is not installed")
-    from bcfj_jax.analysis.studies import api, local, specification
+    from bcfj_jax.analysis.studies import api, specification, worker
 
     monkeypatch.setenv("PYTHONPATH", str(Path(api.__file__).parents[3]))
     done = bcfj("study", "run", "study.toml", "--code", "my.py", "--out", "two", "--workers", "2")
@@ -300,8 +300,8 @@ def test_workers_of_a_study_use_the_code_and_refuse_another(monkeypatch):
     assert Path("one/results.parquet").read_bytes() == Path("two/results.parquet").read_bytes()
     store = api.prepare(specification.load(Path("study.toml")), Path("late"))
     Path("my.py").write_text(CODE + "\n# changed since\n")
-    with pytest.raises(local.Stopped, match="could not read the study"):
-        local.run(store, 1, lambda _: None)
+    with pytest.raises(worker.Stopped, match="could not read the study"):
+        worker.run(store, 1, lambda _: None)
 
 
 def test_loads_drives_elastic_parts_and_scenes_of_ones_own():

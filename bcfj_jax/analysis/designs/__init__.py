@@ -1,6 +1,5 @@
 """Design by gradient: free parameters within bounds, a feature made least (or most), tolerances and a check.
 
-The verb is ``api.design``, public as ``bcfj_jax.design``. Reading order: ``space`` (what is free), ``objective`` (what
-is made least), ``evaluate`` (both in one compiled batch), ``descent`` and ``refine`` (to the optimum), ``tolerance``
-(what manufacture makes of it), ``confirm`` (a run that knows nothing of all that), ``result``.
+The verb is ``api.design``. Reading order: ``space`` (what is free, and how it is sought), ``objective`` (what is made least),
+``evaluate`` (both in one compiled batch), ``descent``, ``refine``, ``confirm`` (what the optimum is worth), ``result``.
 """

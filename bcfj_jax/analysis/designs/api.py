@@ -14,28 +14,15 @@ from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
-from bcfj_jax.analysis.designs.confirm import confirm, independent
+from bcfj_jax.analysis.designs import result as ended
+from bcfj_jax.analysis.designs.confirm import confirm, independent, robust, robustness
 from bcfj_jax.analysis.designs.descent import Path, descend, starts
 from bcfj_jax.analysis.designs.evaluate import Evaluator
 from bcfj_jax.analysis.designs.objective import Combine
 from bcfj_jax.analysis.designs.objective import objective as objective_of
 from bcfj_jax.analysis.designs.refine import ARRIVED, Kink, Refined, minimax, refine
-from bcfj_jax.analysis.designs.result import (
-    ALONE,
-    FAILED,
-    INCOMPLETE,
-    NO_GAIN,
-    NOT_CONFIRMED,
-    NOT_TRUSTED,
-    OK,
-    ROUGH,
-    UNCHECKED,
-    Design,
-    Slice,
-)
-from bcfj_jax.analysis.designs.search import Search, SearchKeys
-from bcfj_jax.analysis.designs.space import Free, space
-from bcfj_jax.analysis.designs.tolerance import robust, robustness
+from bcfj_jax.analysis.designs.result import Design, Slice
+from bcfj_jax.analysis.designs.space import Free, Search, SearchKeys, space
 from bcfj_jax.analysis.features import KINDS, NAMED, OF_TURN
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.progress import stage
@@ -79,7 +66,7 @@ def design(
             |F|), weights by feature for their sum, or a function of a dict of ``features``.
         free: by name ``Free`` or (lower, upper, tolerance, relative, scale); texts such as "20 um" are converted.
         tell: receives the best descent's end ("not checked yet"), then the optimum checked by runs ("not complete yet").
-        options: by name, those of ``search.Search``: features, sense, kappa, distribution, samples, starts, norms,
+        options: by name, those of ``space.Search``: features, sense, kappa, distribution, samples, starts, norms,
             iterations, accuracy, max_steps, confirm, certify, slices, seed, steady.
 
     Raises:
@@ -97,7 +84,7 @@ def design(
     best = min(ways, key=lambda way: way.goal if np.isfinite(way.goal) else np.inf)
     nothing, unknown = dict.fromkeys(box.names, float("nan")), float("nan")
     found = Design(
-        FAILED, f"no start has a value: {plain.spent.why()}", plain.objective.name, search.sense, plain.objective.unit,
+        ended.FAILED, f"no start has a value: {plain.spent.why()}", plain.objective.name, search.sense, plain.objective.unit,
         nothing, box.named(given), {}, float(before.true[0]), unknown, unknown, nothing, unknown, unknown, tuple(ways),
         0, 0, None, None, None, None, {}, {}, {}, box,
     )  # fmt: skip
@@ -168,7 +155,7 @@ def _searched(found: Design, plain: Evaluator, best: Path) -> Design:
     same = [way for way in found.starts if abs(way.goal - best.goal) <= _AGREE * abs(best.goal)]
     near = sum(bool(np.all(np.abs(way.end - best.end) <= _NEAR)) for way in same)
     left = "not checked yet: refinement and independent runs come next"
-    found = found._replace(status=UNCHECKED, reason=left, agree=len(same), near=near)
+    found = found._replace(status=ended.UNCHECKED, reason=left, agree=len(same), near=near)
     return _placed(found, plain, best.end, best.value)
 
 
@@ -203,7 +190,7 @@ def _assessed(
         curvature=refined.curvature, confirmation=checked,
     )  # fmt: skip
     left = "not complete yet: the gradient's certificate, tolerances and the objective about the optimum come next"
-    tell(found._replace(status=INCOMPLETE, reason=left))
+    tell(found._replace(status=ended.INCOMPLETE, reason=left))
     return found._replace(
         certificate=_certified(plain, better, search),
         robustness=robustness(plain, refined.point, here, search, kinked),
@@ -241,31 +228,31 @@ def _verdict(
     if unborn:
         words.append(f"the given design has no value ({unborn}): the gain is unknown")
     elif not found.gain > 0.0 and not kappa:
-        wrong.append(NO_GAIN)
+        wrong.append(ended.NO_GAIN)
         words.append("no design within the bounds is better than the given one")
     if checked is not None and not checked.confirmed and not unborn and found.gain > 0.0:
-        wrong.append(NOT_CONFIRMED)
+        wrong.append(ended.NOT_CONFIRMED)
         seen = checked.reason or f"it sees {100.0 * checked.share:.3g} % of the gain"
         words.append(f"not confirmed by the {checked.how}: {seen}")
     elif checked is not None and checked.confirmed:
         words.append(f"confirmed by the {checked.how}, which sees {100.0 * checked.share:.4g} % of the gain")
     if certificate is not None and certificate.verdict == NOT:
         bad = [f"{name} ({one.remark})" for name, one in certificate.parameters.items() if one.verdict == NOT]
-        wrong.append(NOT_TRUSTED)
+        wrong.append(ended.NOT_TRUSTED)
         words.append(f"the gradient is not to be trusted by {', '.join(bad)}")
     if not arrived:
-        wrong.append(ROUGH)
+        wrong.append(ended.ROUGH)
         words.append("no optimum in the sense of derivatives: a kink, a flat place, or too few iterations")
     if kink is not None:
         words.append(f"samples equally high there: {kink.equal}; residual of Clarke's condition {kink.residual:.1e}")
     if found.at_bound:
         words.append(", ".join(f"{name} at its {side} bound" for name, side in found.at_bound.items()))
     if found.agree < 2 and len(ways) > 1:
-        wrong.append(ALONE)
+        wrong.append(ended.ALONE)
     words.append(
         f"{found.agree} of {len(ways)} descents end at the best one's value, {found.near} of them at its place"
     )
     if failed := sum(plain.spent.failures.values()):
         words.append(f"{failed} of {plain.spent.points} points have no value: {plain.spent.why()}")
-    order = [NOT_CONFIRMED, NOT_TRUSTED, ROUGH, ALONE, NO_GAIN]
-    return min(wrong, key=order.index) if wrong else OK, "; ".join(words)
+    order = [ended.NOT_CONFIRMED, ended.NOT_TRUSTED, ended.ROUGH, ended.ALONE, ended.NO_GAIN]
+    return min(wrong, key=order.index) if wrong else ended.OK, "; ".join(words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,14 +11,12 @@ from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.api import design, posed
 from bcfj_jax.analysis.designs.designfile import Question, load
-from bcfj_jax.analysis.designs.result import FAILED, Design
-from bcfj_jax.analysis.designs.search import Search
-from bcfj_jax.analysis.designs.view import fact_rows, page, reason, value_rows, verdict
+from bcfj_jax.analysis.designs.result import FAILED, Design, shown, value_rows
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
-from bcfj_jax.io.page import Picture
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief
 from bcfj_jax.xla.programs import keep_asked
 
 FILES = ("design.json", "starts.png", "slices.png", *report.FILES, "run.toml", "environment.json")
@@ -44,7 +43,7 @@ def _number(text: str) -> float | str:
 def run(
     what: str, more: Mapping[str, Any], out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
 ) -> tuple[str, bool]:
-    """Find the design that ``designfile.load`` reads, write and describe it; in words, and whether any start had a value.
+    """Find, write and describe the design that ``designfile.load`` reads; in words, and whether any start had a value.
 
     ``say`` receives the progress, ``show`` what is known before the design is complete.
     """
@@ -72,7 +71,7 @@ def run(
         growing.write(found.status, found.content() | {"plausibility": plausibility.content(doubts)})
         growing.tell([*_doubted(doubts), *_texts(found)], reason(found))
 
-    found = design(*given, asked.objective, asked.free, tell=so_far, **asked.options)
+    found = design(*given, asked.objective, asked.free, tell=so_far, **vars(asked.search))
     doubts = absurd(found) if found.status != FAILED else plausibility.at(*given)
     growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(doubts)})
     drawn: list[Picture] = []
@@ -85,8 +84,8 @@ def run(
             result.draw_slices(found, folder / "slices.png")
             shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
             drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
-    shown = page(f"Design of {stem}", found, asked.note, drawn, doubts)
-    report.write(folder, shown, asked.given.scene.model_form)
+    said = page(f"Design of {stem}", found, asked.note, drawn, doubts)
+    report.write(folder, said, asked.given.scene.model_form)
     keep_asked()
     headline, *tables = _texts(found)
     parts = [*_doubted(doubts), f"{headline} {reason(found)}", *tables, f"results in {folder}"]
@@ -105,10 +104,61 @@ def _texts(found: Design) -> list[str]:
 def check(asked: Question) -> None:
     """Refuse what ``design`` would refuse, before anything is written or compiled."""
     given = asked.scene, asked.given.params, asked.times
-    posed(given, asked.objective, asked.free, Search(**asked.options).checked())
+    posed(given, asked.objective, asked.free, asked.search.checked())
 
 
 def sentence(asked: Question) -> str:
     """The question in a sentence."""
     name = asked.objective if isinstance(asked.objective, str) else " + ".join(asked.objective)
-    return f"{'minimizing' if asked.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
+    return f"{'minimizing' if asked.search.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
+
+
+# What is said of a design.
+
+
+def verdict(found: Design) -> str:
+    """The outcome in a sentence."""
+    if found.status == FAILED:
+        return "No design was found."
+    before, after = (brief(x, found.unit) for x in (found.before, found.after))
+    state = "" if found.status == "ok" else f" Status: {found.status}."
+    return f"{found.objective}: {before} before, {after} after{found.change}.{state}"
+
+
+def reason(found: Design) -> str:
+    """All that is to be said of the outcome, as a sentence."""
+    return f"{found.reason[:1].upper()}{found.reason[1:]}."
+
+
+def page(title: str, found: Design, note: str, drawn: list[Picture], absurd: Sequence[plausibility.Finding]) -> Page:
+    """The report: what the objective became, by which values, and how far that is to be trusted."""
+    kind = GOOD if found.status == "ok" else BAD if found.status == FAILED else FAIR
+    word = "Improved" if found.status == "ok" else found.status[:1].upper() + found.status[1:]
+    sentence = verdict(found)
+    if found.status != FAILED:
+        ends = f"{brief(found.before, found.unit)} to {brief(found.after, found.unit)}"
+        quantities = dict(zip(found.space.names, found.space.quantities, strict=True))
+        place = ", ".join(
+            f"{name} {shown(x, quantities[name]).replace(' u', ' µ')}" for name, x in found.values.items()
+        )
+        sentence = f"{found.objective} goes from {ends}{found.change}, at {place}."
+    answer = plausibility.judged(absurd, Verdict(kind, word, sentence))
+    tables = (Table("Design", value_rows(found), reason(found)), Table("Objective", fact_rows(found)))
+    rows = [["search", "value"], *([name, f"{value:.4g}"] for name, value in found.stats.items())]
+    folded = (Table("Search", rows),)
+    return Page(title, answer, tuple(drawn), (note,) if note else (), tables, folded=folded)
+
+
+def fact_rows(found: Design) -> list[list[str]]:
+    """Table of the objective: before, after, the independent check, tolerances."""
+    rows = [["objective", "before", "after"], [found.objective, *_pair(found.before, found.after, found.unit)]]
+    if (check := found.confirmation) is not None:
+        rows.append([f"checked by the {check.how}", *_pair(check.before, check.after, found.unit)])
+    if (wide := found.robustness) is not None:
+        first = found.robustness_before.sampled_worst if found.robustness_before else math.nan
+        rows.append(["worst over the tolerances, by runs", *_pair(first, wide.sampled_worst, found.unit)])
+    return rows
+
+
+def _pair(first: float, second: float, unit: str) -> list[str]:
+    return [brief(x, unit) if math.isfinite(x) else "-" for x in (first, second)]

@@ -1,8 +1,7 @@
 """Many starts, each by SciPy's L-BFGS-B within the unit box, all in one compiled batch.
 
-Every start has a thread in which ``scipy.optimize.minimize`` runs by itself. What they ask for is gathered until all
-that still run have asked, computed as one batch, and handed back; so nothing of the optimiser is written again, and
-every simulation runs beside the others. A start's way does not depend on those beside it.
+Every start has a thread in which ``scipy.optimize.minimize`` runs by itself. What they ask for is gathered until all that
+still run have asked, computed as one batch, and handed back. A start's way does not depend on those beside it.
 """
 
 from __future__ import annotations
@@ -43,9 +42,8 @@ class Path(NamedTuple):
 
 
 def starts(evaluate: Evaluate, given: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Starts (count, P): the given point, then half the best of a scrambled Sobol design, half spread over the rest.
-
-    Fewer where fewer points of the design have a value.
+    """Starts (count, P), or fewer where fewer have a value: the given point, then half the best of a scrambled Sobol design,
+    half spread over the rest.
     """
     inside = np.clip(given, 0.0, 1.0)[None]
     if count == 1:
@@ -61,9 +59,8 @@ def starts(evaluate: Evaluate, given: np.ndarray, count: int, seed: int) -> np.n
 
 
 def descend(evaluate: Evaluate, points: np.ndarray, norms: Sequence[float], iterations: int) -> list[Path]:
-    """L-BFGS-B from every point (B, P) of the unit box, first on each of the norms q, increasing, then on crests.
-
-    ``iterations``: limit of each of these stages and of each start.
+    """L-BFGS-B from every point (B, P) of the unit box, first on each of the norms q, increasing, then on crests; each of
+    these stages of each start has at most so many ``iterations``.
     """
     stages = (*norms, np.inf)
     tracks: list[list[tuple[float, float, np.ndarray]]] = [[] for _ in points]

@@ -1,11 +1,4 @@
-"""Design files: what is made least or most, over which parameters; checked, in SI.
-
-scene        a scene file (beside this one), or a built-in scene's name
-[objective]  minimize (or maximize) = "seat_cage.peak", or weights by feature: { "a.peak" = 1.0, "b.peak" = 0.5 }
-             steady = true: of one turn of steady motion
-[vary.NAME]  lower, upper, tolerance, relative, scale: as ``Free``; or NAME = ["10 um", "200 um"] under [vary]
-[search]     starts, kappa, distribution, samples, iterations, seed, confirm, certify: as ``design``
-"""
+"""Design files: what is made least or most, over which parameters; checked, in SI (docs/design.md)."""
 
 from __future__ import annotations
 
@@ -17,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pydantic
 
-from bcfj_jax.analysis.designs.space import Free
+from bcfj_jax.analysis.designs import space
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import scenefile, tables
@@ -78,12 +71,8 @@ class Question:
     """A design ready to be found.
 
     Attributes:
-        given: the scene file; scene, times: the model that is searched, and its times [s].
-        note: which model that is, where the file left it open; else "".
-        objective, sense: what is made least or most.
-        free: by name, as ``design`` takes it.
-        search: its options.
-        steady: whether the objective is of steady motion.
+        scene, times: the model that is searched, and its times [s]; note: which one, where the file left it open; else "".
+        objective, free, search: as ``design`` takes them.
     """
 
     given: SceneFile
@@ -91,27 +80,21 @@ class Question:
     times: np.ndarray
     note: str
     objective: str | dict[str, float]
-    sense: Literal["minimise", "maximise"]
-    free: dict[str, Free]
-    search: Search
-    steady: bool = False
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Those of ``design``."""
-        own = {"confirm": "auto" if self.search.confirm else None, "max_steps": self.given.max_steps}
-        return {**self.search.model_dump(), **own, "sense": self.sense, "steady": self.steady}
+    free: dict[str, space.Free]
+    search: space.Search
 
     @property
     def resolved(self) -> dict[str, Any]:
         """The question with every default, as ``run.toml`` has it."""
+        search = {name: getattr(self.search, name) for name in Search.model_fields}
         return {
             **self.given.resolved,
             "design": {
-                ("minimize" if self.sense == "minimise" else "maximize"): self.objective,
-                "steady": self.steady, "begin": float(self.times[0]), "end": float(self.times[-1]), "samples": len(self.times),
+                ("minimize" if self.search.sense == "minimise" else "maximize"): self.objective,
+                "steady": self.search.steady,
+                "begin": float(self.times[0]), "end": float(self.times[-1]), "samples": len(self.times),
                 "vary": {name: one._asdict() for name, one in self.free.items()},
-                **self.search.model_dump(),
+                **search, "confirm": self.search.confirm is not None,
             },
         }  # fmt: skip
 
@@ -123,19 +106,11 @@ def schema() -> dict[str, Any]:
     )
 
 
-def is_design(table: Mapping[str, Any]) -> bool:
-    """Whether a file's content is that of a design file."""
-    return "objective" in table
-
-
 def load(what: str, more: Mapping[str, Any]) -> Question:
-    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own.
-
-    ``InputError`` for anything that is not right names the key and what would be.
-    """
+    """A design file, or a scene, in a file or built in, whose question ``more`` asks: tables in place of the file's own."""
     path = Path(what)
     table: dict[str, Any] = tables.read(path) if path.suffix == ".toml" else {}
-    table, beside = (table, path.parent) if is_design(table) else ({"scene": what}, Path("."))
+    table, beside = (table, path.parent) if "objective" in table else ({"scene": what}, Path("."))
     # What is no table is left as it is, and refused below.
     vary, search, wanted = (table.get(name, {}) for name in ("vary", "search", "objective"))
     vary = {**tables.nested(vary, VaryTable), **more.get("vary", {})} if isinstance(vary, Mapping) else vary
@@ -156,12 +131,13 @@ def load(what: str, more: Mapping[str, Any]) -> Question:
         model, times, note = given.scene.full(), given.times, ""
     else:
         model, times, note = searched(given, "end" in scenefile.content(scene).get("time", {}))
-    return Question(
-        given, model, times, note, asked.minimize or asked.maximize or "",
-        "minimise" if asked.maximize is None else "maximise",
-        {name: Free(**one.model_dump()) for name, one in file.vary.items()}, file.search,
-        asked.steady,
-    )  # fmt: skip
+    own: dict[str, Any] = {
+        "confirm": "auto" if file.search.confirm else None, "max_steps": given.max_steps, "steady": asked.steady,
+        "sense": "minimise" if asked.maximize is None else "maximise",
+    }  # fmt: skip
+    free = {name: space.Free(**one.model_dump()) for name, one in file.vary.items()}
+    objective = asked.minimize or asked.maximize or ""
+    return Question(given, model, times, note, objective, free, space.Search(**file.search.model_dump() | own))
 
 
 def searched(given: SceneFile, ends: bool) -> tuple[AbstractModel, np.ndarray, str]:

@@ -1,9 +1,8 @@
 """The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
 
-Descents, refine, curvature and tolerances all go through here. One program makes the runs and their tangents, a small
-one the objective out of them, so that another objective costs no other simulation to compile. Equilibria are all
-searched for from those of the given design. A point that is refused (a joint that does not assemble) or whose run fails
-is NaN, with its reason.
+One program makes the runs and their tangents, a small one the objective out of them, so that another objective costs no
+other simulation to compile. Equilibria are all searched for from those of the given design. A point that is refused (a
+joint that does not assemble) or whose run fails is NaN, with its reason.
 """
 
 from __future__ import annotations
@@ -74,11 +73,8 @@ class Spent:
 
 
 class _Read(NamedTuple):
-    """What N runs left, for any objective.
-
-    Attributes:
-        value: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); slopes: theirs, (..., P).
-        code: (N,); near: equilibria, from which the next search begins.
+    """What N runs left, for any objective: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); their
+    slopes (..., P); codes (N,); equilibria, from which the next search begins.
     """
 
     value: tuple[Any, Any, Any]
@@ -98,14 +94,6 @@ class _Given(NamedTuple):
     near: Any
 
 
-class _Static(NamedTuple):
-    """What a program of objectives is made for; the times as bytes, which are hashable."""
-
-    grid: bytes
-    objective: Objective
-    contacts: tuple[tuple[str, int], ...]
-
-
 @dataclass(frozen=True)
 class Evaluator:
     """A scene's objective over the unit box of its free parameters.
@@ -113,8 +101,7 @@ class Evaluator:
     Attributes:
         scene, params, times, how: as ``force_history`` takes them.
         space, objective: what is free, what is made least.
-        batch: points in one batch.
-        spent: the account of all calls.
+        batch: points in one batch; spent: the account of all calls.
         steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
             shares of a turn. None for the runs themselves.
     """
@@ -151,8 +138,8 @@ class Evaluator:
             return found
         read, whys = self._read(values[good])
         given = read.value, read.slopes, np.asarray(float(norm))
-        static = _Static(self.times.tobytes(), self.objective, tuple(self.scene.members.items()))
-        objectives, compile_s = program("design objective", _objectives, (static,), given)
+        static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
+        objectives, compile_s = program("design objective", _objectives, static, given)
         begin = time.perf_counter()
         numbers = [np.asarray(x)[: len(good)] for x in objectives(*given)]
         self.spent.wall_s += time.perf_counter() - begin
@@ -172,9 +159,8 @@ class Evaluator:
         return found
 
     def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates.
-
-        None where the run fails, and for an objective that is no greatest sample.
+        """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates; None where
+        the run fails, and for an objective that is no greatest sample.
         """
         values = self.space.values(unit)
         self.spent.points += 1
@@ -208,9 +194,8 @@ class Evaluator:
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
         shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
         curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
-        value = np.full(shape, np.nan), np.full(shape, np.nan), curves
-        none, by = np.zeros((*value[2].shape, len(names))), (*shape, len(names))
-        slopes = np.full(by, np.nan), np.full(by, np.nan), none
+        nothing, by = np.full(shape, np.nan), np.full((*shape, len(names)), np.nan)
+        value, slopes = (nothing, nothing.copy(), curves), (by, by.copy(), np.zeros((*curves.shape, len(names))))
         code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
         code[:count] = runs.code
 
@@ -304,14 +289,16 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
     return read, slopes, code, places
 
 
-def _objectives(static: _Static, value: tuple, slopes: tuple, norm: Array) -> tuple:
-    """Of N runs the objective on norms with its gradient, on crests, and as it is reported."""
-    times, contacts = np.frombuffer(static.grid), dict(static.contacts)
+def _objectives(
+    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], value: tuple, slopes: tuple, norm: Array
+) -> tuple:
+    """Of N runs the objective on norms with its gradient, on crests, and as it is reported; times as bytes: hashable."""
+    times, members = np.frombuffer(grid), dict(contacts)
 
     def of(read: tuple, norm: Array | None) -> Array:
         force, depth, curve = read
         found = Histories(force[:, :, None], depth, None, None, curve)
-        return static.objective.of(measured(times, found, static.objective, contacts, norm))
+        return objective.of(measured(times, found, objective, members, norm))
 
     def one(read: tuple, slopes: tuple) -> tuple:
         def push(*along: Array) -> Array:

@@ -67,10 +67,9 @@ class Objective(NamedTuple):
 def objective(
     asked: str | Mapping[str, float] | Combine, features: Sequence[str], contacts: Mapping[str, int]
 ) -> Objective:
-    """What ``design`` was asked to make least: a feature's name, weights by name, or a function of a dict of ``features``.
+    """What is made least: a feature's name, weights by name, or a function of a dict of ``features``; of members by contact.
 
-    ``contacts``: number of members by contact, ``AbstractModel.members``. ``InputError`` for a name that is not known, and for
-    a period, which is found on the host.
+    ``InputError`` for a name that is not known, and for a period, which is found on the host.
     """
     features = texts("features", features, 'name features, such as "contact.peak"')
     if callable(asked):

@@ -43,8 +43,7 @@ class Refined(NamedTuple):
     """Where Newton's method ended.
 
     Attributes:
-        point: unit coordinates (P,).
-        values: of one point, there.
+        point, values: unit coordinates (P,), and what is there.
         active: (P,) -1 at a lower bound that the objective pushes against, 1 at an upper one, 0 free.
         step: the next step's longest coordinate, as a share of its range: how far from the optimum; NaN: unknown.
         curvature: least eigenvalue of the Hessian of what is free over the objective's size; infinite with none.
@@ -128,13 +127,8 @@ def _hessian(evaluate: Evaluate, u: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 class Kink(NamedTuple):
-    """Where several samples are equally high.
-
-    Attributes:
-        point: unit coordinates (P,); value: the highest sample; equal: how many samples are as high.
-        residual: of the weighted slopes, over the largest one.
-        step: how far a second descent from near by ended, the longest coordinate.
-        arrived: whether residual and step are small.
+    """Where several samples are equally high: unit coordinates (P,), the highest sample, how many are as high, the residual of
+    weighted slopes over the largest one, how far a second descent from near by ended, whether both are small.
     """
 
     point: np.ndarray

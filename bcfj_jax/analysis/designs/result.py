@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.certificate import Certificate
-from bcfj_jax.analysis.designs.confirm import Confirmation
+from bcfj_jax.analysis.designs.confirm import Confirmation, Robustness
 from bcfj_jax.analysis.designs.descent import Path as Way
 from bcfj_jax.analysis.designs.space import Space
-from bcfj_jax.analysis.designs.tolerance import Robustness
 from bcfj_jax.core import presented
+from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import outputs
 from bcfj_jax.io.plots import COLOURS, figure, label, panels, save, style
-from bcfj_jax.io.units import engineering
+from bcfj_jax.io.show import Dataset, Told
+from bcfj_jax.io.units import engineering, format_si
 
 OK, FAILED, NOT_CONFIRMED, NOT_TRUSTED, ALONE, ROUGH, NO_GAIN = (
     "ok", "failed", "not confirmed", "gradient not trusted", "one start alone", "not converged", "no gain",
@@ -24,6 +27,7 @@ OK, FAILED, NOT_CONFIRMED, NOT_TRUSTED, ALONE, ROUGH, NO_GAIN = (
 # Of a design that is told of before it is finished.
 UNCHECKED, INCOMPLETE = "not checked yet", "not complete yet"
 
+_DIGITS = 4
 _BEST, _OTHER, _GIVEN = COLOURS[0], "#b5b5b5", COLOURS[1]
 
 
@@ -87,7 +91,7 @@ class Design(NamedTuple):
     stats: dict[str, float]
     space: Space
 
-    _view = "bcfj_jax.analysis.designs.view"
+    _view = __name__
     __repr__ = presented.text
     _repr_html_ = presented.html
     to_pandas = presented.to_pandas
@@ -190,3 +194,63 @@ def draw_slices(found: Design, path: Path) -> None:
                 axis.legend(fontsize=7, loc="best")
             if k % 3 == 0:
                 axis.set_ylabel(label(found.objective, found.unit, prefix) if found.unit else "objective")
+
+
+# What is worth showing of a design in Python (``io.show.View``).
+
+
+def told(found: Design) -> Told:
+    """Its status, what it gained, and the free parameters before and after."""
+    before, after = (format_si(x, found.unit, _DIGITS) for x in (found.before, found.after))
+    lines = [] if found.status == FAILED else [f"{found.sense} {found.objective}: {before} to {after}{found.change}"]
+    return Told(found.status, lines, value_rows(found), [found.reason])
+
+
+def value_rows(found: Design) -> list[list[str]]:
+    """Table of the free parameters: before, after, bounds."""
+    rows = [["parameter", "before", "after", "lower", "upper", "remark"]]
+    for axis, quantity in zip(found.space.axes, found.space.quantities, strict=True):
+        side = found.at_bound.get(axis.name)
+        numbers = (found.before_values[axis.name], found.values[axis.name], axis.lower, axis.upper)
+        rows.append([axis.name, *(shown(x, quantity) for x in numbers), f"at its {side} bound" if side else ""])
+    return rows
+
+
+def shown(value: float, quantity: Quantity) -> str:
+    """A parameter's value for people, angles in degrees."""
+    if quantity.unit == "rad" and math.isfinite(value):
+        return f"{math.degrees(value):.{_DIGITS}g} deg"
+    return format_si(value, quantity.unit, _DIGITS)
+
+
+def frame(found: Design) -> tuple[dict[str, Any], str]:
+    """A free parameter a row, SI."""
+    space = found.space
+    return {
+        "parameter": list(space.names),
+        "before": [found.before_values[name] for name in space.names],
+        "after": [found.values[name] for name in space.names],
+        "unit": [quantity.unit for quantity in space.quantities],
+        "lower": np.array([axis.lower for axis in space.axes]),
+        "upper": np.array([axis.upper for axis in space.axes]),
+        "at_bound": [found.at_bound.get(name, "") for name in space.names],
+        "gradient": [found.gradient[name] for name in space.names],
+        "tolerance": space.tolerance,
+    }, "parameter"
+
+
+def dataset(found: Design) -> Dataset:
+    """The objective along each parameter through the optimum: a dimension a parameter."""
+    units = {name: quantity.unit for name, quantity in zip(found.space.names, found.space.quantities, strict=True)}
+    coordinates = {name: ((name,), cut.values, units[name]) for name, cut in found.slices.items()}
+    variables = {f"objective along {name}": ((name,), cut.objective, found.unit) for name, cut in found.slices.items()}
+    about = {"status": found.status, "objective": found.objective, "before": found.before, "after": found.after}
+    return Dataset(variables, coordinates, about)
+
+
+def figures(found: Design) -> dict[str, Callable[[Any], Any]]:
+    """The objective along each parameter, and what every start did."""
+    if found.status == FAILED or not any(np.isfinite(way.value) for way in found.starts):
+        return {}
+    drawn: dict[str, Callable[[Any], Any]] = {"slices": partial(draw_slices, found)} if found.slices else {}
+    return drawn | {"starts": partial(draw_starts, found)}

@@ -20,23 +20,15 @@ _BYTES = 100
 
 
 def movies(words: Sequence[str]) -> tuple[str, ...]:
-    """Names of the files with the run in motion, by the formats that ``--animate`` names.
-
-    Raises:
-        InputError: for a format that is not known, or whose extra is not installed.
-    """
+    """Names of the files with the run in motion, by the formats that ``--animate`` names, each known and installed."""
     from bcfj_jax.io.view import export
 
     return tuple(f"animation{export.checked(word)}" for word in dict.fromkeys(words))
 
 
 class Wanted(NamedTuple):
-    """What is asked beside a run.
-
-    Attributes:
-        measure_error: whether the run is made once more, ten times finer, to measure its force error.
-        animations: files beside, as ``movies`` names them.
-        frames: bodies, or "world", in whose axes the forces of all contacts are written, too.
+    """What is asked beside a run: whether it is made once more, ten times finer, to measure its force error; files as ``movies``
+    names them; bodies, or "world", in whose axes the forces of all contacts are written, too.
     """
 
     measure_error: bool = True
@@ -45,16 +37,10 @@ class Wanted(NamedTuple):
 
 
 def run(what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]) -> bool:
-    """Simulate a scene file and write what ``results.files`` names: the numbers first, then the pictures.
+    """Simulate a scene file, or a built-in scene, and write what ``results.files`` names: numbers, then pictures.
 
-    Args:
-        what: a scene file, or a built-in scene's name.
-        wanted: what is asked beside.
-        out: folder for the results, None for one made up.
-        say, show: receive progress and warnings; the results.
-
-    Returns:
-        Whether the run reached its end.
+    ``out``: the folder, None for one made up; ``say``, ``show`` receive progress and warnings, and the results. Whether the run
+    reached its end.
     """
     given = quickest(load(what))
     framed, animations = results.framed(given.scene, wanted.frames), wanted.animations

@@ -41,11 +41,7 @@ def _read(path: Path) -> str:
 
 
 def _columns(path: Path) -> dict[str, list[str]]:
-    """A CSV file's columns of text by their heads.
-
-    Raises:
-        InputError: for a file without rows, or with rows of different lengths.
-    """
+    """A CSV file's columns of text by their heads."""
     rows = list(csv.reader(io.StringIO(_read(path))))
     if len(rows) < 3 or any(len(row) != len(rows[0]) for row in rows):
         raise InputError(str(path), "is no table of a run", _AGAIN)
@@ -67,11 +63,7 @@ def _codes(words: list[str], where: str) -> np.ndarray:
 
 
 def summary(folder: Path) -> dict[str, Any]:
-    """``summary.json``.
-
-    Raises:
-        InputError: where it cannot be read.
-    """
+    """``summary.json``; ``InputError`` where it cannot be read."""
     path = folder / "summary.json"
     try:
         found = json.loads(_read(path))
@@ -83,11 +75,7 @@ def summary(folder: Path) -> dict[str, Any]:
 
 
 def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
-    """The run of a folder from its ``summary.json``: forces, penetrations, slips, states and peaks; rates are NaN.
-
-    Raises:
-        InputError: for a file that does not hold what ``bcfj simulate`` writes.
-    """
+    """The run of a folder from its ``summary.json``: forces, penetrations, slips, states and peaks; rates are NaN."""
     forces, contacts = _columns(folder / "forces.csv"), _columns(folder / "contacts.csv")
     if "time [s]" not in forces or forces["time [s]"] != contacts.get("time [s]"):
         raise InputError(str(folder), "forces.csv and contacts.csv have no time [s] in common", _AGAIN)
@@ -132,13 +120,10 @@ def _extremes(members: Mapping[str, int], contacts: Mapping[str, Mapping[str, An
 
 
 def rebuild(folder: Path, say: Callable[[str], None] = lambda text: None) -> Path:
-    """Write ``report.html`` of any command's folder again; pictures of a run that its numbers are enough for are redrawn.
+    """Write ``report.html`` of any command's folder again; the path of it.
 
-    Only ``report.html`` is replaced, as a whole; the path of it. A picture that is missing is written; one that is there
-    is kept as it is, although the report shows it as this version draws it.
-
-    Raises:
-        InputError: for a folder that holds no results, or results that are not whole.
+    Pictures of a run are drawn anew in it; a picture file that is missing is written, one that is there is kept as it is.
+    ``InputError`` for a folder that holds no results, or results that are not whole.
     """
     is_run = folder.is_dir() and all((folder / name).is_file() for name in NEEDED)
     page = report.kept(folder) if (folder / report.JSON).exists() or not is_run else None

@@ -54,9 +54,8 @@ def widths(scene: AbstractModel, params: Params) -> dict[str, float]:
 def drawn(
     folder: Path, run: Run, scene: AbstractModel, params: Params, reads: Sequence[Channel], contacts: Mapping[str, Any]
 ) -> list[Picture]:
-    """Draw all pictures of a run, those that matter first; a run read from files has no trajectory, and no orbits.
-
-    ``contacts`` are those of ``summary.json``: their periods give the loading cycles in steady motion.
+    """Draw all pictures of a run, those that matter first; ``contacts`` are those of ``summary.json``: their periods give the
+    loading cycles in steady motion. A run read from files has no trajectory, and no orbits.
     """
     drive = turning(scene, params)
     found: list[Picture | None] = []
@@ -86,11 +85,7 @@ def drawn(
 
 
 def verdict(run: Run, content: Mapping[str, Any], absurd: Sequence[Finding] = ()) -> Verdict:
-    """The highest force, where and when, and its measured error; first what contradicts it, and what cannot be.
-
-    "Finished" stands only where no balance is missed, the error is as asked where it was measured, and penetrations and
-    pressures are those of solid bodies (``plausibility``).
-    """
+    """The highest force, where and when, and its measured error; first what contradicts it, and what cannot be."""
     found = _verdict(run, content)
     if run.status == "failed":
         return Verdict(found.kind, found.word, f"{found.sentence} {headline(absurd)}".strip())
@@ -165,8 +160,8 @@ def _rows(
     between: bool = False,
     beside: Mapping[str, Sequence[str]] | None = None,
 ) -> list[list[str]]:
-    """Features across and contacts down; the other way round for one or two contacts, and with more features ``beside``,
-    which would not fit on a screen: by heading a cell a contact.
+    """Features across and contacts down; the other way round for one or two contacts, and with more features ``beside``
+    (by heading a cell a contact), which would not fit on a screen.
     """
     there = {key for _, group in groups for one in group for key in one} - set(without)
     backwards = any(one.get("side") == -1.0 for _, group in groups for one in group)
@@ -256,10 +251,8 @@ def tables(scene: AbstractModel, content: Mapping[str, Any]) -> list[Table]:
         folded.append(Table(f"Each of the {len(each)} contacts", _rows(each)))
     if all("share_of_time" in one for _, group in groups for one in group):
         folded.append(Table("Share of the time in each state", _shares(groups)))
-    read, ranges = (
-        content.get("engineering", {}),
-        "Of contacts with members the range over the members. " if many else "",
-    )
+    read = content.get("engineering", {})
+    ranges = "Of contacts with members the range over the members. " if many else ""
     text = f"{read.get('note', '')} {ranges}{note(contacts)}Three significant digits; all digits: summary.json.".strip()
     found = [Table("Contacts", contact_rows(scene, content), text, tuple(folded))]
     if rows := quantity_rows(content):

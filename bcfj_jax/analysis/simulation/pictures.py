@@ -29,9 +29,8 @@ _CARRIES = 0.005
 
 
 class Peak(NamedTuple):
-    """The highest force of a contact: size [N], time [s], the member's number from 1 (0 for a contact without), and the side.
-
-    ``side``: -1 where a contact that pushes both ways bears on its negative side there, else 1.
+    """The highest force of a contact: size [N], time [s], the member's number from 1 (0 for a contact without), and the side: -1
+    where a contact that pushes both ways bears on its negative side there, else 1.
     """
 
     force: float
@@ -111,13 +110,8 @@ def readings(run: Run, channels: Sequence[Channel], path: Path) -> Picture:
 
 
 class Loop(NamedTuple):
-    """One loading cycle of a contact: |normal force| [N] and penetration [m], (n,), of one member.
-
-    Attributes:
-        channel: name of the contact or of its member.
-        force, depth: along the cycle.
-        before, deep: the same of the whole run.
-        closed: whether the cycle begins and ends in the same state, so that the area is the energy it dissipates.
+    """One loading cycle of a contact or member: |normal force| [N] and penetration [m] (n,) along it, the same of the whole run,
+    and whether it begins and ends in the same state, so that the area is the energy it dissipates.
     """
 
     channel: str
@@ -131,8 +125,7 @@ class Loop(NamedTuple):
 def loop(run: Run, name: str, peak: Peak, cycle: float = math.nan) -> Loop | None:
     """The loading cycle of a contact's highest force; None where the contact never carries a force.
 
-    From apart to apart where the contact opens on both sides of its peak; else one ``cycle`` [s] of the load, the last of
-    the run; else the whole history.
+    From apart to apart where the contact opens on both sides of its peak; else the last ``cycle`` [s] of the run; else all.
     """
     index = (slice(None), peak.member - 1) if peak.member else slice(None)
     force, depth = np.abs(run.force[name][..., 0][index]), run.penetration[name][index]
@@ -159,7 +152,7 @@ def loops(
 ) -> Picture:
     """Normal force against penetration over one loading cycle, one panel a contact; the area is the energy it takes.
 
-    By contact, where it has them: ``cycles``, periods of the load in steady motion [s]; ``widths`` of regularisation [m].
+    By contact: ``cycles``, periods of the load in steady motion [s]; ``widths`` of regularisation [m].
     """
     said, count = [], len(run.force)
     with panels(count, 3 if count > 4 else 2, path, 4.0 if count > 1 else 6.0, 3.6, Margins()) as axes:

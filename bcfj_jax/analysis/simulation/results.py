@@ -35,11 +35,7 @@ FRAMED, WORLD = "forces_in_frames.csv", "world"
 
 
 def framed(scene: AbstractModel, frames: Sequence[str]) -> tuple[Channel, ...]:
-    """The whole force of every contact in the axes of bodies, or "world": its components as readings.
-
-    Raises:
-        InputError: for a body that the scene has not, with the nearest that it has.
-    """
+    """The whole force of every contact in the axes of bodies, or "world": its components as readings."""
     return tuple(
         channel(f"{name}.force.{axis}", scene, "" if frame == WORLD else frame, "--frames")
         for frame in dict.fromkeys(frames)
@@ -76,10 +72,7 @@ def measured_errors(accuracy: Accuracy) -> dict[str, dict[str, float]]:
 
 
 def accuracy_sentences(run: Run) -> list[str]:
-    """A line a contact, "seat_ball: asked 1 %, measured 0.3 %" (the worst of its errors); from when on runs disagree.
-
-    Nothing for a run whose error was not measured.
-    """
+    """A line a contact, "seat_ball: asked 1 %, measured 0.3 %" (the worst of its errors); from when on runs disagree."""
     accuracy = run.accuracy
     if accuracy is None:
         return []
@@ -112,9 +105,8 @@ def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
 
 
 def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
-    """Share of the time spent in each of ``STATES``, of the samples whose state is known; NaN where none is.
-
-    A sample counts for half of the intervals beside it.
+    """Share of the time, half an interval on either side of a sample, spent in each of ``STATES``, of samples whose state is
+    known; NaN where none is.
     """
     gaps = np.diff(times)
     weight = np.where(state >= 0, 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps)), 0.0)
@@ -142,8 +134,7 @@ def resolved(run: Run) -> dict[str, dict[str, float]]:
 def summary(run: Run, turning: bool) -> dict[str, Any]:
     """``summary.json``: status, every contact's features, accuracy, what the solver did, a level that was chosen.
 
-    The period of a scene that is ``turning`` is that of its force history, of the last two thirds; else that of its
-    contacts.
+    The period of a scene that is ``turning`` is that of its force history (last two thirds); else that of its contacts.
     """
     penetration, rate, state = (outputs.channels(x) for x in (run.penetration, run.rate, run.state))
     stats, contacts = run.stats, {}

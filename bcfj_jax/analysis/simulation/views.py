@@ -1,8 +1,6 @@
 """What else a run can show, by what its model has: members around an axis, clearance circles, states, orders.
 
-Members give a polar plot of their loads, ``AbstractModel.orbits`` the path of a centre in its clearance circle, states of
-several contacts or of friction a raster, and a drive that turns an order spectrum. As in ``pictures`` every function draws
-one PNG and gives its ``Picture``.
+As in ``pictures`` every function draws one PNG and gives its ``Picture``.
 """
 
 from __future__ import annotations
@@ -156,16 +154,14 @@ def chain(found: Chain, path: Path) -> Picture:
         most = float(np.hypot(*found.pushes.T).max(initial=0.0))
         if most > 0.0:
             reach = 0.25 * max(np.ptp(x), np.ptp(y)) / most
-            place.quiver(
-                x[1:-1],
-                y[1:-1],
-                *(reach * found.pushes.T),
-                angles="xy",
-                scale_units="xy",
-                scale=1.0,
-                color=COLOURS[1],
-                width=5e-3,
-            )
+            look: dict[str, Any] = {
+                "angles": "xy",
+                "scale_units": "xy",
+                "scale": 1.0,
+                "color": COLOURS[1],
+                "width": 5e-3,
+            }
+            place.quiver(x[1:-1], y[1:-1], *(reach * found.pushes.T), **look)
         place.set(title=f"{found.pushed}, at most {brief(most, 'N')}", xlabel="x [m]", ylabel="z [m]", aspect="equal")
         place.margins(0.25)
         for axis, (name, (unit, values)) in zip(axes, found.loads.items(), strict=True):
@@ -216,9 +212,8 @@ def states(run: Run, path: Path, turning: Turning | None) -> Picture:
 
 
 def orders(run: Run, path: Path, turning: Turning) -> Picture | None:
-    """Amplitudes of the normal forces by order of the shaft, of the last whole turns; passages of members are marked.
-
-    None for a run of less than a turn after its first third.
+    """Amplitudes of the normal forces by order of the shaft, of the last whole turns, with passages of members; None for a run of
+    less than a turn after its first third.
     """
     end, turns = run.times[-1], math.floor(2.0 / 3.0 * (run.times[-1] - run.times[0]) / turning.turn + 1e-9)
     if turns < 1:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.studies import local, specification
+from bcfj_jax.analysis.studies import specification, worker
 from bcfj_jax.analysis.studies.block import Blocks, block_size
 from bcfj_jax.analysis.studies.block import compute as run_points
 from bcfj_jax.analysis.studies.design import needs
@@ -86,15 +86,14 @@ def study(
     Args:
         what: a study file, or its content.
         out: the folder; one that holds the same study is gone on with.
-        workers: processes on this machine, in place of threads of this process, one a core; one in all where there is
-            an accelerator.
+        workers: processes on this machine, in place of a thread a core; one in all where there is an accelerator.
         scheduler: address of a Dask scheduler that shall do the work in place of this machine.
         progress: receives the numbers of finished and of all blocks.
         tell: receives what there is of the study after its first block, and whenever twice as many are finished.
 
     Raises:
         InputError: for bad input, and a folder that holds another study.
-        local.Stopped: if the disk is full, or workers die again and again. What is finished stays.
+        worker.Stopped: if the disk is full, or workers die again and again. What is finished stays.
     """
     for key, value, kinds in (("study", what, (str, Path, Mapping)), ("out", out, (str, Path))):
         if not isinstance(value, kinds):
@@ -112,10 +111,7 @@ def study(
 def growing(
     store: Store, progress: Callable[[int, int], None], tell: Callable[[Result], None]
 ) -> Callable[[int, int], None]:
-    """As ``progress``; whenever twice as many blocks are finished as before, ``tell`` receives what there is.
-
-    Nothing is told before the first block of this run, nor of the whole, which ``finish`` gives.
-    """
+    """As ``progress``; whenever twice as many blocks of this run are finished ``tell`` receives what there is, but the whole."""
     told: list[int] = []
 
     def on(done: int, total: int) -> None:
@@ -185,10 +181,10 @@ def compute(store: Store, workers: int | None, scheduler: str | None, progress: 
     # One process has an accelerator: others would find no memory left there.
     count = min(workers or default_workers(), total) if backend.on_cpu() else 1
     if count == 1 or workers is None:
-        with local.written():
-            local.in_threads(store, count, lambda done: progress(done, total))
+        with worker.written():
+            worker.in_threads(store, count, lambda done: progress(done, total))
     else:
-        local.run(store, count, lambda done: progress(done, total))
+        worker.run(store, count, lambda done: progress(done, total))
 
 
 def default_workers() -> int:
@@ -199,7 +195,7 @@ def default_workers() -> int:
 def finish(store: Store) -> Result:
     """``results.parquet`` and ``study.json`` of a folder whose blocks are all there."""
     table, found = merge(store), state(store)
-    with local.written():
+    with worker.written():
         write_parquet(store.folder / RESULTS, table)
         outputs.write_json(store.folder / STATE, found)
     return Result(store.folder, table, found, store.study)

@@ -1,8 +1,7 @@
 """Many points of a study at once: how each run ended, its features and their derivatives, and on request its forces.
 
-Scenes with a history go through a batch with a work queue; instants that are solved for themselves, each run from the one
-before it. On several devices each has its own part of the batch and its own queue. What has no batch is done one by one.
-One program a size of batch.
+Scenes with a history go through a batch with a work queue, on several devices a part each; instants that are solved for
+themselves, each run from the one before it. What has no batch is done one by one. One program a size of batch.
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ class Batch(NamedTuple):
     Attributes:
         features: (N, F), NaN where a run failed; with derivatives these behind them, (N, F (1 + P)).
         reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
-        steps: (N,) attempted steps, or iterations.
-        rounds: rounds of all places of the batch; 0 where there are none.
+        steps: (N,) attempted; rounds: of all places of the batch; 0 where there are none.
         force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
     """
 
@@ -62,9 +60,8 @@ class Batch(NamedTuple):
 
 
 def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safety: float) -> Batch:
-    """Run points of a study with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's size.
-
-    The scene's tolerance is taken ``safety`` times.
+    """Run points with values (n, D) of the varied parameters until their ends (n,) [s], n up to the program's ``size``, at
+    ``safety`` times the scene's tolerance.
     """
     given, scene, how = study.given, study.given.scene, planned(study.given, safety)
     points = Points(study.params(values), ends, given.times / given.times[-1])
@@ -109,7 +106,7 @@ class _Static(NamedTuple):
 def run(
     scene: AbstractModel, points: Points, wanted: Sequence[Feature], how: Plan, size: int, forces: bool = False
 ) -> Batch:
-    """Features of N points of a scene whose level is chosen, without derivatives, and their forces where these are wanted.
+    """Features of N points of a scene whose level is chosen, without derivatives; their forces where these are wanted.
 
     ``size`` is the program's: fewer points need no other one.
     """
@@ -129,7 +126,7 @@ def run(
         if on_host(feature):
             for i in range(count):
                 one = Histories(force[i], depth[i], rate[i], None)
-                values[i, k] = values_of(scene, grid, one, [feature])[0] if code[i] == OK else np.nan
+                values[i, k] = measured(scene, [feature], grid, one)[0][0] if code[i] == OK else np.nan
         # The samples' times are those of a run that takes one second.
         if KINDS[feature.kind].per_second:
             values[:, k] *= ends
@@ -147,14 +144,16 @@ def on_host(feature: Feature) -> bool:
     return KINDS[feature.kind].host or feature.kind == PAIR
 
 
-def none_of(value: Histories) -> Histories:
-    """The derivatives of histories by no parameter."""
-    return Histories(*(None if x is None else x[None][:0] for x in value))
-
-
-def values_of(scene: AbstractModel, times: np.ndarray, value: Histories, wanted: Sequence[Feature]) -> np.ndarray:
-    """Features (F,) of a finished run."""
-    return measure(times, value, none_of(value), wanted, scene.members, scene.traits.turning)[0]
+def measured(
+    scene: AbstractModel,
+    wanted: Sequence[Feature],
+    times: np.ndarray,
+    value: Histories,
+    slopes: Histories | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Features (F,) of a finished run, and their derivatives (F, P); by no parameter without ``slopes``."""
+    none = Histories(*(None if x is None else x[None][:0] for x in value))
+    return measure(times, value, none if slopes is None else slopes, wanted, scene.members, scene.traits.turning)
 
 
 def _program(static: _Static, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
@@ -184,12 +183,6 @@ def _part(static: _Static, points: Points, how: Plan, count: Array) -> tuple:
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
 
 
-def _measured(study: Study, times: np.ndarray, value: Histories, slopes: Histories) -> tuple[np.ndarray, np.ndarray]:
-    """Features (F,) of one run, and their derivatives (F, P)."""
-    scene = study.given.scene
-    return measure(times, value, slopes, study.features, scene.members, scene.traits.turning)
-
-
 def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Batch:
     """As ``run``, with derivatives of the features."""
     scene, (given, ends, grid) = study.given.scene, points
@@ -201,21 +194,20 @@ def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Bat
             Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
             for part in (found.value, found.derivative)
         )
-        rows[i] = np.concatenate([x.ravel() for x in _measured(study, ends[i] * grid, value, slopes)])
+        both = measured(scene, study.features, ends[i] * grid, value, slopes)
+        rows[i] = np.concatenate([x.ravel() for x in both])
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(ends), 0, 0, 0))
     return Batch(rows, reasons, found.end, found.steps, found.rounds, force)
 
 
 def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
-    """As ``run``, for what has no batch: a solver of one's own, a level to be chosen, features of single contacts,
-    tangents that have a say in the steps (``derivatives.batch.possible``).
-    """
+    """As ``run``, for what has no batch (``together``)."""
     given, scene = study.given, study.given.scene
     finer = plan(scene, given.accuracy, given.max_steps)
     rows: list[tuple] = []
     for i, end in enumerate(points.ends):
-        one, wrt, times, peaks = points.one(i), (), end * points.grid, {}
+        one, wrt, times, peaks, slopes = points.one(i), (), end * points.grid, {}, None
         if study.derivatives:
             one, wrt = complete(scene, one, study.derivatives)
             found = differentiated(given, wrt, one, times, safety)
@@ -226,10 +218,9 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
             force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
             value = Histories(force, depth, rate, None)
-            slopes = none_of(value)
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
-        numbers, by = _measured(study, times, value, slopes)
+        numbers, by = measured(scene, study.features, times, value, slopes)
         with_events(Problem(scene, one, times, wrt, study.features), finer, numbers, by, safety * TIGHTER)
         for k, feature in enumerate(study.features):
             if feature.kind == "peak" and peaks:
@@ -243,9 +234,8 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
 def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
     """As ``run``, of one turn of steady motion; where it does not repeat itself, the reason says so.
 
-    All points run to their ends in one batch; from there each point's orbit is found by itself (``derivatives.steady``),
-    whose matrix over all states leaves nothing to gain by doing several side by side (docs/studies.md). It has its own
-    tolerances.
+    All points run to their ends in one batch; from there each point's orbit is found by itself, whose matrix over all states
+    leaves nothing to gain by doing several side by side (docs/studies.md). It has its own tolerances.
     """
     scene, count = study.given.scene, len(points.ends)
     found = to_the_end(scene, points.params, points.ends, how, size)

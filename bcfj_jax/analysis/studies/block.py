@@ -1,7 +1,6 @@
 """A block of a study: some of its points, computed together and never apart, as a table.
 
-A block's content follows from the study and the block's number alone, not from who computes it nor when: that is what
-lets it be thrown away and done again.
+Its content follows from the study and the block's number alone: that lets it be thrown away and done again.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -37,16 +36,12 @@ SAFER = 0.1
 
 
 class Table(NamedTuple):
-    """What a block's points gave, one row a point.
+    """What a block's n points gave, one row a point.
 
     Attributes:
-        point: (n,) numbers in the design.
-        values: (n, D) of the varied parameters.
-        results: (n, F) of ``Study.columns``.
-        status, reason: (n,) texts.
-        steps: (n,) attempted steps; rounds: of all places of the batch (``solve.work_queue``).
-        force: (n, T, C, 3) [N], or empty.
-        ends: (n,) last times [s].
+        point: numbers in the design; values: (n, D) of the varied parameters; results: (n, F) of ``Study.columns``.
+        steps: (n,) attempted; rounds: of all places of the batch (``solve.work_queue``).
+        force: (n, T, C, 3) [N], or empty; ends: (n,) last times [s].
     """
 
     point: np.ndarray
@@ -61,10 +56,9 @@ class Table(NamedTuple):
 
 
 class Blocks:
-    """A study cut into blocks.
+    """A study cut into blocks of the ``size`` that it was begun with, else one that suits the device.
 
-    Costly points come first, so that no worker begins a long block when all others are done. ``size``: of a block, where the
-    study was begun with one; else what suits the device (``block_size``).
+    Costly points come first, so that no worker begins a long block when all others are done.
     """
 
     def __init__(self, study: Study, size: int | None = None) -> None:
@@ -102,13 +96,10 @@ class Blocks:
 
 
 def fitting(study: Study, accelerated: bool | None = None) -> int:
-    """Points that are run at once: by memory, and so many that more would be no faster.
-
-    ``accelerated``: whether on an accelerator; None for where this process computes. Points that are taken one by one gain
-    nothing there.
+    """Points that are run at once: by memory, and so many that more would be no faster; on an accelerator, where this process
+    computes or as ``accelerated`` says, more of what is one program.
     """
-    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
-    scene = study.given.scene
+    scene, many = study.given.scene, _many(study, accelerated)
     large = scene.traits.large
     few, numbers = (_OF_MOTION if large and has_history(scene) else _OTHERS), _NUMBERS
     if many:
@@ -121,8 +112,12 @@ def fitting(study: Study, accelerated: bool | None = None) -> int:
 
 def block_size(study: Study, accelerated: bool | None = None) -> int:
     """Points of a block of a study: on a CPU four blocks at least, so that there is work for several."""
-    many = (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
-    return max(_FEWEST, min(fitting(study, accelerated), study.count if many else -(-study.count // 4)))
+    most = study.count if _many(study, accelerated) else -(-study.count // 4)
+    return max(_FEWEST, min(fitting(study, accelerated), most))
+
+
+def _many(study: Study, accelerated: bool | None) -> bool:
+    return (not backend.on_cpu() if accelerated is None else accelerated) and together(study)
 
 
 def predicted_cost(study: Study) -> np.ndarray:
@@ -145,48 +140,35 @@ def _steps(scene: AbstractModel, params: dict, ends: Array, how: Plan) -> Array:
 
 
 def compute(study: Study, at: np.ndarray, size: int) -> Table:
-    """Run a block's points by their numbers, up to ``size``; in parts where this device takes fewer at once."""
-    size = min(size, fitting(study))
-    parts = [_together(study, at[k : k + size], size) for k in range(0, len(at), size)]
-    if len(parts) == 1:
-        return parts[0]
+    """Run a block's points by their numbers, up to ``size`` or what this device takes at once; those that fail once more,
+    with safer settings.
+    """
+    size, scene = min(size, fitting(study)), study.given.scene
 
-    def joined(name: str) -> Any:
-        each = [getattr(part, name) for part in parts]
-        if isinstance(each[0], np.ndarray):
-            return np.concatenate(each)
-        return sum(each) if name == "rounds" else [x for part in each for x in part]
+    def parts(which: np.ndarray) -> list[np.ndarray]:
+        return [which[k : k + size] for k in range(0, len(which), size)]
 
-    return Table(*map(joined, Table._fields))
-
-
-def _together(study: Study, at: np.ndarray, size: int) -> Table:
-    """Run points by their numbers, up to the program's size; those that fail once more, with safer settings."""
-    values, last, scene = study.points[at], study.ends[at], study.given.scene
-    reasons, rounds = _refusals(study, values, size), 0
-    status, results, steps = (
-        ["failed"] * len(at),
-        np.full((len(at), len(study.columns)), np.nan),
-        np.zeros(len(at), int),
-    )
+    values, last = study.points[at], study.ends[at]
+    reasons = [why for part in parts(values) for why in _refusals(study, part, size)]
+    status, steps, rounds = ["failed"] * len(at), np.zeros(len(at), int), 0
+    results = np.full((len(at), len(study.columns)), np.nan)
     shape = (len(study.given.times), sum(max(1, k) for k in scene.members.values()), 3)
     force = np.full((len(at), *shape), np.nan) if study.histories else np.zeros((len(at), 0, 0, 0))
     which = np.flatnonzero([not text for text in reasons])
     for safety in (1.0, SAFER) if has_history(scene) else (1.0,):
-        if not which.size:
-            break
-        batch = of_study(study, values[which], last[which], size, safety)
-        rounds += batch.rounds
-        steps[which] += batch.steps
-        results[which] = batch.features
-        if study.histories:
-            force[which] = batch.force
-        for i, why, end in zip(which, batch.reason, batch.end, strict=True):
-            failure = f"{why} at {end:.6g} s" if why else ""
-            status[i] = "failed" if failure else "ok"
-            again = f"{failure or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
-            reasons[i] = failure if safety == 1.0 else again
-        which = which[np.array([bool(why) for why in batch.reason])]
+        for part in parts(which):
+            batch = of_study(study, values[part], last[part], size, safety)
+            rounds += batch.rounds
+            steps[part] += batch.steps
+            results[part] = batch.features
+            if study.histories:
+                force[part] = batch.force
+            for i, why, end in zip(part, batch.reason, batch.end, strict=True):
+                failure = f"{why} at {end:.6g} s" if why else ""
+                status[i] = "failed" if failure else "ok"
+                again = f"{failure or 'ok'} with a tenth of the tolerance; before: {reasons[i]}"
+                reasons[i] = failure if safety == 1.0 else again
+        which = np.array([i for i in which if status[i] == "failed"], int)
     return Table(at, values, results, status, reasons, steps, rounds, force, last)
 
 

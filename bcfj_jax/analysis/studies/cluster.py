@@ -1,9 +1,8 @@
 """Many machines: blocks go to the workers of a Dask scheduler, their files come back and are kept here.
 
-Workers need the package and nothing else: no common folder. Dask itself gives a block to another worker when one
-dies; when the scheduler goes, what was not back yet is handed to the next one at the same address.
-
-A worker imports this module, so it loads nothing at the top that reads the environment.
+Workers need the package and no common folder. Dask gives a block to another worker when one dies; when the scheduler goes,
+what was not back yet is handed to the next one at the same address. A worker imports this module, so it loads nothing at
+the top that reads the environment.
 """
 
 from __future__ import annotations
@@ -43,11 +42,7 @@ def _blocks(study: str, size: int, code: Files) -> Any:
 
 
 def compute_block(study: str, size: int, block: int, name: str, code: Files = ()) -> dict[str, bytes]:
-    """On a worker: the files of a block, by their names in ``blocks/``; ``study``: ``run.toml``; ``size``: of a block.
-
-    Raises:
-        RuntimeError: if the block is called otherwise here: then this is another version of the code.
-    """
+    """On a worker: the files of a block, by their names in ``blocks/``; ``study``: ``run.toml``; ``size``: of a block."""
     blocks = _blocks(study, size, code)
     from bcfj_jax.analysis.studies.block import compute
     from bcfj_jax.analysis.studies.store import Store
@@ -62,12 +57,8 @@ def compute_block(study: str, size: int, block: int, name: str, code: Files = ()
 
 
 def run(store: Store, address: str, progress: Callable[[int], None]) -> None:
-    """Have all missing blocks computed by a scheduler's workers.
-
-    Raises:
-        local.Stopped: if the scheduler stays away, or a block cannot be computed.
-    """
-    from bcfj_jax.analysis.studies.local import Stopped, written
+    """Have all missing blocks computed by a scheduler's workers; ``worker.Stopped`` if it stays away, or a block cannot be."""
+    from bcfj_jax.analysis.studies.worker import Stopped, written
     from bcfj_jax.core.extras import library
     from bcfj_jax.io.stop import check
 

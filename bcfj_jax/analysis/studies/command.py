@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bcfj_jax.analysis.studies import api, local, specification
+import numpy as np
+
+from bcfj_jax.analysis.derivatives.names import feature_unit
+from bcfj_jax.analysis.plausibility import Finding, at, headline, judged
+from bcfj_jax.analysis.studies import api, specification, view, worker
+from bcfj_jax.analysis.studies.api import Result
 from bcfj_jax.analysis.studies.finished import Finished, read
-from bcfj_jax.analysis.studies.pages import ranges, write
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import changes, outputs, report, tables
 from bcfj_jax.io.changes import Change
-from bcfj_jax.io.page import counted
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, counted, span
 from bcfj_jax.io.stop import heeded
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
@@ -58,10 +62,9 @@ def run(
     """Run a study, or go on with it; in words, and the exit code.
 
     Args:
-        what: a study file, or a built-in study's name.
-        out: its folder, None for one made up.
+        what, out: a study file or a built-in study's name; its folder, None for one made up.
         team: workers and scheduler, as ``api.study``.
-        say: receives the progress; show: ranges of what there is after the first block.
+        say, show: receive the progress; ranges of what there is after the first block.
         resuming: whether it must have been begun.
     """
     missing = ("there is no study to resume", "say run, or name its folder") if resuming else None
@@ -84,11 +87,11 @@ def run(
                 progress = api.growing(store, lambda n, _: done(min(n * size, study.count)), so_far)
                 api.compute(store, workers, scheduler, progress)
             result = api.finish(store)
-            with local.written():
+            with worker.written():
                 text = write(result, stem)
-        except (local.Stopped, KeyboardInterrupt) as stopped:
+        except (worker.Stopped, KeyboardInterrupt) as stopped:
             finished = f"interrupted: {store.there()} of {len(blocks)} blocks are finished"
-            say(f"stopped: {stopped}" if isinstance(stopped, local.Stopped) else finished)
+            say(f"stopped: {stopped}" if isinstance(stopped, worker.Stopped) else finished)
             return f"bcfj study resume {what} --out {folder}{changes.as_options()}", INTERRUPTED
     return f"{text}\nresults in {folder}", FAILED if result.failed == study.count else DONE
 
@@ -140,3 +143,100 @@ def finished(what: str, out: Path | None) -> tuple[Finished | None, Path, str]:
     folder = existing(what, out).folder
     found = read(folder) if (folder / api.RESULTS).exists() else None
     return found, folder, f"the study is not finished; first say\nbcfj study resume {what} --out {folder}"
+
+
+def write(result: Result, stem: str) -> str:
+    """Pictures and report; the results in words."""
+    found, study = result.state, result.study
+    absurd = _absurd(result)
+    with stage("drawing"):
+        drawn = view.overview(result, result.folder)
+    report.write(result.folder, page(f"Study {stem}", result, drawn, absurd), study.given.scene.model_form)
+    first = [f"At its {place} {headline(findings)}" for place, findings in absurd.items()]
+    said = f"{found['finished']} points, {found['failed']} of them failed."
+    more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
+    rows = [["", "least", "median", "largest"], *ranges(result, study.columns)]
+    return "\n".join([*first, said, *more, "", report.text(rows)])
+
+
+def ranges(result: Result, names: Sequence[str]) -> list[list[str]]:
+    """Least, median and largest value of columns over the points that did not fail."""
+    good = result.column("status") == "ok"
+    units = {feature.name: feature_unit(feature.name) for feature in result.study.features}
+    rows = []
+    for name in names:
+        values = result.column(name)[good]
+        values = values[np.isfinite(values)]
+        ends = (np.min(values), np.median(values), np.max(values)) if values.size else [float("nan")] * 3
+        rows.append([name, *(brief(float(x), units.get(name, "1")) for x in ends)])
+    return rows
+
+
+def _absurd(result: Result) -> dict[str, list[Finding]]:
+    """What is not plausible at the points of the least and of the largest value of the first feature, run again alone."""
+    study, name = result.study, result.study.features[0].name
+    values = np.where(result.column("status") == "ok", result.column(name), np.nan)
+    if not np.isfinite(values).any():
+        return {}
+    found = {}
+    for word, k in (("largest", int(np.nanargmax(values))), ("least", int(np.nanargmin(values)))):
+        params = {key: float(x[0]) for key, x in study.params(study.points[k : k + 1]).items()}
+        times = study.given.times * (study.ends[k] / study.given.times[-1])
+        found[f"{word} {name}, point {k},"] = at(study.given.scene, params, times)
+    return {place: findings for place, findings in found.items() if findings}
+
+
+def page(title: str, result: Result, drawn: Sequence[Picture], absurd: Mapping[str, list[Finding]]) -> Page:
+    """The report: which parameter moves which feature most, the range of every feature, and points that failed."""
+    study = result.study
+    rows = [["feature", "least", "median", "largest"], *ranges(result, [f.name for f in study.features])]
+    varied = [["parameter", "from", "to"]]
+    for name in study.names:
+        unit, values = study.given.scene.quantities[name].unit, result.column(name)
+        varied.append([name, brief(float(np.min(values)), unit), brief(float(np.max(values)), unit)])
+    tables = [Table("Features over all points", rows), Table("What was varied", varied)]
+    warnings = ()
+    if found := result.failed:
+        warnings = (f"{found} of {study.count} points failed; the features do not include them.",)
+        reasons = [[text, str(count)] for text, count in result.state["reasons"].items()]
+        tables.append(Table("Failures", [["reason", "points"], *reasons]))
+    verdict = judged([one for findings in absurd.values() for one in findings], _answer(result))
+    return Page(title, verdict, tuple(drawn), warnings, tuple(tables))
+
+
+def _answer(result: Result) -> Verdict:
+    """Which parameter moves which feature most, by the feature's range over its median: of several the one whose ranks
+    correlate most with the feature's (Spearman).
+    """
+    study, good = result.study, result.column("status") == "ok"
+    count = f"{study.count} points"
+    if not good.any():
+        return Verdict(BAD, "Failed", f"None of {count} has a result.")
+    best, feature = -1.0, None
+    for one in study.features:
+        values = result.column(one.name)[good]
+        middle = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
+        spread = float(np.nanmax(values) - np.nanmin(values)) / middle if middle > 0 else -1.0
+        if spread > best:
+            best, feature = spread, one.name
+    kind, word = (FAIR, "Finished, with failures") if result.failed else (GOOD, "Finished")
+    if feature is None:
+        return Verdict(kind, word, f"{count}; no feature has a value.")
+    values = result.column(feature)[good]
+    extent = span(values, feature_unit(feature))
+    if view.together(result):
+        name = " and ".join(study.names)
+    else:
+        name = max(study.names, key=lambda n: _rank_correlation(result.column(n)[good], values))
+    what = "move" if " and " in name else "moves"
+    return Verdict(kind, word, f"{name} {what} {feature} most: {extent} over {count}.")
+
+
+def _rank_correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Size of Spearman's coefficient; 0 where one does not vary."""
+    from scipy.stats import spearmanr
+
+    x, y = (v[np.isfinite(x) & np.isfinite(y)] for v in (x, y))
+    if x.size < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
+        return 0.0
+    return abs(float(spearmanr(x, y)[0]))  # pyright: ignore[reportArgumentType]

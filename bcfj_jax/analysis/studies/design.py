@@ -1,8 +1,4 @@
-"""Where the points of a study are, the same for the same seed.
-
-Grids, lists, Latin hypercubes and Sobol sequences; and the designs of global sensitivity analysis, whose points come
-in blocks that an estimator needs whole: Saltelli's and Morris's.
-"""
+"""Where the points of a study are, the same for the same seed."""
 
 from __future__ import annotations
 
@@ -18,13 +14,8 @@ from bcfj_jax.core.extras import library
 
 
 class Kind(NamedTuple):
-    """A kind of design.
-
-    Attributes:
-        size: key of its size in a study file; "" where its axes make it.
-        option: key that it alone has.
-        parts: what an estimator of sensitivity indices needs whole, in words; fewest: how many of them.
-        method: of these indices; "" where there are none.
+    """A kind of design: the keys in a study file of its size ("" where its axes make it) and of what it alone has; what an
+    estimator of sensitivity indices needs whole, how many of these at least, and the method ("" where there are no indices).
     """
 
     size: str = ""
@@ -58,7 +49,6 @@ class Design:
     Attributes:
         kind: of ``KINDS``: "grid" (all combinations, the last axis fastest), "list" (the axes' values side by side),
             "latin_hypercube" or "sobol" (scrambled; SciPy's ``qmc``), "saltelli" or "morris" (SALib's).
-        axes: what is varied.
         size, seed: of those that are drawn: points, base samples or trajectories.
         second_order: of "saltelli", whether for second-order indices too; levels: of "morris".
     """

@@ -18,11 +18,8 @@ T = TypeVar("T")
 
 
 class Finished(NamedTuple):
-    """A study and its table, in the order of the points.
-
-    Attributes:
-        values: (N, D) of the varied parameters, as they were run [SI].
-        columns: (N,) of each of ``study.columns``, NaN where a run failed; ok: (N,) whether it did not.
+    """A study and its table, in the order of the points: values (N, D) as they were run [SI], (N,) of each of
+    ``study.columns``, NaN where a run failed, and whether each did not.
     """
 
     study: Study
@@ -78,11 +75,7 @@ Source = Finished | Result | Path | str
 
 
 def read(source: Source) -> Finished:
-    """A finished study, from what ``bcfj_jax.study`` gave back or from its folder.
-
-    Raises:
-        InputError: for a folder without a study, or one that is not finished.
-    """
+    """A finished study, from what ``bcfj_jax.study`` gave back or from its folder; ``InputError`` where there is none."""
     if isinstance(source, Finished):
         return source
     if isinstance(source, Result):

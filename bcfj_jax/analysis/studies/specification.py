@@ -1,11 +1,4 @@
-"""Study files: which points of which scene, and what is kept of each; checked, in SI.
-
-scene     a scene file (beside the study file), a built-in scene's name, or a table with a scene file's content
-[design]  kind = grid | list | latin_hypercube | sobol; points and seed of the last two
-          saltelli: samples, second_order, seed; morris: trajectories, levels, seed (for global sensitivities)
-[vary.X]  lower, upper, steps, scale = linear | log | normal; or values. X may be a pattern: "ball_*.oversize"
-[results] features, histories, derivatives, steady
-"""
+"""Study files: which points of which scene, and what is kept of each; checked, in SI (docs/studies.md)."""
 
 from __future__ import annotations
 
@@ -48,9 +41,8 @@ class Study:
     """A study ready to run.
 
     Attributes:
-        given: the scene that is varied; design: its points.
-        features: what is kept of each point.
-        histories: whether forces are kept, too.
+        given, design: the scene that is varied, and its points.
+        features, histories: what is kept of each point; whether forces are, too.
         derivatives: parameters by which features are differentiated.
         steady: whether features are those of the steady motion (``derivatives.steady``).
         own_end: whether each point runs to the horizon of its own parameters.
@@ -164,10 +156,9 @@ def load(path: Path) -> Study:
 
 
 def from_table(table: Mapping[str, Any], where: str = "study", beside: Path = Path(".")) -> Study:
-    """The study that a file's content describes.
+    """The study that a file's content describes; ``InputError`` for what is not right names the key and what would be.
 
-    ``where``: the file, for messages; ``beside``: the folder in which a scene file is sought. ``InputError`` for anything that
-    is not right names the key and what would be.
+    ``where``: the file, for messages; ``beside``: the folder in which a scene file is sought.
     """
     table = dict(table)
     if isinstance(table.get("vary"), Mapping):
@@ -314,12 +305,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
         (listed and some, "", "values and bounds are both given", "give one of them"),
         (listed and size, " values", f"a {kind} draws between bounds", "give lower and upper"),
         (table.values == [], " values", "is empty", "give one value or more"),
-        (
-            not listed and (lower is None or upper is None),
-            "",
-            "no bounds",
-            "give lower and upper, or values",
-        ),
+        (not listed and None in (lower, upper), "", "no bounds", "give lower and upper, or values"),
         (not listed and kind == "list", "", "a list needs values", "give values = [...]"),
         (size and table.steps is not None, " steps", f"a {kind} has no steps", f"say [design] {size} in place of it"),
         (not (size or listed or table.steps), " steps", "missing", "give the number of values of the grid"),

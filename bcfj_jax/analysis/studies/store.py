@@ -264,10 +264,7 @@ def _write_forces(path: Path, study: Study, table: Table) -> dict[str, str]:
 
 
 def opened(folder: Path, study: Study) -> Store:
-    """A folder's store, in blocks of the size that the study was begun with, wherever that was.
-
-    One that does not say its size, as older ones, has what suits a CPU. ``InputError`` for one that says none.
-    """
+    """A folder's store, in blocks of the size that the study was begun with; of older ones, which do not say it, a CPU's."""
     path = folder / ENVIRONMENT
     try:
         size = json.loads(path.read_bytes()).get("block_size") if path.exists() else None

@@ -63,9 +63,7 @@ def table(good: Sequence[Surface]) -> str:
 
 
 def draw(one: Surface, found: Finished, path: Path) -> None:
-    """One parameter: a curve with its band; two: maps of the feature and of its deviation; more: curves through the
-    middle of all ranges.
-    """
+    """One parameter: a curve with its band; two: maps of the feature and of its deviation; more: curves through the middle."""
     if len(one.axes) == 2:
         _maps(one, found, path)
     else:

@@ -89,24 +89,19 @@ def overview(result: Result, folder: Path) -> list[Picture]:
     study, good = result.study, result.column("status") == "ok"
     if not good.any() or not study.features:
         return []
-    path, first = folder / NAME, study.names[0]
+    path, first, steps = folder / NAME, study.names[0], [axis.steps for axis in study.design.axes]
     if together(result):
         left_out = _curves(result, path)
         beside = f" (with it {', '.join(study.names[1:])})" if study.names[1:] else ""
         shows = f"Each feature against {first}{beside}, in its own unit"
-    elif (
-        len(study.names) == 2
-        and study.design.kind == "grid"
-        and min(axis.steps for axis in study.design.axes) >= _FEWEST
-    ):
+    elif len(steps) == 2 and study.design.kind == "grid" and min(steps) >= _FEWEST:
         left_out = _maps(result, path)
         shows = f"Each feature over {first} and {study.names[1]}"
     else:
         left_out = _clouds(result, good, path)
         shows = "Each feature against each parameter"
-    ranges = "; ".join(
-        f"{f.name} {span(result.column(f.name)[good], feature_unit(f.name))}" for f in study.features[:6]
-    )
+    names = [feature.name for feature in study.features[:6]]
+    ranges = "; ".join(f"{name} {span(result.column(name)[good], feature_unit(name))}" for name in names)
     more = f" {left_out} more are in results.parquet." if left_out else ""
     return [Picture(NAME, "The study", f"{shows}, {study.count} points: {ranges}.{more}")]
 

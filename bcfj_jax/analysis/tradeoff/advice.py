@@ -1,15 +1,9 @@
-"""The setting to take for an error budget, as TOML.
+"""The setting to take for an error budget, as TOML; docs/tradeoff.md gives the rules and their reasons.
 
-A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there,
-on the next looser level of its ladder and on every tighter one that was run. Errors of adaptive steps scatter, so that
-one level may be right by luck. A solver that was off by more than ``LOST`` on any level is not recommended on another,
-and none at a force error that is looser than the budget: what is right here may not be so beside it, where only what
-was asked for is promised (``benchmarks/analysis/advice.py``).
-
-The cheapest wins; of those as cheap, within the ``NOISE`` of walls, one that keeps the user's model, then one that
-keeps the solver, then the most accurate. Settings with other times of output are not recommended: the user asked for
-these times; nor are 32-bit numbers, which the package refuses; nor are other choices of the model, whose difference
-from the user's is no error of either.
+A setting is within a budget if ``SAFETY`` times its expected error is: the worst of force rms, peak and impulse there, on the
+next looser level of its ladder and on every tighter one that was run. A solver that was off by more than ``LOST`` on any level
+is not recommended on another. Of those as cheap, within the ``NOISE`` of walls, one that keeps the model is taken, then one
+that keeps the solver, then the most accurate.
 """
 
 from __future__ import annotations

@@ -35,13 +35,8 @@ _CARRIES, _LOSES = 0.1, 1e-6
 
 
 class Measured(NamedTuple):
-    """What of a run is compared, C channels, a contact's members one by one.
-
-    Attributes:
-        force: (T, C, 3) [N].
-        contact: (C,) which contact a channel belongs to.
-        period: (C,) [s], NaN for none.
-        work: (C,) [J]; moved: (C,) the same with every sign positive.
+    """What of a run is compared, C channels, a contact's members one by one: force (T, C, 3) [N]; (C,) which contact a channel
+    belongs to, its period [s], NaN for none, its work [J], and the same with every sign positive.
     """
 
     force: np.ndarray
@@ -52,10 +47,7 @@ class Measured(NamedTuple):
 
 
 def measured(run: Run, times: np.ndarray, turning: bool) -> Measured:
-    """A good run's forces at times (T,) [s], straight lines between its own where these differ; the rest on its own.
-
-    ``turning``: whether the period is that of the forces' history (``ModelTraits``).
-    """
+    """A good run's forces at times (T,) [s], straight lines between its own where these differ; the rest on its own."""
     force, depth, rate = channels(run.force, 1), channels(run.penetration), channels(run.rate)
     slip = channels(run.slip)
     owners = [k for k, part in enumerate(run.force.values()) for _ in range(part.shape[1] if part.ndim == 3 else 1)]
@@ -95,9 +87,8 @@ def _of(one: Measured, names: Sequence[str], others: Sequence[str]) -> Measured:
 
 
 def peak_change(found: Measured, truth: Measured) -> tuple[int, float] | None:
-    """The contact whose peak, the largest of its members', moves by the most newtons, and its relative change.
-
-    In newtons, so that no contact that bears next to nothing stands for the model. None where no contact has a peak.
+    """The contact whose peak moves by the most newtons, so that none that bears next to nothing stands for the model, and
+    its relative change. None where no contact has a peak.
     """
     tops = [np.abs(x.force[..., 0]).max(axis=0) for x in (found, truth)]
     ours, theirs = (np.array([top[truth.contact == k].max() for k in np.unique(truth.contact)]) for top in tops)

@@ -39,14 +39,13 @@ def write_tables(growing: Growing, stage: str, found: Study) -> tuple[dict[str, 
 
 def so_far(found: Study) -> list[str]:
     """What is known of the settings, a paragraph for the scene's own run and a line a finished row."""
-    own, count = found.rows[0], len(found.rows)
-    parts = []
+    own, parts = found.rows[0], []
     if found.peaks:
         peaks = ", ".join(f"{name} {brief(peak, 'N')}" for name, peak in found.peaks.items())
         cost = f"{own['setting']}: {format_si(own['wall_s'], 's', 3)} a run, {own['steps']} steps"
         parts = [f"{cost}; largest normal force: {peaks}"]
     ran = ((k, row) for k, row in enumerate(found.rows, 1) if not row["status"].startswith("not "))
-    return parts + [f"[{k}/{count}] {row['setting']}: {_line(row)}" for k, row in ran]
+    return parts + [f"[{k}/{len(found.rows)}] {row['setting']}: {_line(row)}" for k, row in ran]
 
 
 def _line(row: dict[str, Any]) -> str:
@@ -58,46 +57,33 @@ def _line(row: dict[str, Any]) -> str:
 def write(growing: Growing, found: Study, stem: str, known: str) -> str:
     """Write the tables, the picture and the report; the results in words. ``known``: the scene's ``model_form``."""
     folder = growing.path.parent
-    advice, doubts = write_tables(growing, COMPLETE if not found.interrupted else INTERRUPTED, found)
-    chosen, choices, reference, moved = (
-        recommended_rows(advice),
-        model_rows(found),
-        reference_rows(found),
-        model_form(found),
-    )
+    advice, doubts = write_tables(growing, INTERRUPTED if found.interrupted else COMPLETE, found)
+    moved = model_form(found)
     front = _front(sorted((row for row in found.rows if row["pareto"]), key=lambda row: row["wall_s"]))
     pictures = ()
     if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
         pictures = (picture(found, advice, folder / "tradeoff.png", stem),)
     changes = {one["setting"]: one["change"] for one in advice.values() if one["setting"] and one["change"]}
     blocks = [
-        (f"For {budgets}: set this, [accuracy] in place of yours", changes[name].rstrip("\n"))
+        Listing(f"For {budgets}: set this, [accuracy] in place of yours", changes[name].rstrip("\n"))
         for name, budgets in advise.shared(advice).items()
         if name in changes
     ]
-    best, model = (
-        "Pareto front: no other setting is both faster and more accurate",
-        "what other choices of the model change",
-    )
-    every, nothing = (
-        (Table("Every setting, dominated and failed ones too", rows_of(found.rows)),),
-        [["setting"], ["none ran"]],
-    )
-    sections = [
-        Table("Recommended settings", chosen),
-        *(Listing(head, toml) for head, toml in blocks),
-        Table(best, front, _AT_REFERENCE, every) if len(front) > 1 else Table("Pareto front", nothing, "", every),
-        *([Table(f"Model form: {model}", choices, moved)] if len(choices) > 1 else []),
-        Table("Reference: what errors are measured against", reference),
-    ]  # fmt: skip
+    chosen = Table("Recommended settings", recommended_rows(advice))
+    choices = Table("Model form: what other choices of the model change", model_rows(found), moved)
+    reference = Table("Reference: what errors are measured against", reference_rows(found))
+    every = (Table("Every setting, dominated and failed ones too", rows_of(found.rows)),)
+    best = Table("Pareto front: no other setting is both faster and more accurate", front, _AT_REFERENCE, every)
+    best = best if len(front) > 1 else Table("Pareto front", [["setting"], ["none ran"]], "", every)
+    sections = (chosen, *blocks, best, *([choices] if len(choices.rows) > 1 else []), reference)
     title, said = f"Speed and accuracy of {stem}", answer(advice, doubts, found)
-    report.write(folder, Page(title, said, pictures, tuple(doubts), tuple(sections), model_form=moved), known)
+    report.write(folder, Page(title, said, pictures, tuple(doubts), sections, model_form=moved), known)
     parts = [verdict(advice, doubts, found), *([f"Model form: {moved}"] if moved else [])]
     parts += [f"warning: {doubt}" for doubt in doubts]
-    heads = ("Recommended settings", f"Model form: {model}", "Reference", "Pareto front, the fastest first")
-    tables = zip(heads, (chosen, choices, reference, front), strict=True)
+    tables = (chosen.title, chosen.rows), (choices.title, choices.rows), ("Reference", reference.rows)
+    tables = (*tables, ("Pareto front, the fastest first", front))
     parts += [f"{head}\n{report.text(rows)}" for head, rows in tables if len(rows) > 1]
-    parts += [f"{head}\n{toml}" for head, toml in blocks]
+    parts += [f"{block.title}\n{block.text}" for block in blocks]
     return "\n\n".join([*parts, f"every setting, whole scene files to paste, pictures: {folder}"])
 
 
@@ -120,14 +106,16 @@ def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str
     }
 
 
+def _walls(advice: dict[str, Any]) -> dict[str, float]:
+    return {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+
+
 def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
     """The recommended setting for each error budget."""
-    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
+    walls = _walls(advice)
     if not walls:
         return Verdict(BAD, "No setting", verdict(advice, doubts, found))
-    parts = [
-        f"for {budgets}: {name}, {brief(walls[name], 's')} a run" for name, budgets in advise.shared(advice).items()
-    ]
+    parts = [f"for {b}: {name}, {brief(walls[name], 's')} a run" for name, b in advise.shared(advice).items()]
     kind, word = (FAIR, "Recommended, with doubts") if doubts else (GOOD, "Recommended")
     if found.interrupted:
         kind, word = FAIR, "Interrupted; recommended so far"
@@ -136,10 +124,9 @@ def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
 
 def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
     """The result in a sentence."""
-    walls = {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
-    ran = sum(row["status"] == OK for row in found.rows)
-    out = sum(row["status"] == NO_TIME for row in found.rows)
-    head = f"{ran} of {len(found.rows)} settings ran{f'; the budget left out {out}' if out else ''}."
+    walls, states = _walls(advice), [row["status"] for row in found.rows]
+    out = states.count(NO_TIME)
+    head = f"{states.count(OK)} of {len(states)} settings ran{f'; the budget left out {out}' if out else ''}."
     if not walls:
         return f"{head} No setting is recommended: {doubts[0] if doubts else 'none keeps a budget'}."
     parts = [f"for {b}: {name}, {format_si(walls[name], 's', 3)}" for name, b in advise.shared(advice).items()]
@@ -233,31 +220,23 @@ def _share(value: float | None) -> str:
 
 def picture(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> Picture:
     """Work-precision: one panel of values, one of derivatives where there are any."""
-    slopes = any(np.isfinite(row["derivative_error"]) for row in study.rows)
+    known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
+    walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
+    slopes = {row["setting"]: row["derivative_error"] for row in study.rows if np.isfinite(row["derivative_error"])}
+    truth = study.reference
     with plots.sheet(path, 1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4) as axes:
-        errors = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
-        walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
-        least_error = study.reference.least_error if study.reference else float("nan")
-        _panel(axes[0], study, walls, errors, least_error)
-        _front_line(axes[0], study, errors, least_error)
-        _chosen(axes[0], advice, walls, errors)
-        axes[0].set_title(f"{plots.plain(title)}: worst of force rms, peak and impulse")
-        axes[0].set_ylabel("error [-]")
+        least_error = truth.least_error if truth else float("nan")
+        _panel(axes[0], study, walls, known, least_error)
+        _front_line(axes[0], study, known, least_error)
+        _chosen(axes[0], advice, walls, known)
+        axes[0].set(title=f"{plots.plain(title)}: worst of force rms, peak and impulse", ylabel="error [-]")
         axes[0].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=4)
         if slopes:
-            errors = {r["setting"]: r["derivative_error"] for r in study.rows if np.isfinite(r["derivative_error"])}
-            walls = {row["setting"]: row["derivative_wall_s"] for row in study.rows}
-            _panel(
-                axes[1], study, walls, errors, study.reference.least_slope_error if study.reference else float("nan")
-            )
-            axes[1].set_title("derivatives of the forces, rms")
-            axes[1].set_ylabel("error of derivatives [-]")
-    known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
-    rings = [
-        f"{name} ({span([known[name]])}) for {budgets}"
-        for name, budgets in advise.shared(advice).items()
-        if name in known
-    ]
+            spent = {row["setting"]: row["derivative_wall_s"] for row in study.rows}
+            _panel(axes[1], study, spent, slopes, truth.least_slope_error if truth else float("nan"))
+            axes[1].set(title="derivatives of the forces, rms", ylabel="error of derivatives [-]")
+    chosen = advise.shared(advice).items()
+    rings = [f"{name} ({span([known[name]])}) for {budgets}" for name, budgets in chosen if name in known]
     shows = f"Worst error against wall time of {len(known)} settings"
     shows += f"; recommended, with their error as a share: {'; '.join(rings)}." if rings else "; none is recommended."
     return Picture(path.name, "Error against time", shows)
@@ -276,13 +255,14 @@ def _panel(
     for number, (kind, names) in enumerate(sorted(kinds.items(), key=lambda item: item[0] not in solvers)):
         x, y = np.array([walls[n] for n in names]), np.clip([errors[n] for n in names], _LEAST, _TOP)
         colour, mark = plots.COLOURS[number % len(plots.COLOURS)], _MARKS[number % len(_MARKS)]
-        line = "-" if kind in solvers else "none"
-        axis.plot(
-            x, y, linestyle=line, markersize=4.5, linewidth=0.7, alpha=0.85, label=kind, color=colour, marker=mark
-        )
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel("wall time of a run, compiled [s]")
+        look: dict[str, Any] = {
+            "linestyle": "-" if kind in solvers else "none",
+            "color": colour,
+            "marker": mark,
+            "label": kind,
+        }
+        axis.plot(x, y, markersize=4.5, linewidth=0.7, alpha=0.85, **look)
+    axis.set(xscale="log", yscale="log", xlabel="wall time of a run, compiled [s]")
     low, high = axis.get_ylim()
     if least_error > 0:
         low = min(low, least_error / 3.0)

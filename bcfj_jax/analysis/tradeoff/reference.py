@@ -1,9 +1,7 @@
 """The truth of a study and how far it can be trusted: two methods that know nothing of each other, both tight.
 
-The first method's run is the truth; its difference from the second, in every error of ``measures``, is the reference's
-own error. Both are tightened until they agree, or until more would cost more than a third of the time left. Where a
-method fails, another takes its place. Equilibria have no steps: there the second run has twice as many instants, which
-other neighbours start.
+The first method's run is the truth; its difference from the second, in every error of ``measures``, is the reference's own
+error. Both are tightened until they agree, or until more would cost more than a third of the time left (docs/tradeoff.md).
 """
 
 from __future__ import annotations
@@ -64,8 +62,7 @@ class Reference(NamedTuple):
         truth: forces and what is compared of them; None where two methods could not be had.
         slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
         certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
-        digest: of the file that keeps it; "" for one that is not kept.
-        late: whether the time was over before all was done: then something still computes.
+        digest: of the file that keeps it; late: whether the time was over before all was done: then something still computes.
     """
 
     truth: Measured | None
@@ -100,12 +97,8 @@ class _Attempts:
             self.late = True
             self.failures.append(f"{name} {_LATE}")
         except RuntimeError as error:  # Of JAX: no memory for it, say.
-            self.failed(name, str(error))
+            self.failures.append(f"{name}: {error}")
         return None
-
-    def failed(self, name: str, why: str) -> None:
-        """Note it."""
-        self.failures.append(f"{name}: {why}")
 
 
 def reference(
@@ -117,6 +110,7 @@ def reference(
     truth, certificate = _values(given, tried, say)
     dear = TANGENTS * (begin - left()) > left() / 3.0
     certificate |= {"derivatives": without}
+    slopes = None
     if truth is None:
         return Reference(None, None, certificate, late=tried.late)
     if not derivatives:
@@ -130,9 +124,8 @@ def reference(
     else:
         say(f"reference derivatives by {', '.join(names)}")
         tried = _Attempts(left)
-        found, certificate["derivatives"] = _slopes(given, names, tried)
-        return Reference(truth, found, certificate, late=tried.late)
-    return Reference(truth, None, certificate, late=tried.late)
+        slopes, certificate["derivatives"] = _slopes(given, names, tried)
+    return Reference(truth, slopes, certificate, late=tried.late)
 
 
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
@@ -167,7 +160,7 @@ def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> t
             if found.run.status == "ok":
                 pair.append((label | found.cost, measured(pick(found.run), given.times, given.scene.traits.turning)))
             else:
-                tried.failed(label["solver"], found.run.reason)
+                tried.failures.append(f"{label['solver']}: {found.run.reason}")
             if len(pair) == 2:
                 break
         if len(pair) < 2:
@@ -215,7 +208,7 @@ def _slopes(given: SceneFile, names: tuple[str, ...], tried: _Attempts) -> tuple
         if solver == first.get("solver"):
             continue
         if spent > tried.left() / 3.0:
-            tried.failed(solver, _NO_TIME)
+            tried.failures.append(f"{solver}: {_NO_TIME}")
             break
         file, begin = _method(given, solver, error), tried.left()
         each = tried.made(solver, lambda file=file: slopes(file, names))
@@ -224,7 +217,7 @@ def _slopes(given: SceneFile, names: tuple[str, ...], tried: _Attempts) -> tuple
         spent = begin - tried.left()
         if each is None or each.value is None:
             if each is not None:
-                tried.failed(solver, each.reason)
+                tried.failures.append(f"{solver}: {each.reason}")
             continue
         how_dear = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
         if truth is None:

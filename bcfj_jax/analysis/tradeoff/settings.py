@@ -39,9 +39,8 @@ _PHYSICS = {
     "friction_speed": "friction's transition speed is {:.2g} times the given: what bears load creeps {}",
     "output": "a sample of every {} is kept, straight lines between: peaks between samples are cut",
 }
-
-_SHARPER = {"smoothing": "more sharply", "friction_speed": "less"}
-_SOFTER = {"smoothing": "earlier and more softly", "friction_speed": "more"}
+# What a smaller factor does, and a larger one.
+_EFFECT = {"smoothing": ("more sharply", "earlier and more softly"), "friction_speed": ("less", "more")}
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,8 @@ class Setting:
 
 
 def overlaid(resolved: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
-    """A resolved scene file with a change in it.
-
-    Parameters that changed options no longer read are left out; accuracy is replaced but for its ``max_steps``.
+    """A resolved scene file with a change in it; accuracy is replaced but for its ``max_steps``, and parameters that changed
+    options no longer read are left out.
     """
     table = dict(resolved) | {section: {**resolved.get(section, {}), **own} for section, own in change.items()}
     if "accuracy" in change:
@@ -122,10 +120,7 @@ def settings(given: SceneFile, only: Sequence[str] = (), derivatives: bool = Tru
     """Every setting worth trying on a scene, the user's own first, then cheap ones before dear ones.
 
     ``only``: groups and solvers to try; by default all. ``derivatives``: whether they are measured where they can be.
-
-    Raises:
-        InputError: for a group or a solver that this scene has not, with the nearest that it has, and for a model whose
-            level is yet to be chosen.
+    ``InputError`` for a group or a solver that this scene has not, and for a model whose level is yet to be chosen.
     """
     if given.scene.traits.open:
         option, value = next(iter(given.scene.choice_options().items()))
@@ -146,7 +141,8 @@ def _every(given: SceneFile) -> list[Setting]:
     # An empty change: the file as it stands.
     own = Setting(AS_GIVEN, "tolerance", solver, force_error(given.accuracy), given.resolved, derivatives=moves)
     more = [*(_tolerances(given) if moves else ()), *_fidelities(given), *_knobs(given, moves), *_outputs(given)]
-    more += [*_models(given), *_precisions(given, moves)]
+    narrow = given, "32-bit numbers", "precision", {}
+    more += [*_models(given), *(_laddered(*narrow, True, bits=32) if moves else [_setting(*narrow, bits=32)])]
     seen, found = {(_same(given.resolved), own.bits)}, [own]
     for setting in sorted(more, key=lambda s: (-s.error, s.group != "tolerance")):
         key = _same(setting.table), setting.bits
@@ -242,7 +238,7 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
         scaled = [key for key in values if key.rpartition(".")[2] == name and values[key] > 0]
         for factor in factors if scaled and (moves or name == "smoothing") else ():
             parameters = {"parameters": {key: float(f"{factor * values[key]:.3g}") for key in scaled}}
-            physics = _PHYSICS[name].format(factor, _SHARPER[name] if factor < 1 else _SOFTER[name])
+            physics = _PHYSICS[name].format(factor, _EFFECT[name][factor > 1])
             changes.append((name.replace("_", " "), f"{name} x {factor:.2g}", parameters, physics))
     if moves and "friction" in given.resolved["scene"]:
         now = given.resolved["scene"]["friction"]
@@ -258,13 +254,6 @@ def _knobs(given: SceneFile, moves: bool) -> Iterator[Setting]:
             continue
         slopes = not large and group == "smoothing"
         yield from _laddered(given, name, group, change, moves, physics=physics, derivatives=slopes)
-
-
-def _precisions(given: SceneFile, moves: bool) -> Iterator[Setting]:
-    if moves:
-        yield from _laddered(given, "32-bit numbers", "precision", {}, True, bits=32)
-    else:
-        yield _setting(given, "32-bit numbers", "precision", {}, bits=32)
 
 
 def _first_scale(scene: AbstractModel, params: dict) -> Array:

@@ -8,20 +8,13 @@ import statistics
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from bcfj_jax.analysis.tradeoff import measures
 from bcfj_jax.analysis.tradeoff import reference as references
-from bcfj_jax.analysis.tradeoff.measures import (
-    UNKNOWN,
-    compared,
-    derivative_error,
-    errors,
-    measured,
-    peak_change,
-    worst,
-)
+from bcfj_jax.analysis.tradeoff.measures import UNKNOWN, derivative_error, worst
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
 from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, singles, slopes, trial
@@ -32,6 +25,7 @@ from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, check, within
 from bcfj_jax.xla.threads import cores
 
+T = TypeVar("T")
 OK, FAILED, UNCOMPARED = "ok", "failed", "not compared: no reference yet"
 NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"
 COLUMNS = (
@@ -51,14 +45,9 @@ _NEXT = 1.5
 
 
 class Study(NamedTuple):
-    """What a study found.
-
-    Attributes:
-        settings: all there are, in the order they are run.
-        rows: of each a row with ``COLUMNS``; NaN for what is unknown.
-        reference: the truth, or None where it was cut off before.
-        interrupted: whether Ctrl-C ended it.
-        peaks: largest normal force of each contact in the scene's own run [N]; none where another call has run it.
+    """What a study found: all settings in the order they are run, of each a row with ``COLUMNS`` (NaN for what is unknown), the
+    truth (None where it was cut off before), whether Ctrl-C ended it, and by contact the largest normal force of the scene's
+    own run [N] (none where another call has run it).
     """
 
     settings: list[Setting]
@@ -81,8 +70,18 @@ class _Clock:
     def left(self) -> float:
         return self._end - time.monotonic()
 
+    def within(self, what: Callable[[], T]) -> T:
+        """What a function gives in the time left; afterwards none is left if it was not enough: what was left behind
+        still computes, and would disturb what is measured.
+        """
+        try:
+            return within(self.left(), what)
+        except OutOfTime:
+            self.stop()
+            raise
+
     def stop(self) -> None:
-        """No more time: something that was left behind still computes, and would disturb what is measured."""
+        """No more time."""
         self._end = -math.inf
 
     def takes(self, setting: Setting, program: Any) -> float:
@@ -142,17 +141,15 @@ class _Runs:
 
     def settle(self) -> None:
         """Wait for them: nothing else may compute while settings are timed."""
-        try:
-            if self.beside.is_alive():
-                within(self.clock.left(), self.beside.join)
-        except OutOfTime:
-            self.clock.stop()
+        if self.beside.is_alive():
+            with contextlib.suppress(OutOfTime):
+                self.clock.within(self.beside.join)
 
     def of(self, setting: Setting, file: SceneFile) -> Trial:
         """A setting's run; errors as ``trial``."""
         if setting.bits != 64 and setting.name not in self.known:
             self._all_narrow()
-        known = self.known.pop(setting.name, None) or within(self.clock.left(), lambda: trial(file))
+        known = self.known.pop(setting.name, None) or self.clock.within(lambda: trial(file))
         if isinstance(known, RuntimeError):
             raise known
         return known
@@ -165,11 +162,10 @@ def study(
     """Measure settings of a scene, which as it stands defines the truth; Ctrl-C ends it with what is finished.
 
     Args:
-        todo: the settings, ``settings.settings``.
+        given, todo: the scene, and its settings (``settings.settings``).
         journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
         budget: seconds; what would not fit any more is not run, and what was begun and did not fit is left behind.
-        given, say: the scene; receives the progress.
-        tell: called with what there is: the scene's own run, before the reference, then a row more each time.
+        say, tell: receive the progress; what there is: the scene's own run, then, after the reference, a row more each time.
     """
     clock, told = _Clock(budget), tell or (lambda _: None)
     runs, peaks = _Runs(clock, todo), dict[str, float]()
@@ -239,7 +235,6 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
         row = _measured(given, file, setting, program, truth, runs)
         clock.took(setting, program, row)
     except OutOfTime:
-        clock.stop()
         return {"status": NO_TIME, "reason": "it was begun, and took longer than was left"}
     except (InputError, RuntimeError) as error:  # The latter JAX's: no memory for it, say.
         row = {"status": FAILED, "reason": str(error)}
@@ -257,11 +252,11 @@ def _measured(
     if found.status != "ok":
         return row | {"status": FAILED, "reason": f"{found.reason}, at {found.failure_time:g} s"}
     names, wanted = ([contact.name for contact in x.scene.contacts] for x in (file, given))
-    ours = measured(found, given.times, given.scene.traits.turning)
-    ours, theirs = compared(ours, names, truth.truth, wanted)
-    row |= {"status": OK, **errors(ours, theirs, given.times)}
+    ours = measures.measured(found, given.times, given.scene.traits.turning)
+    ours, theirs = measures.compared(ours, names, truth.truth, wanted)
+    row |= {"status": OK, **measures.errors(ours, theirs, given.times)}
     row["at_reference"] = worst(row) <= truth.least_error
-    if moved := peak_change(ours, theirs):
+    if moved := measures.peak_change(ours, theirs):
         row |= {"contact": [name for name in wanted if name in names][moved[0]], "peak_change": moved[1]}
     if setting.derivatives and truth.slopes is not None:
         row |= _differentiated(file, program, truth, row["wall_s"], runs.clock)
@@ -275,9 +270,8 @@ def _differentiated(file: SceneFile, program: Any, truth: Reference, wall_s: flo
         return {"reason": _NO_SLOPES}
     names = tuple(truth.certificate["derivatives"]["parameters"])
     try:
-        each = within(clock.left(), lambda: slopes(file, names))
+        each = clock.within(lambda: slopes(file, names))
     except OutOfTime:
-        clock.stop()
         return {"reason": _NO_SLOPES}
     costs = {"derivative_wall_s": each.wall_s, "derivative_compile_s": each.compile_s}
     if each.value is None:
@@ -291,15 +285,14 @@ def _fronted(rows: list[dict[str, Any]], truth: Reference | None) -> list[dict[s
     Numbers that the package refuses are on no front, nor are other choices of the model.
     """
     least_error = truth.least_error if truth and truth.truth else 0.0
-    runs = [row["status"] == OK and row["group"] not in ("precision", MODEL) for row in rows]
-    place = [
-        (r["wall_s"], np.maximum(worst(r), least_error)) if here else None for r, here in zip(rows, runs, strict=True)
-    ]
-    known = [p for p in place if p is not None and np.isfinite(p[1])]
+    places: list[tuple[float, float] | None] = []
+    for row in rows:
+        error = float(np.maximum(worst(row), least_error)) if row["status"] == OK else math.nan
+        apart = row["group"] in ("precision", MODEL)
+        places.append(None if apart or not math.isfinite(error) else (row["wall_s"], error))
+    known = [place for place in places if place]
 
     def best(p: tuple[float, float] | None) -> bool:
-        if p is None or not np.isfinite(p[1]):
-            return False
-        return not any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in known)
+        return p is not None and not any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in known)
 
-    return [row | {"pareto": best(p)} for row, p in zip(rows, place, strict=True)]
+    return [row | {"pareto": best(place)} for row, place in zip(rows, places, strict=True)]

@@ -1,9 +1,7 @@
 """One setting run: what came out, what it cost. Compiling apart, every result waited for.
 
-    python -m bcfj_jax.analysis.tradeoff.trial FOLDER
-
-runs the scene files 0.json, 1.json, ... of a folder in 32-bit numbers, to know what they would cost: the package refuses them,
-and JAX's width of numbers belongs to a whole process, so that the study's own cannot change it for one run.
+``python -m bcfj_jax.analysis.tradeoff.trial FOLDER`` runs the scene files 0.json, 1.json, ... of a folder in 32-bit numbers,
+to know what they would cost: the package refuses them, and JAX's width of numbers belongs to a whole process.
 """
 
 from __future__ import annotations
@@ -122,13 +120,8 @@ def slopes(given: SceneFile, names: tuple[str, ...]) -> Slopes:
 
 
 def singles(every: Sequence[Mapping[str, Any]], seconds: float) -> list[Trial | RuntimeError]:
-    """Run scene files in 32-bit numbers, in one other process, for so many seconds at most.
-
-    Returns:
-        Of each its run; an error where the other process failed, with its last line, or did not come so far in time.
-
-    Raises:
-        KeyboardInterrupt: for a Ctrl-C that came meanwhile, which the other process takes as well.
+    """Run scene files in 32-bit numbers, in one other process, for so many seconds at most: of each its run, or an error where
+    that process failed, with its last line, or did not come so far in time. A Ctrl-C that came meanwhile is raised.
     """
     with tempfile.TemporaryDirectory() as place:
         for k, table in enumerate(every):
