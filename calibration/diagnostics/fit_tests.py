@@ -162,13 +162,11 @@ def agreement(
 ) -> list[Test]:
     """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
 
-    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the
-    data cannot distinguish and whose points x are as near as two draws of the estimate might be, less than
-    (x - y)^T C^-1 (x - y) = P.
+    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the data cannot
+    distinguish and whose points are as near as two draws of the estimate: (x - y)^T C^-1 (x - y) < P.
 
     Args:
-        errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
-            2 |e|, and starts need agree no better.
+        errors: (N,) the integrator's part in the best end's white residuals; costs |r|^2 are uncertain by some 2 |e|.
     """
     doubt = float(np.linalg.norm(errors))
     alike = float(np.clip(2.0 * doubt, *ALIKE)) if np.isfinite(doubt) else ALIKE[0]

@@ -31,12 +31,7 @@ def signatures(
     """Changes of the residuals (N,) by kind of error and name, a unit being one as large as the peak force.
 
     None for a rough cost, and where the model has no contact or has such an error already. Of each kind there is one at
-    most in a contact.
-
-    Args:
-        deepest: greatest depth of its contacts [m].
-        peak: greatest contact force [N].
-        duration: of its longest contact [s].
+    most in a contact. ``deepest`` [m], ``peak`` [N] and ``duration`` [s] are the greatest of its contacts.
     """
     wrong = with_errors(model)
     if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):

@@ -22,13 +22,8 @@ _BRIEF, _MIDDLE = 0.25, 0.25
 
 
 class Miss(NamedTuple):
-    """A stretch of samples on one side of the model.
-
-    Attributes:
-        time: of its largest error [s], in the record's time as fitted.
-        error: data less model there, SI.
-        share: that over the peak of the data.
-        brief: whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
+    """A stretch of samples on one side of the model: time and size (data less model, SI) of its largest error, that over the peak
+    of the data, and whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
     """
 
     record: str

@@ -40,14 +40,12 @@ class Record:
 def hold_out(problem: Problem, at: Optimum) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
-    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
-    the covariance 1 + K C K^T, K their Jacobian, and
-
-        r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
+    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have the
+    covariance 1 + K C K^T, K their Jacobian, and r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
 
     Returns:
-        Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts (a long
-        rest must not make it small); the records; and the test.
+        Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts; the records;
+        and the test.
     """
     model, best, quality = at.model, at.end, at.spread
     held = tuple(with_noise(e, at.noise) for e in problem.experiments if e.hold_out)

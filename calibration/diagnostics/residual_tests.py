@@ -214,11 +214,7 @@ def correlation_of(
         )
 
     if rows.size <= _FEW:
-        place = np.zeros(size, dtype=int)
-        place[rows] = np.arange(rows.size)
-        form = -seen * np.eye(rows.size)
-        for a, b in ((first, second), (second, first)):
-            np.add.at(form, (place[a], place[b]), 0.5)
+        form = csr_array(pairs - seen * among)[rows][:, rows].toarray()
         values, vectors = np.linalg.eigh(np.eye(rows.size) - basis[rows] @ basis[rows].T)
         root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         p = _positive(np.linalg.eigvalsh(root @ form @ root))

@@ -31,13 +31,10 @@ class Motion(NamedTuple):
     """One contact's predicted motion in one record, and how a force beside it would change what is read.
 
     Attributes:
-        times: (T,) [s] of the model's clock.
-        depth, rate, force: (T,) [m], [m/s], [N].
-        elastic: (T,) the force without its damping.
-        deepest: (T,) largest depth since the contact began [m].
+        times, depth, rate, force: (T,) of the model's clock; elastic: the force without its damping; deepest: largest depth since
+            the contact began.
         moves: (T - 1, 2, 2) from one instant's small change to the next one's; None where the motion is not of one mass.
         tangent: (T, 2) k [N/m] and c [N s/m].
-        mass: [kg].
     """
 
     times: np.ndarray
@@ -78,11 +75,9 @@ class Scene(NamedTuple):
 
     Attributes:
         size: N, residuals of the fit.
-        series: residuals by record and channel; runs: the record of each.
-        read: (n,) what is predicted of each, SI.
+        series: residuals by record and channel; runs: the record of each; read: (n,) what is predicted of each, SI.
         motions: the contact that each reads, with the offset of its clock [s]; None where it reads another thing.
-        contact: duration of the longest contact [s].
-        peak: largest predicted reading, SI.
+        contact: duration of the longest contact [s]; peak: largest predicted reading, SI.
     """
 
     size: int

@@ -30,12 +30,7 @@ _ROUNDS = 2
 
 
 class Corrected(NamedTuple):
-    """An optimum on the model that it is one of.
-
-    Attributes:
-        errors: (N,) the solver's part in the white residuals; NaN where it is not known.
-        notes: what was done, and what is left, in words.
-    """
+    """An optimum on the model that it is one of, the solver's part in its white residuals (N,), and what was done, in words."""
 
     model: Model
     end: End
@@ -46,11 +41,7 @@ class Corrected(NamedTuple):
 def corrected(model: Model, best: End, errors: np.ndarray) -> Corrected:
     """An optimum whose estimates the solver's error moves by at most ``LITTLE`` deviations, if tighter runs succeed.
 
-    Nothing is run where that holds already, nor where the error is not known.
-
-    Args:
-        model, best: the optimum, its Jacobian the one that the covariance is of.
-        errors: (N,) of the white residuals there (``integration.errors``).
+    Nothing is run where that holds already, nor where ``errors`` (N,) of the residuals (``integration.errors``) are not known.
     """
     first = now = shift(errors, best.jacobian)
     rounds = 0

@@ -48,12 +48,10 @@ class Found(NamedTuple):
     """What one suspect explains.
 
     Attributes:
-        name: of the suspect.
         explained: share of the held-out sum of squares.
         chance: that noise alone lets any suspect explain as much as this; 1 where it explains nothing.
         values: numbers of its best shape, SI, and its amplitude where that is one number.
-        columns: (N, K) its signature there; none of a noise.
-        given: whether the signature's amplitude is 1.
+        columns: (N, K) its signature there; none of a noise; given: whether its amplitude is 1.
         numbers: that are fitted or sought for it.
         named: whether it is the one that explains most.
     """
@@ -142,14 +140,6 @@ SUSPECTS: dict[str, _Suspect] = {
 NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
 
 
-class _Sums(NamedTuple):
-    """Sums over each fold: (F, P, P), (F, P), (F,)."""
-
-    gram: np.ndarray
-    push: np.ndarray
-    square: np.ndarray
-
-
 class _Errors(NamedTuple):
     """Sum of squares of all samples fitted, of each training part (F,), and of the held-out parts together (F,)."""
 
@@ -160,13 +150,8 @@ class _Errors(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Residuals in order of their folds.
-
-    Attributes:
-        order: rows by fold; starts: (F,) first of each.
-        residuals, jacobian: in that order.
-        plain: errors without any suspect.
-        count: residuals less coordinates.
+    """Residuals, their Jacobian and rows in ``order`` of their folds, whose first rows are ``starts``; errors without any suspect,
+    and residuals less coordinates.
     """
 
     order: np.ndarray
@@ -233,27 +218,18 @@ def _folded(scene: Scene, residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
     return at._replace(plain=_errors(at, scaled, at.residuals))
 
 
-def _sums(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Sums:
-    ends = [*at.starts[1:], at.order.size]
-    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
-    return _Sums(
-        np.stack([c.T @ c for c, _ in parts]),
-        np.stack([c.T @ t for c, t in parts]),
-        np.array([t @ t for _, t in parts]),
-    )
-
-
 def _errors(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Errors:
     """Of least squares of the target by columns: on all rows, and on all folds but one."""
-    s = _sums(at, columns, target)
-    ridge = 1e-9 * np.eye(columns.shape[1])
-    gram, push, square = s.gram.sum(axis=0), s.push.sum(axis=0), float(s.square.sum())
-    amplitudes = np.linalg.solve(gram + ridge, push)
-    rest, given = gram - s.gram + ridge, push - s.push
+    ends = [*at.starts[1:], at.order.size]
+    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
+    gram, push = np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts])
+    square, ridge = np.array([t @ t for _, t in parts]), 1e-9 * np.eye(columns.shape[1])
+    rest, given = gram.sum(axis=0) - gram + ridge, push.sum(axis=0) - push
+    amplitudes = np.linalg.solve(gram.sum(axis=0) + ridge, push.sum(axis=0))
     x = np.linalg.solve(rest, given[..., None])[..., 0]
-    trained = square - s.square - np.einsum("fp,fp->f", given, x)
-    held = s.square - 2.0 * np.einsum("fp,fp->f", s.push, x) + np.einsum("fp,fpq,fq->f", x, s.gram, x)
-    return _Errors(square - float(push @ amplitudes), trained, held, amplitudes)
+    trained = square.sum() - square - np.einsum("fp,fp->f", given, x)
+    held = square - 2.0 * np.einsum("fp,fp->f", push, x) + np.einsum("fp,fpq,fq->f", x, gram, x)
+    return _Errors(float(square.sum() - push.sum(axis=0) @ amplitudes), trained, held, amplitudes)
 
 
 def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
@@ -329,8 +305,7 @@ def _chance(before: float, after: float, more: int, count: int) -> float:
 def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
     """Whether the variance grows with the square of the slope: 1 + (j w x')^2, j sought on a grid.
 
-    Of the residuals' second differences, (r_-1 - 2 r + r_+1)/sqrt(6): a shape that the law misses is smooth over a few
-    samples and leaves them, while a clock errs anew at each.
+    Of the residuals' second differences, (r_-1 - 2 r + r_+1)/sqrt(6), in which a smooth shape leaves little.
     """
     slope, rough = np.zeros(scene.size), np.zeros(scene.size)
     residuals = np.zeros(scene.size)

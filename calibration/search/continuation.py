@@ -170,10 +170,8 @@ def _fits(known: Any, points: np.ndarray) -> bool:
 
 
 def _descend(part: Model, points: np.ndarray, leg: _Leg, before: Model | None) -> Descents:
-    """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares.
-
-    Args:
-        part: the data of this leg; before: those of the leg before, where this one's contacts may be missed.
+    """One batch on one leg: far off by Adam, then to the right arrivals, which the leg ``before`` leaves open, then to the least
+    squares.
     """
     evaluate, means = evaluator(part), budget(part.scene)
     if means.apart:

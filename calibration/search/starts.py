@@ -1,9 +1,7 @@
 """Finding optima: scrambled Sobol starts, descents in batches over a growing horizon, a bounded trust region.
 
-Every start goes its own way: none is moved to where another did well, so that their agreement means something.
-Starts descend in batches of one size. After each stage they are ordered by cost, so that those that have arrived go on
-together and wait for none that has not; of many, those that are far off are given up.
-Nothing here assesses: every start is reported with where it ended, failures included.
+Every start goes its own way: none is moved to where another did well, so that their agreement means something. Every one is
+reported with where it ended, failures included.
 """
 
 from __future__ import annotations
@@ -96,7 +94,6 @@ def search(
     Args:
         starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
-        journal: where finished batches are kept, and taken from.
 
     Returns:
         The model at the reference penetration that the best end gives, and all starts' ends, best first.
@@ -123,11 +120,7 @@ def search(
 
 
 def _straight(model: Model, points: np.ndarray, found: Descents) -> Descents:
-    """Given starts, fitted to all data at once too, where that ends lower.
-
-    Fitted to the first contacts alone, an estimate moves by what these leave open, and of a hard contact that is enough
-    to miss the last ones.
-    """
+    """Given starts, fitted to all data at once too, where that ends lower: by the first contacts alone they may move too far."""
     if not len(points) or len(stages(model)) == 1:
         return found
     check()

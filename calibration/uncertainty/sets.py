@@ -122,18 +122,10 @@ class Mixture(NamedTuple):
 
     def pooled(self, other: Mixture) -> Mixture:
         """Half of each: one fit, linear about two points; errors are the same."""
-        both = (np.concatenate([getattr(self, n), getattr(other, n)]) for n in self._fields[:5])
-        weights, members, means, type_a, type_b = both
-        return Mixture(
-            0.5 * weights,
-            members,
-            means,
-            type_a,
-            type_b,
-            max(self.variance, other.variance),
-            self.prior,
-            max(self.memory, other.memory),
-        )
+        arrays = ("weights", "members", "means", "type_a", "type_b")
+        both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in arrays}
+        larger = {n: max(getattr(self, n), getattr(other, n)) for n in ("variance", "memory")}
+        return self._replace(**both | {"weights": 0.5 * both["weights"]}, **larger)
 
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""

@@ -136,7 +136,7 @@ def of_sensor(
     errors = []
     for name, own in _SENSOR.items():
         rest = [s for s, (_, said) in zip(series, known, strict=True) if own.key not in said]
-        signature = sum((_part(found[name], s) for s in rest), np.zeros_like(found[name]))
+        signature = _part(found[name], rest)
         if own.nuisance not in taken and np.any(signature):
             kind = "lag" if name == "lag" else ""
             errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), kind, _THERE.get(name, 0.0)))
@@ -145,9 +145,11 @@ def of_sensor(
     return [*errors, *_steps(readings, series, known, found["gain"].size)]
 
 
-def _part(column: np.ndarray, s: Series) -> np.ndarray:
-    part = np.zeros_like(column)
-    part[s.rows] = column[s.rows]
+def _part(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
+    """The rows of some series, of all columns; 0 elsewhere."""
+    part = np.zeros_like(columns)
+    for s in series:
+        part[s.rows] = columns[s.rows]
     return part
 
 
@@ -164,7 +166,7 @@ def _as_stated(
         return []
     for channel in dict.fromkeys(known[k][0] for k in sizes):
         of = [k for k in sizes if known[k][0] == channel]
-        column = sum((_part(signature, series[k]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
+        column = sum((_part(signature, [series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
         columns.append(_own(name, column, [series[k] for k in of]))
     return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
 
@@ -204,14 +206,9 @@ def _own(name: str, signature: np.ndarray, series: list[Series]) -> np.ndarray:
     return np.hstack([signature[:, None], _apart(signature[:, None], series)]) * np.sqrt(0.5)
 
 
-def _apart(columns: np.ndarray, series: list[Series]) -> np.ndarray:
+def _apart(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
     """(N, K E): the part of each record by itself."""
-    parts = []
-    for s in series:
-        part = np.zeros_like(columns)
-        part[s.rows] = columns[s.rows]
-        parts.append(part)
-    return np.hstack(parts)
+    return np.hstack([_part(columns, [s]) for s in series])
 
 
 def of_fixed(
