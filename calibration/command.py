@@ -99,8 +99,8 @@ def run(
 ) -> int:
     """Calibrate a problem file; write the results; return the exit code of the contract.
 
-    A folder that holds the journal of this very fit is gone on with: finished starts are taken from there. What would
-    explain a miss is ranked where the law is not consistent; ``diagnose``: always, and the best confirmed by fits.
+    A folder that holds the journal of this very fit is gone on with. What would explain a miss is ranked where the law is not
+    consistent; ``diagnose``: always, and the best confirmed by fits.
 
     Raises:
         InputError: for bad input, before anything is written.

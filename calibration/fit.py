@@ -91,11 +91,10 @@ class Conditional(Estimated):
 class Fit(Estimated):
     """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
 
-    ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
-    said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
-    ``systematic``: the errors that may act, what each costs, and uncertainties (``uncertainty.quote``); None
-    where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
-    on what the record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
+    ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be said
+    before the solve. ``systematic``: errors that may act, what each costs, and uncertainties; None where no estimate is
+    determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs on what the
+    record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
     """
 
     verdict: str
@@ -426,23 +425,15 @@ def _looked_at(problem: Problem, at: Optimum, ends: tuple[End, ...]) -> _Seen:
     return _Seen(at, errors, records, seen, tests, rivals, said)
 
 
-class _Law(NamedTuple):
-    """What the residuals say of the law: tests, the answer, errors of held-out records, and these."""
-
-    tests: list[fit_tests.Test]
-    answer: Answer
-    held_out: dict[str, dict[str, float]] | None
-    records: list[Record]
-
-
-def _law_of(problem: Problem, at: Optimum) -> _Law:
+def _law_of(problem: Problem, at: Optimum) -> tuple[Answer, list[fit_tests.Test], dict[str, Any] | None, list[Record]]:
+    """What the residuals say of the law: the answer and its tests; errors of held-out records, and these."""
     residuals, held_out, records = at.end.residuals, None, []
     tests = residual_tests(at.series, residuals, at.end.jacobian, at.model.loss != "linear")
     if any(e.hold_out for e in problem.experiments):
         held_out, records, test = hold_out(problem, at)
         tests.append(test)
     missed, loud = answers.missed(at.series, residuals), answers.louder(at.series, residuals)
-    return _Law(tests, answers.law(tests, missed, held_out, problem.adequate, loud), held_out, records)
+    return answers.law(tests, missed, held_out, problem.adequate, loud), tests, held_out, records
 
 
 class _Asked(NamedTuple):
@@ -456,11 +447,11 @@ class _Asked(NamedTuple):
 def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
     """What may be believed of an optimum."""
     seen = _looked_at(problem, at, ends)
-    at, law = seen.at, _law_of(problem, seen.at)
+    at, (law, of_law, held_out, others_seen) = seen.at, _law_of(problem, seen.at)
     model, residuals = at.model, at.end.residuals
     if at.series and all(overstated(s, residuals) for s in at.series) and not model.data.features.size:
         at = replace(at, spread=fit_tests.shown(at.spread, at.end))
-    of_search, consistent = answers.search(seen.search), law.answer.answer == "consistent"
+    of_search, consistent = answers.search(seen.search), law.answer == "consistent"
     found, evidence = estimates(at), Evidence()
     others = clearance_tests(model, seen.contacts) + whole_contact_test(model, seen.contacts, _turns(seen))
     whole = all(t.passed for t in others)
@@ -474,7 +465,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     # A rival that fits as well is another answer, not a failed search.
     identification = [seen.rivals, *(t for t in found.tests if t not in bent), *others]
     of_data = answers.data(identification, {name: found.parameters[name].identifiable for name in at.labels})
-    verdict = answers.verdict(of_search, of_data, law.answer)
+    verdict = answers.verdict(of_search, of_data, law)
     exact = consistent and not any(s.declared or overstated(s, residuals) for s in at.series)
     misses = {} if exact else _misses(at, at.end, at.spread)
     # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
@@ -494,12 +485,12 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
         *intervals.of_integrator(at.noise),
     ]
     said += intervals.of_wide(model, own) + intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
-    reasons = [*of_search.because, *law.answer.because, *of_data.because]
+    reasons = [*of_search.because, *law.because, *of_data.because]
     return Fit(
         verdict, **_estimating(found.parameters), **_shown(at, ends, asked, own, seen.records),
         reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
-        search=of_search, data=of_data, law=law.answer, tests=seen.search + law.tests + identification,
-        held_out=law.held_out, correlation=_correlation(at), records=seen.records + law.records,
+        search=of_search, data=of_data, law=law, tests=seen.search + of_law + identification,
+        held_out=held_out, correlation=_correlation(at), records=seen.records + others_seen,
         notes=said, evidence=evidence, conditional=conditional,
     )  # fmt: skip
 

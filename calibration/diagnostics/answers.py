@@ -64,12 +64,9 @@ def law(
     threshold: float,
     loud: float = 0.0,
 ) -> Answer:
-    """``consistent``, ``adequate`` or ``inadequate``.
-
-    Args:
-        miss: of the worst channel in contact, as ``missed``.
-        threshold: of the peak, up to which a law is adequate.
-        loud: residuals in contact over the noise before it (``louder``).
+    """``consistent``, ``adequate`` or ``inadequate``: by ``miss`` of the worst channel (``missed``) against the ``threshold``
+    up to which a law is adequate, shares of the peak; ``loud``: residuals in contact over the noise before it
+    (``louder``).
     """
     failed = [t.reason for t in tests if not t.passed]
     if not failed:
@@ -165,12 +162,8 @@ def _missing(name: str, contact: str, mine: list[Contact]) -> str:
 
 
 def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) -> list[Test]:
-    """Whether the data hold a contact from its start past its peak, for scenes whose records are of impacts.
-
-    Those are scenes that nothing turns: their bodies fly, touch and part.
-
-    Args:
-        peaks_inside: whether the contact turns before the end of some record.
+    """Whether the data hold a contact from its start past its peak (``peaks_inside``), for scenes whose records are of
+    impacts: those that nothing turns.
     """
     if model.scene.traits.turning or not model.channels:
         return []

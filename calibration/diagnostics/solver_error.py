@@ -1,8 +1,7 @@
 """The solver's error in an estimate: measured in deviations of the estimate, and taken out where it is no small part.
 
-A residual's error is systematic: it may move an estimate by more than one sample's noise does, though it is far smaller.
-So it is judged by what it moves the estimates by, not by its size. Where that is too much the fit goes on from its
-optimum with runs so many times as tight as those that measured the error (``solver_budget.tighter``).
+It is systematic: it may move an estimate by more than one sample's noise does, though it is far smaller. Where that is too
+much the fit goes on from its optimum with tighter runs (``solver_budget.tighter``).
 """
 
 from __future__ import annotations

@@ -1,19 +1,17 @@
 """The usual suspects for a miss, ranked by what they explain of held-out residuals; nothing here simulates anew.
 
-Residuals r of a fit with the Jacobian J are compared with the signatures S of each suspect (``signatures``): [J S] is
-fitted to a part of the samples and predicts the others. Numbers that a signature depends on otherwise, such as a
-frequency, are sought on a grid in each training part, and about its best point. What a suspect explains is the share by
-which the held-out sum of squares falls; of a suspect that is a noise (jitter, steps of a quantisation) it is the share of
-the variance that has its size, or that the likelihood gains by it.
-
-A suspect is significant where chance would let the best of all grids fall so far in less than one record of a hundred
-(F, Bonferroni over grid and suspects). The one that explains most is named. Correlated noise comes last: a shape that
-is missed looks the same, so that it is named only where no suspect is significant.
+Residuals r of a fit with the Jacobian J are compared with the signatures S of each suspect (``signatures``): [J S] is fitted
+to a part of the samples and predicts the others. Numbers such as a frequency are sought on a grid in each training part. What
+a suspect explains is the share by which the held-out sum of squares falls; of a noise (jitter, steps of a quantisation) the
+share of the variance that has its size. A suspect is significant where chance would let the best of all grids fall so far in
+less than one record of a hundred (F, Bonferroni). Correlated noise is named only where nothing else is: a missed shape looks
+the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -21,6 +19,7 @@ import numpy as np
 from scipy import special
 
 from calibration.diagnostics import signatures
+from calibration.diagnostics.residual_tests import neighbours
 from calibration.diagnostics.signatures import Scene
 
 # Chance of a name in a record without any imperfection, all suspects together.
@@ -125,9 +124,7 @@ SUSPECTS: dict[str, _Suspect] = {
     ),
     "resonance": _Suspect(_resonances, signatures.second_order, given=True),
     "hum": _Suspect(_hums, signatures.hum),
-    "drift": _Suspect(lambda x: {}, signatures.drift),
-    "clock offset": _Suspect(lambda x: {}, signatures.clock_offset),
-    "offset": _Suspect(lambda x: {}, signatures.offset),
+    **{name: _Suspect(lambda x: {}, partial(signatures.each, name=name)) for name in signatures.EACH},
     "gain bend": _Suspect(lambda x: {}, signatures.gain_bend, amplitude="gain_bend"),
     "stop": _Suspect(_depths, signatures.stop, sign=1, amplitude="bottoming_stiffness", law=True),
     "relaxation": _Suspect(
@@ -150,9 +147,7 @@ class _Errors(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Residuals, their Jacobian and rows in ``order`` of their folds, whose first rows are ``starts``; errors without any suspect,
-    and residuals less coordinates.
-    """
+    """Residuals, Jacobian and rows in ``order`` of their folds; ``starts`` of these; errors without any suspect; freedom."""
 
     order: np.ndarray
     starts: np.ndarray
@@ -168,11 +163,7 @@ def ranked(
 ) -> list[Found]:  # fmt: skip
     """Every suspect, the best first; one that predicts held-out samples worse explains less than nothing.
 
-    Args:
-        scene: of the optimum.
-        residuals, jacobian: (N,), (N, P), white.
-        laws: suspects of the law that may be tried: those whose law there is.
-        taken: suspects that the model has in it already.
+    ``laws``: suspects of the law that may be tried; ``taken``: suspects that the model has in it already.
     """
     scene = signatures.thinned(scene, _SAMPLES)
     at = _folded(scene, residuals, jacobian)
@@ -392,9 +383,9 @@ def _saturated(at: Rank, scene: Scene, tests: int) -> list[Found]:
 
 def _correlated(scene: Scene, residuals: np.ndarray, tests: int) -> Found:
     """Correlation of successive residuals, which any shape that is missed makes, too."""
-    pairs = np.concatenate([np.stack([s.rows[:-1], s.rows[1:]]) for s in scene.series if s.rows.size > 1], axis=1)
-    phi = float(np.sum(residuals[pairs[0]] * residuals[pairs[1]]) / np.sum(residuals[pairs[0]] ** 2))
+    phi = neighbours(residuals, [s.rows for s in scene.series])
+    count = sum(s.rows.size - 1 for s in scene.series)
     step = float(np.median(np.concatenate([np.diff(s.clock) for s in scene.series])))
-    chance = float(special.ndtr(-phi * np.sqrt(pairs.shape[1]))) * tests
+    chance = float(special.ndtr(-phi * np.sqrt(count))) * tests
     time = -step / np.log(phi) if 0.0 < phi < 1.0 else 0.0
     return Found("correlated noise", max(phi, 0.0) ** 2, min(chance, 1.0), {"correlation": time})

@@ -26,13 +26,9 @@ _BEST, _OTHERS, _AS_LOW = 3, 9, 25.0
 
 @dataclass(frozen=True)
 class End:
-    """Where one start ended.
-
-    Attributes:
-        cost: of the weighted residuals, the sum of their squares or what the loss makes of it.
-        residuals, jacobian: at ``point``, of the ends that the trust region refined; else empty.
-        converged: whether the optimiser met its own tolerance.
-        failure: why it cannot count; "" if it can.
+    """Where one start ended: cost of the weighted residuals, these and their Jacobian at ``point`` (of the ends that the
+    trust region refined; else empty), whether the optimiser met its own tolerance, and why the end cannot count; "" if it
+    can.
     """
 
     start: np.ndarray

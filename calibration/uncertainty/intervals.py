@@ -81,12 +81,8 @@ def check_kind(kind: str) -> None:
 def revised(kind: str, at: Optimum, found: Estimates, seed: int) -> tuple[Estimates, Evidence]:
     """Estimates and their tests with the intervals that were asked for.
 
-    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead,
-    if that is all that fails.
-
-    Args:
-        found: as the covariance has them, from ``estimates``.
-        seed: of the sampler.
+    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead, if
+    that is all that fails. ``seed``: of the sampler.
     """
     kind = "covariance" if kind == BOUND else kind
     if kind == "posterior":
@@ -145,12 +141,9 @@ def half(ends: Ends | None, log: bool) -> float:
 
 
 def headlined(at: Optimum, misses: Mapping[str, fit_tests.Spread], found: Estimates, given: bool) -> Estimates:
-    """Estimates with their intervals by kind, and the headline: the widest.
-
-    Args:
-        misses: spreads beside the noise's; none where the law is the noise.
-        found: as the noise has them.
-        given: whether there is one: not after a search that failed, nor where the data allow another answer.
+    """Estimates with their intervals by kind, and the headline: the widest. None where not ``given``: after a search that
+    failed, or where the data allow another answer. ``misses``: spreads beside the noise's; none where the law is the
+    noise.
     """
     kinds = {kind: ends_of(replace(at, spread=spread)) for kind, spread in misses.items()}
     limits, parameters = dict(zip(at.labels, at.model.coordinates, strict=True)), {}

@@ -94,8 +94,7 @@ def sample(
 
     Args:
         residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
-        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are
-            stated.
+        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are stated.
 
     Raises:
         InputError: where NumPyro is not installed.

@@ -143,16 +143,12 @@ def profiles(
     residuals: Evaluate, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
     workers: int = 1, scouts: int = 3,
 ) -> tuple[Profile, ...]:  # fmt: skip
-    """Profile likelihood of every target around an optimum.
+    """Profile likelihood of every target around an optimum, ``workers`` at once.
 
     Args:
         residuals: of points of the unit box (B, P); NaN where a simulation fails.
         asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
-        workers: profiles that are drawn at once.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
-
-    Raises:
-        ValueError: if the residuals are not finite at the optimum itself.
     """
 
     def both(one: tuple[Target, float]) -> Profile:
@@ -174,8 +170,8 @@ class _Point(NamedTuple):
 
 
 class _Side(NamedTuple):
-    """One side of a profile: its points from the best outwards, c at the threshold or why there is none, and whether that is because
-    of another region that is as good or better; the slope is of the root of the rise at the best.
+    """One side of a profile: points from the best outwards, c at the threshold or why there is none, whether another region
+    is as good or better, and the slope of the root of the rise at the best.
     """
 
     trail: list[_Point]

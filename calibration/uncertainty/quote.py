@@ -39,13 +39,9 @@ Anew = Callable[[Optimum], Sequence[Error]]
 
 
 class Line(NamedTuple):
-    """One error.
-
-    Attributes:
-        amplitude, unit: the size up to which it is allowed for, alone; moves: what each estimate moves by then, a share of itself
-            where its coordinate is logarithmic, else in SI.
-        chance: that it acts, by record and prior; prior: by the prior alone.
-        cost: width of each interval over the width without this error.
+    """One error: the ``amplitude`` up to which it is allowed for, alone; what each estimate ``moves`` by then, a share of
+    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; width of each
+    interval over that without it.
     """
 
     error: str
@@ -101,7 +97,6 @@ def quoted(
     """The intervals of an optimum whose covariance is known.
 
     Args:
-        errors: about the optimum.
         free: (P,) coordinates that are not held; all where None.
         bound: every error at its limit at once in place of few that act: a bound, no interval of 95 %.
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.

@@ -1,11 +1,10 @@
 """Errors that may act: of the sensor, its clock, what was held fixed, the law; each with a signature and a prior.
 
 A signature is an error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that
-the error has with 95 % if it acts: what is called large for such a sensor, or the tolerance that is stated of a value. What is
-stated of an instrument (``calibration.instrument``) takes the place of a prior; it acts always, in full, once a channel. What
-one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as large. Three
-generic groups stand for what nobody listed: waves in time, waves of the force by depth, a clock that bends; of these a tenth
-acts always. What estimates they leave: ``uncertainty.sets``.
+the error has with 95 % if it acts; what is stated of an instrument (``calibration.instrument``) acts always, in full, once a
+channel. What one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as
+large. Three generic groups stand for what nobody listed; of these a tenth acts always. What estimates they leave:
+``uncertainty.sets``.
 """
 
 from __future__ import annotations
@@ -123,12 +122,8 @@ def _instruments(at: Optimum) -> _Known:
 def of_sensor(
     model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str], known: _Known = ()
 ) -> list[Error]:
-    """Errors of the sensor, but for what is fitted and what is ``stated`` of every record.
-
-    Args:
-        readings: (E, C, T) that the model predicts, SI.
-        stated: names of nuisances.
-        known: of each series.
+    """Errors of the sensor, but for what is fitted and nuisances that are ``stated`` of every record; ``readings`` (E, C, T)
+    are predicted.
     """
     taken = {axis.name for axis in model.coordinates} | stated
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
@@ -216,10 +211,8 @@ def of_fixed(
 ) -> list[Error]:
     """Errors of scene parameters that were held fixed, and of nuisances that were ``stated``, by runs with a little of each.
 
-    Of a rough cost only those with a stated tolerance: a motion of the joint costs seconds each.
-
-    Args:
-        tolerances: by name (E,), SI, where they were stated.
+    Of a rough cost only those with a stated tolerance (``tolerances`` (E,) by name, SI): a motion of the joint costs seconds
+    each.
     """
     point, found = np.asarray(best.point)[None], []
     free = {axis.name for axis in model.coordinates}

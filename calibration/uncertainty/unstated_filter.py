@@ -28,7 +28,7 @@ from scipy.signal import lfilter
 
 from bcfj_jax.io.units import format_si
 from calibration.diagnostics.optimum import Optimum
-from calibration.diagnostics.residual_tests import Series
+from calibration.diagnostics.residual_tests import Series, neighbours
 from calibration.filters import Filter
 from calibration.forward.model import Model, evaluation
 from calibration.problem import Experiment
@@ -68,13 +68,11 @@ class Tried(NamedTuple):
 
 
 class Ambiguity(NamedTuple):
-    """What unstated filters make of a fit.
+    """What unstated filters make of a fit: the best fit, and D of that without a filter.
 
     Attributes:
-        best: the fit of least squares.
-        plain: D of the fit without a filter.
-        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference
-            force where that is searched; infinite where the slowest filter of all is not excluded.
+        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference force;
+            infinite where the slowest filter of all is not excluded.
         slowest: of the filters that are not excluded the one with the lowest cut-off; None where all are.
     """
 
@@ -255,9 +253,8 @@ def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: flo
 
 def _excess(one: Tried, best: Tried, series: list[Series]) -> float:
     """D of one fit against the best."""
-    rows, own = [s.rows for s in series], best.residuals
-    pairs, size = sum(float(own[r[1:]] @ own[r[:-1]]) for r in rows), sum(float(own[r] @ own[r]) for r in rows)
-    kept = min(max(pairs / size, 0.0), 0.999) if size > 0 else 0.0
+    rows = [s.rows for s in series]
+    kept = min(max(neighbours(best.residuals, rows), 0.0), 0.999)
     samples = sum(r.size for r in rows)
     count = max(samples * (1.0 - kept) / (1.0 + kept), min(_FEWEST, samples))
     by_size = count * float(np.log(max(one.square, 1e-300) / max(best.square, 1e-300)))
