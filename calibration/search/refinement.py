@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from bcfj_jax.xla.threads import each
 from calibration.forward.model import Model, evaluation
 from calibration.forward.runs import refusal
 from calibration.search.descent import Descents
@@ -47,9 +47,9 @@ def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...
     best: list[End] = []
     order = [int(k) for k in np.argsort(found.costs, kind="stable")]
     first = [k for k in order[:_BEST] if np.isfinite(found.costs[k])]
-    # Side by side where each is a run after the other.
-    with ThreadPoolExecutor(_BEST if budget(model.scene).apart else 1) as pool:
-        early = dict(zip(first, pool.map(lambda k: finish(model, starts[k], found.points[k]), first), strict=True))
+    # At once where each is a run after the other.
+    run = each if budget(model.scene).apart else map
+    early = dict(zip(first, run(lambda k: finish(model, starts[k], found.points[k]), first), strict=True))
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)

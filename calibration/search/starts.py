@@ -16,15 +16,11 @@ from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model
 from calibration.forward.runs import instants, params_at, ran, refusal
-from calibration.search.continuation import Interrupted as Interrupted
-from calibration.search.continuation import blocks, continued, named
+from calibration.search.continuation import Interrupted, blocks, continued, named
 from calibration.search.descent import Descents, levenberg
-from calibration.search.evaluate import evaluator as evaluator
-from calibration.search.evaluate import loosened
+from calibration.search.evaluate import evaluator, loosened
 from calibration.search.horizon import stages, until
-from calibration.search.refinement import End as End
-from calibration.search.refinement import finish as finish
-from calibration.search.refinement import refined
+from calibration.search.refinement import End, refined
 from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")

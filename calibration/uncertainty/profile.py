@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 
+from bcfj_jax.xla.threads import each
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.forward.model import Model
@@ -90,8 +90,8 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
     targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
     place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
     asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
-    workers = len(asked) if budget(at.model.scene).apart else 1
-    found = profiles(evaluator(at.model), asked, place, labels=at.labels, workers=workers)
+    apart = budget(at.model.scene).apart
+    found = profiles(evaluator(at.model), asked, place, labels=at.labels, at_once=apart)
     return {p.name: p for p in found}
 
 
@@ -141,9 +141,9 @@ def coordinate(name: str, index: int, *, lower: float = 0.0, width: float = 1.0,
 
 def profiles(
     residuals: Evaluate, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
-    workers: int = 1, scouts: int = 3,
+    at_once: bool = False, scouts: int = 3,
 ) -> tuple[Profile, ...]:  # fmt: skip
-    """Profile likelihood of every target around an optimum, ``workers`` at once.
+    """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
 
     Args:
         residuals: of points of the unit box (B, P); NaN where a simulation fails.
@@ -156,8 +156,7 @@ def profiles(
         below, above = (walk.outwards(place, sign) for walk, sign in zip(walks, (-1.0, 1.0), strict=True))
         return _profile(one[0], below, above, one[1], labels)
 
-    with ThreadPoolExecutor(max(workers, 1)) as pool:
-        return tuple(pool.map(both, asked))
+    return tuple((each if at_once else map)(both, asked))
 
 
 class _Point(NamedTuple):
@@ -179,6 +178,10 @@ class _Side(NamedTuple):
     slope: float
     why: str = ""
     other: bool = False
+
+
+class _Lost(ArithmeticError):
+    """No constrained optimum is found."""
 
 
 class _Walk:
@@ -209,8 +212,7 @@ class _Walk:
             if found is None:
                 step /= 4
                 if step < 1e-3 * least:
-                    why = f"no simulation succeeds, or no optimum is found, beyond {target.physical(at.c):.4g}"
-                    return _Side(trail, None, first, why)
+                    return self._lost(trail, first)
                 continue
             if found.cost < best.cost - _BETTER * self.threshold:
                 why = f"a better optimum lies near {target.physical(c):.4g}"
@@ -227,18 +229,21 @@ class _Walk:
     def _ended(self, trail: list[_Point], outside: _Point, limit: float, first: float) -> _Side:
         """The side whose threshold lies between the last point of its trail and one outside, and what lies beyond."""
         inside, best, goal = trail[-1], trail[0], float(np.sqrt(self.threshold))
-        known = {inside.c: inside, outside.c: outside}
+        known: dict[float, Any] = {inside.c: inside, outside.c: outside}
 
         def beyond(c: float) -> float:
             if c not in known:
                 near = min(known.values(), key=lambda p: abs(p.c - c))
-                known[c] = self._relaxed(c, near.place) or near
+                known[c] = self._relaxed(c, near.place)
+                if known[c] is None:
+                    raise _Lost
             return _root(known[c], best) - goal
 
-        if beyond(outside.c) > 0.0:
-            end = float(brentq(beyond, inside.c, outside.c, xtol=1e-7 * abs(outside.c - inside.c)))  # pyright: ignore[reportArgumentType]
-        else:
-            end = outside.c
+        try:
+            precise = 1e-7 * abs(outside.c - inside.c)
+            end = float(brentq(beyond, inside.c, outside.c, xtol=precise)) if beyond(outside.c) > 0.0 else outside.c  # pyright: ignore[reportArgumentType]
+        except _Lost:
+            return self._lost(trail, first)
         pinned = min(known.values(), key=lambda p: abs(p.c - end))
         place = pinned.place
         for c in np.linspace(pinned.c, limit, self.scouts + 1)[1:]:
@@ -248,6 +253,10 @@ class _Walk:
                 why = f"the data fit as well near {self.target.physical(float(c)):.4g}"
                 return _Side([*trail, pinned], None, first, why, True)
         return _Side([*trail, pinned], end, first)
+
+    def _lost(self, trail: list[_Point], first: float) -> _Side:
+        where = self.target.physical(trail[-1].c)
+        return _Side(trail, None, first, f"no simulation succeeds, or no optimum is found, beyond {where:.4g}")
 
     def _relaxed(self, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point | None:
         """The least squares over the other coordinates; None where nothing simulates, or none is found in all tries."""

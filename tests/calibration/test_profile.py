@@ -70,7 +70,7 @@ def test_profiles_drawn_at_once_are_those_drawn_one_after_the_other():
     matrix, best = np.diag([30.0, 40.0, 50.0]), np.full(3, 0.5)
     both = analytic(lambda u: matrix @ (u - best), lambda u: matrix)
     alone = found_by(both, box(3), best, labels=("u0", "u1", "u2"))
-    at_once = found_by(both, box(3), best, labels=("u0", "u1", "u2"), workers=3)
+    at_once = found_by(both, box(3), best, labels=("u0", "u1", "u2"), at_once=True)
     assert [p.interval for p in at_once] == [p.interval for p in alone]
 
 
