@@ -17,7 +17,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.growing import Growing
 from bcfj_jax.io.journal import NAME, Journal, key_of
-from bcfj_jax.io.page import Page, Table, bounded, brief, percent
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Rows, Table, Verdict, bounded, brief, percent
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -48,6 +48,7 @@ FILES = (
     "run.toml", "models.json", "environment.json", *plots_uncertainty.FILES,
 )  # fmt: skip
 _SO_FAR = "interrupted.json"
+_LIGHTS = {"identified": GOOD, "adequate": GOOD, "not_identified": FAIR, "not_converged": BAD, "misfit": BAD}
 # Stages of fit.json before the last, beside those of ``fit``; and what comes after those.
 UNDIAGNOSED = "not diagnosed yet"
 _NEXT = {
@@ -98,8 +99,8 @@ def run(
 ) -> int:
     """Calibrate a problem file; write the results; return the exit code of the contract.
 
-    A folder that holds the journal of this very fit is gone on with: finished starts are taken from there. What would
-    explain a miss is ranked where the law is not consistent; ``diagnose``: always, and the best confirmed by fits.
+    A folder that holds the journal of this very fit is gone on with. What would explain a miss is ranked where the law is not
+    consistent; ``diagnose``: always, and the best confirmed by fits.
 
     Raises:
         InputError: for bad input, before anything is written.
@@ -227,11 +228,10 @@ def text(result: Fit) -> str:
     lines = [f"verdict: {result.verdict}", *_on_condition(result), report.text([_head(result), *_rows(result)]), ""]
     for question, found in _answers(result):
         lines += [f"{question}: {found.answer}", *(f"  - {reason}" for reason in found.because)]
-    if any(len(p.intervals) > 1 and p.headline for p in _shown(result).values()):
+    if any(len(p.intervals) > 1 and p.headline for n, p in _shown(result).items() if n != REFERENCE):
         lines += ["", "every kind of interval:", report.text(_kinds(result))]
-    if result.systematic:
-        lines += ["", "standard uncertainty:", report.text(_uncertainty_rows(result))]
-        lines += ["", f"{_ERRORS}:", report.text(_error_rows(result))]
+    for heading, rows in _error_tables(result):
+        lines += ["", f"{heading}:", report.text(rows)]
     lines += ["", _residual(result)]
     for name, seen in result.residual["features"].items():
         sigma = f"(sigma {seen['sigma']:.2g})"
@@ -252,20 +252,22 @@ def _on_condition(result: Fit) -> list[str]:
     found = result.conditional
     if found is None:
         return []
-    told, force = {*_shared(result), *(found.parameters.keys() - result.parameters.keys())}, found.reference
+    told = {REFERENCE, *_shared(result), *(found.parameters.keys() - result.parameters.keys())}
     known = [
-        f"{name} {_interval(p.value, p.ci95, p.unit)}"
-        for name, p in found.parameters.items()
+        f"{_called(name, p)} {_interval(p.value, p.ci95, p.unit)}"
+        for name, p in found.every.items()
         if p.ci95 and name in told
     ]
-    if force and force.ci95:
-        known.append(f"force at {brief(force.penetration, 'm')} {_interval(force.force, force.ci95, 'N')}")
     return [f"if {found.condition}: {'; '.join(known)}", ""]
+
+
+def _called(name: str, p: Parameter) -> str:
+    return f"force at {brief(p.penetration, 'm')}" if isinstance(p, Reference) else name
 
 
 def _shown(result: Fit) -> dict[str, Parameter]:
     """The estimates, with the intervals that hold on a condition where there are none without."""
-    return {**result.parameters, **(result.conditional.parameters if result.conditional else {})}
+    return {**result.every, **(result.conditional.every if result.conditional else {})}
 
 
 def _head(result: Fit) -> list[str]:
@@ -278,7 +280,7 @@ def _answers(result: Fit) -> list[tuple[str, Answer]]:
 
 def _kinds(result: Fit) -> list[list[str]]:
     """Every interval by its kind, the headline marked."""
-    every = _shown(result)
+    every = {name: p for name, p in _shown(result).items() if name != REFERENCE}
     kinds = [k for k in MEANING if any(k in p.intervals for p in every.values())]
     rows = [["parameter", *kinds]]
     for name in _in_order(_shared(result)):
@@ -288,39 +290,31 @@ def _kinds(result: Fit) -> list[list[str]]:
     return rows
 
 
-def _error_rows(result: Fit) -> list[list[str]]:
-    """What the record says of every error, what each estimate moves by for it alone, and what it costs, the dearest first."""
+def _error_tables(result: Fit) -> list[tuple[str, list[list[str]]]]:
+    """Standard uncertainties in the words of JCGM 100; and of every error what the record says, what each estimate moves by
+    for it alone, and what it costs, the dearest first. None where no errors are allowed for.
+    """
     found = result.systematic
-    assert found is not None
-    names = [name for name in (REFERENCE, *_in_order(_shared(result))) if name in found.names]
-    lines = sorted(found.lines, key=lambda line: -max(line.cost.get(name, 1.0) for name in names))
-    rows = [
-        [
-            line.error, line.limit, f"{line.says} ({line.chance:.0%})",
-            *(_moved(line.moves[name], result, name) for name in names), f"{max(line.cost[name] for name in names):.2f}",
-        ]
-        for line in lines
-    ]  # fmt: skip
-    return [["error", "up to", "by the record", *names, "width over that without it"], *rows]
-
-
-def _uncertainty_rows(result: Fit) -> list[list[str]]:
-    """Standard uncertainties in the words of JCGM 100."""
-    found = result.systematic
-    assert found is not None
-    rows = [["", "Type A (noise)", "Type B (errors)", "combined", "coverage factor"]]
-    for name in (n for n in (REFERENCE, *_in_order(_shared(result))) if n in found.names):
-        own = found.uncertainties[name]
-        parts = (_moved(x, result, name) for x in (own.type_a, own.type_b, own.combined))
-        rows.append([name, *parts, f"{own.coverage_factor:.2f}"])
-    return rows
+    if found is None:
+        return []
+    names = [name for name in _in_order([REFERENCE, *_shared(result)]) if name in found.names]
+    own = [["", "Type A (noise)", "Type B (errors)", "combined", "coverage factor"]]
+    for name in names:
+        *parts, factor, _ = found.uncertainties[name]
+        own.append([name, *(_moved(x, result, name) for x in parts), f"{factor:.2f}"])
+    rows = [["error", "up to", "by the record", *names, "width over that without it"]]
+    for line in sorted(found.lines, key=lambda line: -max(line.cost.get(name, 1.0) for name in names)):
+        moved = (_moved(line.moves[name], result, name) for name in names)
+        cost = max(line.cost[name] for name in names)
+        rows.append([line.error, line.limit, f"{line.says} ({line.chance:.0%})", *moved, f"{cost:.2f}"])
+    return [("standard uncertainty", own), (_ERRORS, rows)]
 
 
 def _in_order(names: Iterable[str]) -> list[str]:
-    """Losses, then exponents, then others, a stiffness, which follows from force and exponent, and last the sensor's numbers."""
-    kinds = ("restitution", "damping", "loss", "exponent")
-    place = {n: next((k for k, kind in enumerate(kinds) if kind in n), 4 + ("stiffness" in n)) for n in names}
-    place |= {n: 6 for n in place if n.partition("[")[0] in NUISANCES}
+    """The reference force, losses, exponents, others, a stiffness, which follows from both, and last the sensor's numbers."""
+    kinds = (REFERENCE, "restitution", "damping", "loss", "exponent")
+    place = {n: next((k for k, kind in enumerate(kinds) if kind in n), 5 + ("stiffness" in n)) for n in names}
+    place |= {n: 7 for n in place if n.partition("[")[0] in NUISANCES}
     return sorted(place, key=lambda n: place[n])
 
 
@@ -348,16 +342,15 @@ def _interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
 def _rows(result: Fit) -> list[list[str]]:
     """What to quote, first the force that the data know best; the interval of the noise alone beside."""
     rows, shown = [], _shown(result)
-    force = (result.conditional.reference if result.conditional else None) or result.reference
-    if force and (force.ci95 or not result.conditional):
-        value = bounded([force.force], force.ci95 or (), "N")[0]
-        allowed = MEANING[quote.KIND] if force.with_budget else ""
-        ends = _ends(force.ci95, "N"), allowed, _ends(force.noise, "N")
-        rows.append([f"force at {brief(force.penetration, 'm')}", value, *ends, "the power law where the data are"])
     for name in _in_order(shown):
         p = shown[name]
-        ends = _ends(p.ci95, p.unit), MEANING.get(p.headline, ""), _ends(p.intervals.get("noise"), p.unit)
-        rows.append([name, *bounded([p.value], p.ci95 or (), p.unit), *ends, _remark(p)])
+        allowed, remark = MEANING.get(p.headline, ""), _remark(p)
+        if name == REFERENCE:
+            if result.conditional and not p.ci95:
+                continue
+            allowed, remark = MEANING[quote.KIND] if p.with_budget else "", "the power law where the data are"
+        ends = _ends(p.ci95, p.unit), allowed, _ends(p.intervals.get("noise"), p.unit)
+        rows.append([_called(name, p), *bounded([p.value], p.ci95 or (), p.unit), *ends, remark])
     return rows
 
 
@@ -416,29 +409,27 @@ def _parameter(p: Parameter) -> dict[str, Any]:
 def _quoted_json(result: Fit) -> list[dict[str, Any]]:
     """What to quote, in order: value, interval, and its standard uncertainties where errors are allowed for."""
     known = result.systematic.uncertainties if result.systematic else {}
-    force, found = result.reference, []
-    if force:
-        named = {
-            "name": REFERENCE,
-            "penetration": force.penetration,
-            "value": force.force,
-            "unit": "N",
-            "ci95": force.ci95,
-        }
-        found.append(named | {"uncertainty": known[REFERENCE]._asdict() if REFERENCE in known else None})
-    for name in _in_order(result.parameters):
-        own = {"name": name, **_fields(result.parameters[name], "value", "unit", "ci95")}
+    found = []
+    for name in _in_order(result.every):
+        p = result.every[name]
+        where = {"penetration": p.penetration} if isinstance(p, Reference) else {}
+        own = {"name": name, **where, **_fields(p, "value", "unit", "ci95")}
         found.append(own | {"uncertainty": known[name]._asdict() if name in known else None})
     return found
 
 
 def _force(reference: Reference | None) -> dict[str, Any] | None:
-    if reference is None:
-        return None
-    return {
+    return reference and {
         **_fields(reference, "penetration", "force", "ci95", "with_budget"),
         "intervals": {"noise": reference.noise},
     }
+
+
+def _block(heading: str, rows: Rows) -> Table | Listing:
+    """A table, or lines for an input file where there is one column."""
+    if len(rows[0]) == 1:
+        return Listing(heading, "\n".join(row[0] for row in rows))
+    return Table(heading, rows)
 
 
 def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
@@ -492,10 +483,32 @@ def _write(done: _Done, growing: Growing) -> None:
     growing.write(COMPLETE, content | {"wall_s": done.seconds})
 
 
+def _headline(result: Fit) -> Verdict:
+    """The verdict, and the force where the data are, or the first parameter, with the interval to quote."""
+    word, every = result.verdict.replace("_", " "), (result.conditional or result).every
+    shown = [(name, p) for name, p in every.items() if p.ci95] or list(result.parameters.items())
+    shown.sort(key=lambda item: item[0] != REFERENCE)
+    known = ""
+    if shown:
+        name, p = shown[0]
+        name = f"The {_called(name, p)}" if name == REFERENCE else name
+        value, *ends = bounded([p.value, *(p.ci95 or ())], p.ci95 or (), p.unit)
+        said = (
+            f"with 95 % confidence {' to '.join(ends)}" if ends else "without an interval: the data do not determine it"
+        )
+        condition = f"If {result.conditional.condition}, " if result.conditional and ends else ""
+        known = f"{condition}{name} is {value}, {said}."
+    wide = [f"{note}." for note in result.notes if note.startswith(uncertainty.SPANNING)]
+    lost = [name for name, p in result.parameters.items() if not p.identifiable]
+    unknown = f"Not determined by the data: {', '.join(lost)}." if lost else ""
+    said = " ".join(filter(None, [known, *wide, unknown]))
+    return Verdict(_LIGHTS.get(result.verdict, BAD), f"{word[0].upper()}{word[1:]}", said)
+
+
 def _draw(done: _Done) -> None:
     """Pictures, and the report that holds them."""
     from calibration.impacts import plot as dataplot
-    from calibration.report import page, plots
+    from calibration.report import plots
 
     problem, result, folder = done.outcome.problem, done.outcome.fit, done.folder
     drawn = [
@@ -512,15 +525,13 @@ def _draw(done: _Done) -> None:
     answers = [["question", "answer", "because"], *answers]
     answers = answers if any(row[2] for row in answers[1:]) else [row[:2] for row in answers]
     found.append(Table("The three questions behind the verdict", answers))
-    found += [page.block(heading, rows) for heading, rows in done.explained]
-    if result.systematic:
-        found.append(Table("Standard uncertainty", _uncertainty_rows(result)))
-        found.append(Table(_ERRORS, _error_rows(result)))
+    found += [_block(heading, rows) for heading, rows in done.explained]
+    found += [Table(f"{heading[0].upper()}{heading[1:]}", rows) for heading, rows in _error_tables(result)]
     if result.held_out:
         head = ["record", "largest error of the peak", "rms of the peak, where the force acts"]
         rows = [[n, *(percent(e[f"{k}_error_of_peak"]) for k in ("max", "rms"))] for n, e in result.held_out.items()]
         found.append(Table("Records that were held out", [head, *rows]))
-    found += [page.block(heading, rows) for heading, rows in _comparisons(done.outcome)]
+    found += [_block(heading, rows) for heading, rows in _comparisons(done.outcome)]
     tests = [[t.name, f"{t.value:.4g}", f"{t.threshold:.4g}", "yes" if t.passed else "NO"] for t in result.tests]
     notes = [[record.name, note] for record in done.understood for note in record.notes]
     folded = (
@@ -528,7 +539,7 @@ def _draw(done: _Done) -> None:
         Table("Data: what was understood of each record", [["record", "what was understood"], *notes]),
     )
     shown = [one for one in drawn if one is not None]
-    verdict, words = plausibility.judged(done.absurd, page.verdict(result)), (*result.reasons, *result.notes)
+    verdict, words = plausibility.judged(done.absurd, _headline(result)), (*result.reasons, *result.notes)
     first, others = tuple(shown[:2]), tuple(shown[2:])
     made = Page(f"Calibration of {done.path.name}", verdict, first, words, tuple(found), others, folded)
     report.write(folder, made, done.outcome.base.scene.model_form)

@@ -21,8 +21,7 @@ from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.xla.threads import ahead
 from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
-from calibration.diagnostics.answers import Answer, contacts_met
-from calibration.diagnostics.clearance import clearance_tests, whole_contact_test
+from calibration.diagnostics.answers import Answer, clearance_tests, contacts_met, whole_contact_test
 from calibration.diagnostics.optimum import Optimum, start_rows
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
 from calibration.diagnostics.residual_tests import overstated, residual_tests
@@ -34,14 +33,13 @@ from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
-from calibration.noise.noise_model import Estimate
 from calibration.problem import NUISANCES, Experiment, Problem, nuisances
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
-from calibration.search.starts import Screen, batch_size, by_cost, referred, screen, search
+from calibration.search.starts import Screen, by_cost, referred, screen, search
 from calibration.solver_budget import budget
-from calibration.uncertainty import notes, quote, systematic, unstated_filter
-from calibration.uncertainty.estimates import REFERENCE, estimates, placed
+from calibration.uncertainty import intervals, quote, systematic, unstated_filter
+from calibration.uncertainty.estimates import REFERENCE, estimates, moving
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import BOUND, Evidence, check_kind, half, headlined, revised
@@ -52,6 +50,7 @@ log = logging.getLogger("calibration")
 
 # How far a fit has come that is told of before it is complete.
 UNTESTED, NARROW, COMPLETE = "not tested yet", "errors that residuals do not show not allowed for yet", "complete"
+_UNKNOWN = Answer(UNTESTED, [])
 # Estimates that are held one after the other until what is left has an interval.
 _HELD = 3
 # Failed points of a design that are asked why.
@@ -62,8 +61,25 @@ class AllStartsFailed(RuntimeError):
     """No start's simulation succeeded; the command line exits 3."""
 
 
+class Estimated:
+    """Estimates by name, and the reference force where there is one."""
+
+    parameters: dict[str, Parameter]
+    reference: Reference | None
+
+    @property
+    def every(self) -> dict[str, Parameter]:
+        """All of them, the force last."""
+        return {**self.parameters, **({REFERENCE: self.reference} if self.reference else {})}
+
+
+def _estimating(every: dict[str, Parameter]) -> dict[str, Any]:
+    """``every`` as the fields of ``Estimated``."""
+    return {"parameters": {n: p for n, p in every.items() if n != REFERENCE}, "reference": every.get(REFERENCE)}
+
+
 @dataclass(frozen=True)
-class Conditional:
+class Conditional(Estimated):
     """What a fit says on a condition that its record leaves open: "if ``condition``", with the intervals that hold then."""
 
     condition: str
@@ -72,36 +88,35 @@ class Conditional:
 
 
 @dataclass(frozen=True, repr=False)
-class Fit:
+class Fit(Estimated):
     """Outcome of a calibration; ``verdict`` first, then the answers behind it (``diagnostics.answers``).
 
-    ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be
-    said before the solve (``influence.at_start``). ``notes`` say what a reader must know though nothing failed.
-    ``systematic``: the errors that may act, what each costs, and uncertainties (``uncertainty.quote``); None
-    where no estimate is determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs
-    on what the record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
+    ``noise`` is what was estimated of it: by channel its "sigma" (SI) and "correlation" [s]. ``check`` is what could be said
+    before the solve. ``systematic``: errors that may act, what each costs, and uncertainties; None where no estimate is
+    determined or no channel is read. ``conditional``: the intervals of a fit that gives none since it hangs on what the
+    record does not show. ``stage``: how far it has come; "complete" but for what ``tell`` of ``fit`` receives.
     """
 
     verdict: str
-    reasons: list[str]
-    search: Answer
-    data: Answer
-    law: Answer
     parameters: dict[str, Parameter]
-    reference: Reference | None
-    tests: list[fit_tests.Test]
     starts: list[dict[str, Any]]
     residual: dict[str, Any]
-    held_out: dict[str, dict[str, float]] | None
-    correlation: np.ndarray | None
     labels: tuple[str, ...]
     records: list[Record]
     values: dict[str, float]
     seed: int
     noise: dict[str, dict[str, float]]
     check: dict[str, Any]
-    notes: list[str]
     optimum: Optimum
+    reasons: list[str] = field(default_factory=list)
+    search: Answer = _UNKNOWN
+    data: Answer = _UNKNOWN
+    law: Answer = _UNKNOWN
+    reference: Reference | None = None
+    tests: list[fit_tests.Test] = field(default_factory=list)
+    held_out: dict[str, dict[str, float]] | None = None
+    correlation: np.ndarray | None = None
+    notes: list[str] = field(default_factory=list)
     systematic: Quoted | None = None
     evidence: Evidence = field(default_factory=Evidence)
     conditional: Conditional | None = None
@@ -199,19 +214,27 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
 
 def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
     """The best end's values and residuals, of which nothing is known yet."""
-    unknown, axes = (
-        Answer(UNTESTED, []),
-        zip(at.labels, at.model.coordinates, at.model.values(at.end.point), strict=True),
-    )
+    axes = zip(at.labels, at.model.coordinates, at.model.values(at.end.point), strict=True)
     known = {**at.model.scene.quantities, **nuisances(at.model.channels)}
     parameters = {label: Parameter(float(x), known[axis.name].unit, None, True, "") for label, axis, x in axes}
     records = records_of(at.model, at.experiments, at.end.point, False)
-    return Fit(
-        verdict=UNTESTED, reasons=[], search=unknown, data=unknown, law=unknown, parameters=parameters, reference=None, tests=[],
-        starts=start_rows(at, ends), residual=_residual(at, records), held_out=None, correlation=None, labels=at.labels,
-        records=records, values=_values(at, parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
-        notes=[], optimum=at, stage=UNTESTED,
-    )  # fmt: skip
+    return Fit(UNTESTED, parameters, **_shown(at, ends, asked, parameters, records), records=records, stage=UNTESTED)
+
+
+def _shown(
+    at: Optimum, ends: tuple[End, ...], asked: _Asked, parameters: dict[str, Parameter], records: list[Record]
+) -> dict[str, Any]:
+    """What a fit holds of its optimum, whatever is believed of it; ``records`` are the fitted ones."""
+    found: dict[str, Any] = {"labels": at.labels, "optimum": at, "seed": asked.seed, "check": asked.checked}
+    values, noise = {name: float(v[0]) for name, v in at.model.data.fixed.items()}, {}
+    axes = zip(at.model.coordinates, at.labels, strict=True)
+    values |= {axis.name: parameters[name].value for axis, name in axes if axis.experiment is None}
+    for kind, numbers in (("sigma", at.noise.sigma), ("correlation", at.noise.correlation)):
+        for channel, number in numbers.items():
+            noise.setdefault(channel, {})[kind] = number
+    return found | {
+        "starts": start_rows(at, ends), "residual": _residual(at, records), "values": values, "noise": noise
+    }  # fmt: skip
 
 
 def _counted(problem: Problem, starts: int) -> int:
@@ -249,50 +272,30 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
         return _doubted(problem, found)
     found = _with_filters(problem, found)
     at = found.optimum
+    how, anew = moving(at), partial(systematic.every, problem)
+
+    def widened(every: dict[str, Parameter], by: Quoted) -> dict[str, Any]:
+        own = dict(every)
+        for k, name in enumerate(how.names):
+            if p := own.get(name):
+                covariance = p.interval_kind == "covariance"
+                kept = p.headline == unstated_filter.KIND or (p.headline == "noise" and not covariance)
+                own[name] = quote.with_errors(p, k, how, by, kept)
+        return _estimating(own)
+
     with stage("errors that residuals do not show"):
-        anew = partial(systematic.every, problem)
         errors = anew(at)
-        allowed = quote.quoted(at, errors, None, bound, anew)
-        conditional, known = found.conditional, allowed
+        allowed = known = quote.quoted(at, errors, None, bound, anew)
+        conditional = found.conditional
         if conditional:
-            free = np.array(
-                [bool(conditional.parameters[n].ci95) if n in conditional.parameters else True for n in at.labels]
-            )
+            own = conditional.parameters
+            free = np.array([bool(own[n].ci95) if n in own else True for n in at.labels])
             known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound, anew)
-            force, own = conditional.reference, conditional.parameters
-            own = {n: _quoted(at, n, p, known) if n in at.labels else p for n, p in own.items()}
-            conditional = replace(conditional, parameters=own, reference=force and _force_quoted(at, force, known))
-    parameters = {name: _quoted(at, name, p, allowed) for name, p in found.parameters.items()}
-    reference = found.reference and _force_quoted(at, found.reference, allowed)
-    shown = conditional.parameters if conditional else parameters
-    said = [n for n in found.notes if not n.startswith(notes.WIDE)] + notes.spanning(at, shown)
-    found = replace(
-        found, systematic=known, parameters=parameters, reference=reference, conditional=conditional, notes=said
-    )  # fmt: skip
-    return _doubted(problem, found)
-
-
-def _quoted(at: Optimum, name: str, p: Parameter, by: Quoted) -> Parameter:
-    """An estimate with the interval to quote, where it has one; it holds that of a filter, a profile or a posterior."""
-    if p.ci95 is None:
-        return p
-    axis, z = at.model.coordinates[at.labels.index(name)], np.log(p.value) if p.value > 0.0 else 0.0
-    kept = p.headline == unstated_filter.KIND or (p.headline == "noise" and p.interval_kind != "covariance")
-    about = (float(z) if axis.log else p.value, by.reach(name), axis.log)
-    own, ends = (
-        quote.ends_about(*about, given, (axis.lower, axis.upper)) for given in (None, p.ci95 if kept else None)
-    )
-    headline = quote.KIND if ends == own else p.headline
-    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, quote.KIND: own})
-
-
-def _force_quoted(at: Optimum, force: Reference, by: Quoted) -> Reference:
-    if force.ci95 is None:
-        return force
-    reach, wide = by.reach(REFERENCE), (-np.inf, np.inf)
-    kept = force.ci95 if force.interval_kind != "covariance" else None
-    ends = quote.ends_about(float(np.log(force.force)), reach, True, kept, wide)
-    return replace(force, ci95=ends, with_budget=ends)
+            conditional = replace(conditional, **widened(conditional.every, known))
+    found = replace(found, systematic=known, conditional=conditional, **widened(found.every, allowed))
+    shown = (conditional or found).parameters
+    said = [n for n in found.notes if not n.startswith(intervals.WIDE)] + intervals.of_spanning(at, shown)
+    return _doubted(problem, replace(found, notes=said))
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -307,51 +310,47 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
-    slopes = placed(model, at.end)[1]
-    shown = [found.parameters[name].ci95 for name in found.labels]
+    how, every, wide = moving(at), found.every, []
+    known = [every[name].ci95 for name in how.names]
     halves = [
-        half(ends, axis.log) if ends else at.spread.half_width(slope)
-        for ends, axis, slope in zip(shown, model.coordinates, slopes, strict=True)
+        half(ends, log) if ends else at.spread.half_width(slope)
+        for ends, log, slope in zip(known, how.log, how.slopes, strict=True)
     ]
-    reference = found.reference
-    if reference:
-        k = model.pair()[0]
-        own = at.spread.half_width(np.diag(model.box[1])[k])
-        halves.append(half(reference.ci95, True) if reference.ci95 else own)
     with stage("filters"):
-        open_ = unstated_filter.ambiguity(model, at.experiments, at.series, at.end, np.array(halves))
+        open_ = unstated_filter.ambiguity(at, np.array(halves))
     if open_ is None:
         return found
-    kept = [k for k, axis in enumerate(model.coordinates) if axis.name not in NUISANCES and axis.experiment is None]
+    axes = dict(zip(at.labels, model.coordinates, strict=True))
+    asked = [k for k, n in enumerate(how.names) if n == REFERENCE or _of_law(axes[n])]
     if open_.decisive:
-        values, moved, there = model.values(open_.best.point), [], {}
-        for k in kept:
-            name, p = found.labels[k], found.parameters[found.labels[k]]
-            ends = open_.ends(k, (float(values[k]), float(values[k])), model.coordinates[k])
-            there[name] = replace(p, value=float(values[k]), ci95=ends, headline=unstated_filter.KIND)
-            moved.append(
-                f"{name} {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)} in place of {brief(p.value, p.unit)}"
-            )
+        moved, there = [], {}
+        values = model.values(open_.best.point).tolist()
+        for k, value in ((k, values[k]) for k in asked if k < len(values)):
+            p, hull = every[how.names[k]], open_.ends(k, (value, value), how.log[k], how.limits[k])
+            there[how.names[k]] = replace(p, value=value, ci95=hull, headline=unstated_filter.KIND)
+            new, old = (brief(x, p.unit) for x in hull), brief(p.value, p.unit)
+            moved.append(f"{how.names[k]} {' to '.join(new)} in place of {old}")
         text = f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}"
         return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
-    parameters, wide = dict(found.parameters), []
-    for k in kept:
-        axis, name = model.coordinates[k], found.labels[k]
-        p = parameters[name]
-        if p.ci95 is None:
+    for k in asked:
+        name, ends, log = how.names[k], known[k], how.log[k]
+        if ends is None:
             continue
-        ends = open_.ends(k, p.ci95, axis)
-        parameters[name] = replace(p, intervals={**p.intervals, unstated_filter.KIND: ends})
-        if half(ends, axis.log) >= fit_tests.widest(axis):
-            wide.append(f"{name} anywhere from {brief(ends[0], p.unit)} to {brief(ends[1], p.unit)}")
-        elif half(ends, axis.log) > half(p.ci95, axis.log):
-            parameters[name] = replace(parameters[name], ci95=ends, headline=unstated_filter.KIND)
+        axis, p, hull = axes.get(name), every[name], open_.ends(k, ends, log, how.limits[k])
+        every[name] = replace(p, intervals={**p.intervals, unstated_filter.KIND: hull})
+        if axis and half(hull, log) >= fit_tests.widest(axis):
+            wide.append(f"{name} anywhere from {brief(hull[0], p.unit)} to {brief(hull[1], p.unit)}")
+        elif axis is None or half(hull, log) > half(ends, log):
+            every[name] = replace(every[name], ci95=hull, headline=unstated_filter.KIND)
     if wide:
         text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
         return _refused(found, text, unstated_filter.NONE)
-    if reference and reference.ci95:
-        reference = replace(reference, ci95=open_.ends(-1, reference.ci95), interval_kind=unstated_filter.KIND)
-    return replace(found, parameters=parameters, reference=reference)
+    return replace(found, **_estimating(every))
+
+
+def _of_law(axis: Coordinate) -> bool:
+    """Whether a coordinate is of the scene, and of all records."""
+    return axis.name not in NUISANCES and axis.experiment is None
 
 
 def _refused(found: Fit, text: str, condition: str) -> Fit:
@@ -359,14 +358,17 @@ def _refused(found: Fit, text: str, condition: str) -> Fit:
     before = found.conditional or Conditional("", found.parameters, found.reference)
     conditional = replace(before, condition=" and ".join(filter(None, (before.condition, condition))))
     conditional = conditional if any(p.ci95 for p in before.parameters.values()) else None
-    parameters = {n: replace(p, ci95=None, headline="", intervals={}) for n, p in found.parameters.items()}
-    reference = found.reference and replace(found.reference, ci95=None)
+    every = {n: _withheld(n, p) for n, p in found.every.items()}
     of_data = Answer("partly" if found.data.answer == "determined" else found.data.answer, [text, *found.data.because])
     verdict = answers.verdict(found.search, of_data, found.law)
     return replace(
-        found, verdict=verdict, reasons=[text, *found.reasons], data=of_data, parameters=parameters,
-        reference=reference, evidence=found.evidence.withheld(f"no profile is given: {verdict}"), conditional=conditional,
+        found, verdict=verdict, reasons=[text, *found.reasons], data=of_data, **_estimating(every),
+        evidence=found.evidence.withheld(f"no profile is given: {verdict}"), conditional=conditional,
     )  # fmt: skip
+
+
+def _withheld(name: str, p: Parameter) -> Parameter:
+    return replace(p, ci95=None, headline="", intervals=p.intervals if name == REFERENCE else {})
 
 
 def _checked(problem: Problem, model: Model, screened: Screen, given: list[np.ndarray]) -> dict[str, Any]:
@@ -423,23 +425,15 @@ def _looked_at(problem: Problem, at: Optimum, ends: tuple[End, ...]) -> _Seen:
     return _Seen(at, errors, records, seen, tests, rivals, said)
 
 
-class _Law(NamedTuple):
-    """What the residuals say of the law: tests, the answer, errors of held-out records, and these."""
-
-    tests: list[fit_tests.Test]
-    answer: Answer
-    held_out: dict[str, dict[str, float]] | None
-    records: list[Record]
-
-
-def _law_of(problem: Problem, at: Optimum) -> _Law:
+def _law_of(problem: Problem, at: Optimum) -> tuple[Answer, list[fit_tests.Test], dict[str, Any] | None, list[Record]]:
+    """What the residuals say of the law: the answer and its tests; errors of held-out records, and these."""
     residuals, held_out, records = at.end.residuals, None, []
     tests = residual_tests(at.series, residuals, at.end.jacobian, at.model.loss != "linear")
     if any(e.hold_out for e in problem.experiments):
         held_out, records, test = hold_out(problem, at)
         tests.append(test)
     missed, loud = answers.missed(at.series, residuals), answers.louder(at.series, residuals)
-    return _Law(tests, answers.law(tests, missed, held_out, problem.adequate, loud), held_out, records)
+    return answers.law(tests, missed, held_out, problem.adequate, loud), tests, held_out, records
 
 
 class _Asked(NamedTuple):
@@ -453,11 +447,11 @@ class _Asked(NamedTuple):
 def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
     """What may be believed of an optimum."""
     seen = _looked_at(problem, at, ends)
-    at, law = seen.at, _law_of(problem, seen.at)
+    at, (law, of_law, held_out, others_seen) = seen.at, _law_of(problem, seen.at)
     model, residuals = at.model, at.end.residuals
     if at.series and all(overstated(s, residuals) for s in at.series) and not model.data.features.size:
         at = replace(at, spread=fit_tests.shown(at.spread, at.end))
-    of_search, consistent = answers.search(seen.search), law.answer.answer == "consistent"
+    of_search, consistent = answers.search(seen.search), law.answer == "consistent"
     found, evidence = estimates(at), Evidence()
     others = clearance_tests(model, seen.contacts) + whole_contact_test(model, seen.contacts, _turns(seen))
     whole = all(t.passed for t in others)
@@ -465,44 +459,40 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     # Where the verdict stands already no profile can mend it, and where the law misses the noise's interval is not the
     # headline.
     if asked.intervals not in ("covariance", BOUND) or (converged and consistent and whole):
-        found, evidence = revised(asked.intervals, at, found, batch_size(len(ends)), asked.seed)
+        found, evidence = revised(asked.intervals, at, found, asked.seed)
     # Where the law misses, the headline is of the miss: that the cost is no parabola over the noise's interval is a note.
     bent = [] if asked.intervals not in ("covariance", BOUND) or consistent else fit_tests.bent(found.tests)
     # A rival that fits as well is another answer, not a failed search.
     identification = [seen.rivals, *(t for t in found.tests if t not in bent), *others]
-    of_data = answers.data(identification, {name: p.identifiable for name, p in found.parameters.items()})
-    verdict = answers.verdict(of_search, of_data, law.answer)
+    of_data = answers.data(identification, {name: found.parameters[name].identifiable for name in at.labels})
+    verdict = answers.verdict(of_search, of_data, law)
     exact = consistent and not any(s.declared or overstated(s, residuals) for s in at.series)
     misses = {} if exact else _misses(at, at.end, at.spread)
     # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
     given = converged and whole and not any(p.at_bound for p in found.parameters.values())
     found = headlined(at, misses, found, given and (consistent or bool(misses)))
-    conditional = None
+    own, conditional = {name: found.parameters[name] for name in at.labels}, None
     # Without a whole contact, or a clearance that is crossed, no value means anything.
-    if verdict == "not_identified" and whole and not any(p.ci95 for p in found.parameters.values()):
-        conditional = _with_some_held(at, found.parameters, exact, seen.rivals.passed)
+    if verdict == "not_identified" and whole and not any(p.ci95 for p in own.values()):
+        conditional = _with_some_held(at, own, exact, seen.rivals.passed)
     if verdict not in ("identified", "adequate"):
         evidence = evidence.withheld(f"no profile is given: {verdict}")
     # The same as before the fit, now with the moves at the estimates.
     scales = untold(model, at.labels, at.end.point) if asked.checked.get("scales") else []
-    said = [*seen.notes, *(f"{s['text']}. What helps: {s['remedy']}" for s in scales), *notes.of_integrator(at.noise)]
-    said += notes.wide(model, found.parameters) + notes.bent(bent) + notes.overstated_noise(at.series, residuals)
-    reasons = [*of_search.because, *law.answer.because, *of_data.because]
+    said = [
+        *seen.notes,
+        *(f"{s['text']}. What helps: {s['remedy']}" for s in scales),
+        *intervals.of_integrator(at.noise),
+    ]
+    said += intervals.of_wide(model, own) + intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
+    reasons = [*of_search.because, *law.because, *of_data.because]
     return Fit(
-        verdict=verdict, reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
-        search=of_search, data=of_data, law=law.answer, parameters=found.parameters, reference=found.reference,
-        tests=seen.search + law.tests + identification, starts=start_rows(at, ends), residual=_residual(at, seen.records),
-        held_out=law.held_out, correlation=_correlation(at), labels=at.labels, records=seen.records + law.records,
-        values=_values(at, found.parameters), seed=asked.seed, noise=_by_channel(at.noise), check=asked.checked,
-        optimum=at, notes=said, evidence=evidence, conditional=conditional,
+        verdict, **_estimating(found.parameters), **_shown(at, ends, asked, own, seen.records),
+        reasons=reasons + ([] if consistent else misfit_location.reasons(seen.records)),
+        search=of_search, data=of_data, law=law, tests=seen.search + of_law + identification,
+        held_out=held_out, correlation=_correlation(at), records=seen.records + others_seen,
+        notes=said, evidence=evidence, conditional=conditional,
     )  # fmt: skip
-
-
-def _values(at: Optimum, parameters: dict[str, Parameter]) -> dict[str, float]:
-    """Of every parameter that all records share, fixed ones too."""
-    values = {name: float(v[0]) for name, v in at.model.data.fixed.items()}
-    axes = zip(at.model.coordinates, at.labels, strict=True)
-    return values | {axis.name: parameters[name].value for axis, name in axes if axis.experiment is None}
 
 
 def _correlation(at: Optimum) -> np.ndarray | None:
@@ -532,10 +522,7 @@ def _residual(at: Optimum, records: list[Record]) -> dict[str, Any]:
 def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, alone: bool) -> Conditional | None:
     """What a fit knows on the condition that some estimates are right: those at a bound, then the least determined.
 
-    Args:
-        parameters: its estimates, none with an interval.
-        exact: whether residuals are the noise.
-        alone: whether no other optimum fits alike.
+    ``exact``: whether residuals are the noise; ``alone``: whether no other optimum fits alike.
     """
     labels, names = at.labels, np.array(at.labels)
     fixed = np.array([bool(parameters[name].at_bound) for name in labels])
@@ -553,11 +540,11 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
             held = replace(at, spread=spread)
             found = headlined(held, kinds, estimates(held), True)
             for name in names[fixed]:
-                found.parameters[name] = replace(found.parameters[name], ci95=None, headline="", intervals={})
+                found.parameters[name] = _withheld(name, found.parameters[name])
             if any(found.parameters[name].ci95 for name in names[own & ~fixed]):
                 said = [f"{n} is {brief(parameters[n].value, parameters[n].unit)}" for n in names[fixed]]
                 said += [] if alone else ["no other optimum is the right one"]
-                return Conditional(" and ".join(said), found.parameters, found.reference) if said else None
+                return Conditional(" and ".join(said), **_estimating(found.parameters)) if said else None
         weakest = np.where(own & ~fixed, np.abs(spread.weakest), -1.0)
         fixed[int(np.argmax(weakest))] = True
     return None
@@ -590,11 +577,3 @@ def _turns(seen: _Seen) -> bool:
     if not forces:
         return any(c.turned for c in seen.contacts)
     return any(int(np.argmax(np.abs(p))) < p.size - 1 for p in forces)
-
-
-def _by_channel(noise: Estimate) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
-    for kind, numbers in (("sigma", noise.sigma), ("correlation", noise.correlation)):
-        for channel, number in numbers.items():
-            found.setdefault(channel, {})[kind] = number
-    return found

@@ -1,9 +1,4 @@
-"""What a scene's runs are worth on the way to an optimum, by its traits: small or large, smooth or rough.
-
-The cost of a small scene's fit is smooth. A run of a large one takes a good part of a second and its program minutes to
-compile. Where contacts begin and end all the time, integration makes the
-cost rough.
-"""
+"""What a scene's runs are worth on the way to an optimum, by its traits: small or large, smooth or rough."""
 
 from __future__ import annotations
 
@@ -16,18 +11,15 @@ class SolverBudget(NamedTuple):
     """What the search and its tests may spend on runs of one kind of scene.
 
     Attributes:
-        accuracy: force error of runs, where the problem says nothing.
-        loose: the same on the way to an optimum.
+        accuracy: force error of runs, where the problem says nothing; loose: on the way to an optimum.
         steps: attempted steps of a run until it has failed.
         tighter: so many times as tight is the run that gives the integrator's error.
-        rough: whether that error is what the cost's last digits are made of, so that its slopes must decide, and no
-            profile is drawn unless it is asked for.
+        rough: whether that error is what the cost's last digits are made of: slopes decide, and no profile is drawn unasked.
         apart: whether as many points are run at a time as there are cores; else one after the other.
         asked: points of the design at which the influence of a coordinate on all data is computed.
         kept: starts that are not given up, however far off.
         descend: steps of a batched descent on one leg.
-        roughly, tolerance: what that may leave to gain, in units of cost / residuals, on the way and at the end. The
-            tests distinguish 0.1; of a rough cost no more can be had, and the trust region goes on anyway.
+        roughly, tolerance: what that may leave to gain, in units of cost / residuals, on the way and at the end.
         step, gain: of the trust region, the shortest step and the least gain as a share of the cost.
         elsewhere: unit-box distance of ends that are not one.
         rotations: cubature rules over which a rough scene's Jacobian is averaged.

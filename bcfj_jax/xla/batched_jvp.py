@@ -54,20 +54,6 @@ def together(
     return differentiable
 
 
-def with_jacobian(function: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
-    """Value (N,) and forward-mode Jacobian (N, P) at x (P,), of one solve.
-
-    Not by ``jax.linearize``, which wants a tangent for every point and not all directions at once.
-    """
-
-    def twice(x: Array) -> tuple[Array, Array]:
-        value = function(x)
-        return value, value
-
-    jacobian, value = jax.jacfwd(twice, has_aux=True)(x)
-    return value, jacobian
-
-
 def changes(function: Callable[[Array], Any], x: Array) -> Any:
     """Forward derivatives of a pytree by every coordinate of x (P,): leaves (P, ...), None of what never changes."""
     moving: list[bool] = []

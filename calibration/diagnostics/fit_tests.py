@@ -1,10 +1,8 @@
-"""What may be believed of an optimum: covariance, agreement, and the verdict that tests make together.
+"""What may be believed of an optimum: covariance, agreement, and the verdict that tests make together. Nothing here
+simulates.
 
-Read are the best end's white residuals, its Jacobian in unit-box coordinates, and the other ends; ``residual_tests`` tests
-the residuals themselves. Nothing here simulates.
-
-Levels: size, outliers and held-out prediction 1e-3 each, order of signs 5e-4 and correlation 5e-3, each in contact and
-apart. So at most 1.4 % of fits of a right model with right noise are called ``misfit``.
+Levels: size, outliers and held-out prediction 1e-3 each, order of signs 5e-4 and correlation 5e-3, each in contact and apart.
+So at most 1.4 % of fits of a right model with right noise are called ``misfit``.
 """
 
 from __future__ import annotations
@@ -50,15 +48,14 @@ class Test(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """Covariance of the unit-box coordinates, and how well it is known itself.
+    """Covariance (P, P) of the unit-box coordinates, None where the data leave a combination free, and how well it is known
+    itself.
 
     Attributes:
-        covariance: (P, P); None where the data leave a combination of coordinates free.
-        quantile: the largest that an interval of a single coordinate takes.
-        freedom: samples less parameters.
+        quantile: the largest that an interval of a single coordinate takes; freedom: samples less parameters.
         weakest, condition: direction that the data determine least, and largest over least singular value.
-        moved: for every estimated number of the noise, the derivative (P, P) of the covariance by its logarithm and the
-            variance of that.
+        moved: by estimated number of the noise, derivative (P, P) of the covariance by its logarithm and the variance of
+            that.
         rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
         student: degrees of freedom of the covariance itself, where it is not the noise's.
     """
@@ -162,13 +159,11 @@ def agreement(
 ) -> list[Test]:
     """Whether independent starts ended in one optimum, and whether a rival explains the data as well.
 
-    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the
-    data cannot distinguish and whose points x are as near as two draws of the estimate might be, less than
-    (x - y)^T C^-1 (x - y) = P.
+    A rough cost has many little minima within the uncertainty of the estimate. There, starts also agree whose costs the data
+    cannot distinguish and whose points are as near as two draws of the estimate: (x - y)^T C^-1 (x - y) < P.
 
     Args:
-        errors: (N,) the integrator's part in the best end's white residuals. They make costs |r|^2 uncertain by some
-            2 |e|, and starts need agree no better.
+        errors: (N,) the integrator's part in the best end's white residuals; costs |r|^2 are uncertain by some 2 |e|.
     """
     doubt = float(np.linalg.norm(errors))
     alike = float(np.clip(2.0 * doubt, *ALIKE)) if np.isfinite(doubt) else ALIKE[0]
@@ -226,12 +221,8 @@ def rank_test(singular: Spread) -> Test:
 
 
 def held_out_test(square: float, freedom: int, quality: Spread) -> Test:
-    """Whether held-out residuals are no larger than the noise and the parameters' uncertainty: chi-square, or F.
-
-    Args:
-        square: r^T (1 + J C J^T)^-1 r of the held-out residuals, C the covariance of the fit's parameters.
-        freedom: their number less the nuisances fitted to them.
-        quality: of the fit; its noise was estimated where ``moved`` says so.
+    """Whether held-out residuals are no larger than the noise and the parameters' uncertainty, by r^T (1 + J C J^T)^-1 r:
+    chi-square, or F where the noise was estimated. ``freedom``: their number less the nuisances fitted to them.
     """
     square = max(square, 0.0)
     ratio = square / max(freedom, 1)

@@ -1,8 +1,4 @@
-"""What can be said before the solve: data that cannot be fitted, parameters that move nothing, directions that trade.
-
-The Jacobian of the weighted residuals by unit-box coordinates says how many deviations of the noise each parameter
-moves the data over its whole range.
-"""
+"""What can be said before the solve: data that cannot be fitted, parameters that move nothing, directions that trade."""
 
 from __future__ import annotations
 
@@ -75,16 +71,9 @@ def refuse_data(problem: Problem) -> None:
 def at_start(
     problem: Problem, model: Model, labels: tuple[str, ...], point: np.ndarray, reach: np.ndarray
 ) -> dict[str, Any]:
-    """What the data determine at a start, for ``fit.json``.
-
-    Args:
-        problem, model, labels: what is fitted.
-        point: the start: the one given, or the best of the screened design.
-        reach: (P,) most that any single residual moved over the screened design.
-
-    Returns:
-        at: parameter values; reach: deviations of the noise that each parameter moves all data; singular_values of the
-        Jacobian; weak: directions in words, each with what would separate them.
+    """What the data determine at a start (P,), for ``fit.json``: values, reach in deviations of the noise, singular values of
+    the Jacobian, and weak directions in words, each with what would separate them. ``reach`` (P,) is what each coordinate
+    moved over the design.
 
     Raises:
         InputError: naming a parameter that, over its whole range, moves the data by less than their noise.

@@ -31,12 +31,7 @@ def signatures(
     """Changes of the residuals (N,) by kind of error and name, a unit being one as large as the peak force.
 
     None for a rough cost, and where the model has no contact or has such an error already. Of each kind there is one at
-    most in a contact.
-
-    Args:
-        deepest: greatest depth of its contacts [m].
-        peak: greatest contact force [N].
-        duration: of its longest contact [s].
+    most in a contact. ``deepest`` [m], ``peak`` [N] and ``duration`` [s] are the greatest of its contacts.
     """
     wrong = with_errors(model)
     if wrong is None or not (deepest > 0.0 and peak > 0.0 and 0.0 < duration < np.inf):
@@ -50,13 +45,17 @@ def signatures(
         values = (stiffness, place, _WIDTH * place, relaxing, time)
         return _read(wrong, records, dict(zip(IMPERFECT, values, strict=True)))
 
-    plain, stops, relaxations = seen(), {}, {}
-    for share in _DEPTHS:
-        place = share * deepest
-        stops[f"second contact behind {share:.0%} of the depth"] = seen(_STEP * peak / (deepest - place), place)
-    for share in _TIMES:
-        relaxations[f"relaxation within {share:.0%} of a contact"] = seen(relaxing=_STEP, time=share * duration)
-    kinds = {"second contact": stops, "relaxation": relaxations}
+    plain, places = seen(), [share * deepest for share in _DEPTHS]
+    kinds = {
+        "second contact": {
+            f"second contact behind {share:.0%} of the depth": seen(_STEP * peak / (deepest - place), place)
+            for share, place in zip(_DEPTHS, places, strict=True)
+        },
+        "relaxation": {
+            f"relaxation within {share:.0%} of a contact": seen(relaxing=_STEP, time=share * duration)
+            for share in _TIMES
+        },
+    }
     none = np.zeros(model.data.features.size)
 
     def white(read: np.ndarray) -> np.ndarray:

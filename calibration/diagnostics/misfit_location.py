@@ -22,13 +22,8 @@ _BRIEF, _MIDDLE = 0.25, 0.25
 
 
 class Miss(NamedTuple):
-    """A stretch of samples on one side of the model.
-
-    Attributes:
-        time: of its largest error [s], in the record's time as fitted.
-        error: data less model there, SI.
-        share: that over the peak of the data.
-        brief: whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
+    """A stretch of samples on one side of the model: time and size (data less model, SI) of its largest error, that over the peak
+    of the data, and whether it is a spike above the middle of a contact, as where a soft layer bottoms out.
     """
 
     record: str
@@ -51,11 +46,9 @@ class Miss(NamedTuple):
 
 
 def misses(records: Iterable[Record]) -> list[Miss]:
-    """The worst stretch of each record and channel whose error stands out from the record's others, worst first.
+    """The worst run of errors of one sign of each record and channel that stands out from the record's others, worst first.
 
-    A stretch is a run of errors of one sign. Its weight is the sum of its errors over the square root of their number,
-    which for white errors has their own deviation; that is taken from the median, so that a spike does not hide
-    itself.
+    By the sum of its errors over the square root of their number, in their median deviation: a spike does not hide itself.
     """
     found = []
     for record in records:

@@ -17,12 +17,8 @@ from calibration.search.refinement import End
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best end of a search.
-
-    Attributes:
-        model: with the weights of the noise as it was found, and its reference penetration.
-        end: unit-box point, white residuals and their Jacobian.
-        series: white residuals by record and channel.
+    """The best end of a search, on the model with the weights of the noise as it was found; white residuals by record and
+    channel.
     """
 
     model: Model

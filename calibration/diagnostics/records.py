@@ -40,20 +40,19 @@ class Record:
 def hold_out(problem: Problem, at: Optimum) -> tuple[dict[str, dict[str, float]], list[Record], fit_tests.Test]:
     """Predict held-out records: shared parameters as fitted, each record's own nuisances fitted to it.
 
-    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have
-    the covariance 1 + K C K^T, K their Jacobian, and
-
-        r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
+    The test allows for the uncertainty C of the shared parameters: with own nuisances projected out, residuals r have the
+    covariance 1 + K C K^T, K their Jacobian, and r^T (1 + K C K^T)^-1 r = |r|^2 - (K^T r)^T (C^-1 + K^T K)^-1 K^T r.
 
     Returns:
-        Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts (a long
-        rest must not make it small); the records; and the test.
+        Errors by record and channel as fractions of the peak, the rms of a force over the samples where it acts; the records;
+        and the test.
     """
     model, best, quality = at.model, at.end, at.spread
     held = tuple(with_noise(e, at.noise) for e in problem.experiments if e.hold_out)
     other = build(problem, held).at_depth(model.log_depth)
     shared = sum(s.experiment is None for s in model.coordinates)
-    own = np.array([_mean_of(model, best.point, s.name) for s in other.coordinates[shared:]])
+    names = np.array([s.name for s in model.coordinates])
+    own = np.array([np.mean(best.point[names == s.name]) for s in other.coordinates[shared:]])
     point = _own_fitted(other, np.concatenate([best.point[:shared], own]), shared)
     records = records_of(other, held, point, True)
     report = {}
@@ -95,10 +94,6 @@ def with_noise(experiment: Experiment, noise: Estimate) -> Experiment:
     return replace(experiment, channels=tuple(channels))
 
 
-def _mean_of(model: Model, point: np.ndarray, name: str) -> float:
-    return float(np.mean([u for s, u in zip(model.coordinates, point, strict=True) if s.name == name]))
-
-
 def _own_fitted(model: Model, point: np.ndarray, shared: int) -> np.ndarray:
     """The point with the coordinates beyond the shared ones fitted to the data."""
     if shared == point.size:
@@ -124,14 +119,10 @@ def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndar
         params |= {s.name: v for s, v in zip(model.coordinates, values, strict=True) if s.experiment in (None, i)}
         data = {name: values for name, (_, values) in own.items()}
         prediction = {name: predicted[i, j, :count] for name, (j, _) in own.items()}
-        sigma = {name: _sigma(weights[i, j, :count]) for name, (j, _) in own.items()}
+        kept = {name: weights[i, j][weights[i, j] > 0] for name, (j, _) in own.items()}
+        sigma = {name: float(np.sqrt(np.mean(w**-2.0))) for name, w in kept.items()}
         records.append(Record(experiment.name, held_out, experiment.times, data, prediction, sigma, params))
     return records
-
-
-def _sigma(weights: np.ndarray) -> float:
-    """Root mean square deviation of samples with these weights."""
-    return float(np.sqrt(np.mean(weights[weights > 0] ** -2.0)))
 
 
 def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: float) -> list[Series]:

@@ -6,6 +6,7 @@ contact is where the model makes its claim.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,13 +35,10 @@ class Series(NamedTuple):
     """White residuals of one record and channel in time order.
 
     Attributes:
-        rows: (n,) their places among all residuals of the fit.
-        touching: (n,) whether each sample is in contact.
+        rows, touching: (n,) places among all residuals of the fit, and whether each sample is in contact.
         share: what one deviation is as a share of the record's peak.
-        longest: duration of the longest contact [s], infinite where there is none.
-        memory: correlation time of the noise [s]; 0 for white noise.
-        declared: whether the noise was said to be correlated.
-        estimated: whether its deviation comes from these residuals.
+        longest: duration of the longest contact [s], infinite where there is none; memory: correlation time of the noise [s].
+        declared, estimated: whether the noise was said to be correlated, and its deviation comes from these residuals.
         integrator: whether they are no larger than the integrator's error: their order then says nothing.
         clock, values, weights: (n,) times [s], readings and their inverse deviations, SI.
     """
@@ -112,6 +110,13 @@ def overstated(s: Series, residuals: np.ndarray) -> bool:
     squares = residuals[s.rows] ** 2
     every, inside = float(np.mean(squares)), float(np.mean(squares[s.touching])) if s.touching.any() else 0.0
     return every < _OVERSTATED**2 and max(every, inside) * s.share**2 <= ADEQUATE**2
+
+
+def neighbours(residuals: np.ndarray, series: Sequence[np.ndarray]) -> float:
+    """Correlation of successive residuals, all series' rows together; 0 of none."""
+    pairs = sum(float(residuals[rows[1:]] @ residuals[rows[:-1]]) for rows in series)
+    size = sum(float(residuals[rows] @ residuals[rows]) for rows in series)
+    return pairs / size if size > 0.0 else 0.0
 
 
 def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, inside: np.ndarray) -> Test:
@@ -214,11 +219,7 @@ def correlation_of(
         )
 
     if rows.size <= _FEW:
-        place = np.zeros(size, dtype=int)
-        place[rows] = np.arange(rows.size)
-        form = -seen * np.eye(rows.size)
-        for a, b in ((first, second), (second, first)):
-            np.add.at(form, (place[a], place[b]), 0.5)
+        form = csr_array(pairs - seen * among)[rows][:, rows].toarray()
         values, vectors = np.linalg.eigh(np.eye(rows.size) - basis[rows] @ basis[rows].T)
         root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         p = _positive(np.linalg.eigvalsh(root @ form @ root))

@@ -1,10 +1,8 @@
 """Which scales the channels cannot tell: masses and speeds that may be wrong without any reading showing it.
 
-Forces alone leave the scale of motion open. With m -> c m, v -> v/c, K -> K c^n and a -> a c every force of an impact
-stays the same at every time. Accelerations alone leave the mass open: only K/m acts. Whether that is so is computed for
-the channels and the free parameters at hand. With B the derivatives of the residuals by the logarithms of what is free,
-and A those by the logarithms of fixed masses and speeds, what no reading shows is a direction in which A - B B^+ A is 0.
-The estimates move along by -B^+ A.
+With m -> c m, v -> v/c, K -> K c^n and a -> a c every force of an impact stays the same; of accelerations only K/m acts. With
+B the derivatives of the residuals by the logarithms of what is free, and A those by the logarithms of fixed masses and
+speeds, what no reading shows is a direction in which A - B B^+ A is 0. The estimates move along by -B^+ A.
 """
 
 from __future__ import annotations
@@ -150,10 +148,8 @@ def _fixed(
 def _exact(model: Model, point: np.ndarray, way: np.ndarray, fixed: dict[str, float], size: float) -> bool:
     """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do.
 
-    Args:
-        way: (P,) logarithms by which what is free moves; shares of the range of a nuisance.
-        fixed: logarithms by which fixed values move.
-        size: what the largest of these moves alone does to the residuals, by the logarithm.
+    ``way``, ``fixed``: logarithms by which what is free, and what is fixed, move; ``size``: what the largest of them alone
+    does.
     """
     point = np.asarray(point, dtype=float)
     values, moved = model.values(point), model

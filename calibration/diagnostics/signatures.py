@@ -1,14 +1,15 @@
-"""What an imperfection of the sensor or of the law adds to a record, to first order about an optimum.
+"""What an imperfection of the sensor or of the law adds to a record, to first order about an optimum, in deviations of the
+noise.
 
-A signature is an error of the prediction in deviations of the noise. Of the sensor it follows from what is predicted; of
-the law it is a force beside the predicted one, and what the motion makes of it: m x'' = -(k x + c x' + f), with the
-contact's tangent k, c along the predicted motion, changes the force by f + k x + c x'. The tangent is that of
-F = K d^n exp(a d') fitted to the predicted force, and m that of d'' = g - F/m: a contact of one mass. Where the motion is
-another, the force alone is taken.
+Of the sensor it follows from what is predicted; of the law it is a force f beside the predicted one, and what the motion
+makes of it: m x'' = -(k x + c x' + f) changes the force by f + k x + c x', with the tangent k, c of F = K d^n exp(a d')
+fitted to the predicted force, and m that of d'' = g - F/m: a contact of one mass. Where the motion is another, the force
+alone is taken.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -31,13 +32,10 @@ class Motion(NamedTuple):
     """One contact's predicted motion in one record, and how a force beside it would change what is read.
 
     Attributes:
-        times: (T,) [s] of the model's clock.
-        depth, rate, force: (T,) [m], [m/s], [N].
-        elastic: (T,) the force without its damping.
-        deepest: (T,) largest depth since the contact began [m].
+        times, depth, rate, force: (T,) of the model's clock; elastic: the force without its damping; deepest: largest depth since
+            the contact began.
         moves: (T - 1, 2, 2) from one instant's small change to the next one's; None where the motion is not of one mass.
         tangent: (T, 2) k [N/m] and c [N s/m].
-        mass: [kg].
     """
 
     times: np.ndarray
@@ -78,11 +76,9 @@ class Scene(NamedTuple):
 
     Attributes:
         size: N, residuals of the fit.
-        series: residuals by record and channel; runs: the record of each.
-        read: (n,) what is predicted of each, SI.
+        series: residuals by record and channel; runs: the record of each; read: (n,) what is predicted of each, SI.
         motions: the contact that each reads, with the offset of its clock [s]; None where it reads another thing.
-        contact: duration of the longest contact [s].
-        peak: largest predicted reading, SI.
+        contact: duration of the longest contact [s]; peak: largest predicted reading, SI.
     """
 
     size: int
@@ -280,19 +276,17 @@ def gain_bend(scene: Scene) -> np.ndarray:
     return of_readings(scene, [x * np.abs(x) for x in scene.read])
 
 
-def drift(scene: Scene) -> np.ndarray:
-    """Of a reading that grows by 1 a second, in every record otherwise."""
-    return of_each(scene, [[s.clock] for s in scene.series])
+# Errors of one series' reading and clock that every record has otherwise, a unit of each.
+EACH: dict[str, Callable[[Series, np.ndarray], np.ndarray]] = {
+    "drift": lambda s, read: s.clock,
+    "clock offset": lambda s, read: -np.gradient(read, s.clock),
+    "offset": lambda s, read: np.ones(s.clock.size),
+}
 
 
-def clock_offset(scene: Scene) -> np.ndarray:
-    """Of a clock that is ahead by 1 s, in every record otherwise."""
-    return of_each(scene, [[-np.gradient(x, s.clock)] for s, x in zip(scene.series, scene.read, strict=True)])
-
-
-def offset(scene: Scene) -> np.ndarray:
-    """Of a reading that is 1 too large, in every record otherwise."""
-    return of_each(scene, [[np.ones(s.clock.size)] for s in scene.series])
+def each(scene: Scene, name: str) -> np.ndarray:
+    """Of one of ``EACH``."""
+    return of_each(scene, [[EACH[name](s, x)] for s, x in zip(scene.series, scene.read, strict=True)])
 
 
 def hum(scene: Scene, hum_frequency: float) -> np.ndarray:

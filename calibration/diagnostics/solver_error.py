@@ -1,8 +1,7 @@
 """The solver's error in an estimate: measured in deviations of the estimate, and taken out where it is no small part.
 
-A residual's error is systematic: it may move an estimate by more than one sample's noise does, though it is far smaller.
-So it is judged by what it moves the estimates by, not by its size. Where that is too much the fit goes on from its
-optimum with runs so many times as tight as those that measured the error (``solver_budget.tighter``).
+It is systematic: it may move an estimate by more than one sample's noise does, though it is far smaller. Where that is too
+much the fit goes on from its optimum with tighter runs (``solver_budget.tighter``).
 """
 
 from __future__ import annotations
@@ -30,12 +29,7 @@ _ROUNDS = 2
 
 
 class Corrected(NamedTuple):
-    """An optimum on the model that it is one of.
-
-    Attributes:
-        errors: (N,) the solver's part in the white residuals; NaN where it is not known.
-        notes: what was done, and what is left, in words.
-    """
+    """An optimum on the model that it is one of, the solver's part in its white residuals (N,), and what was done, in words."""
 
     model: Model
     end: End
@@ -46,11 +40,7 @@ class Corrected(NamedTuple):
 def corrected(model: Model, best: End, errors: np.ndarray) -> Corrected:
     """An optimum whose estimates the solver's error moves by at most ``LITTLE`` deviations, if tighter runs succeed.
 
-    Nothing is run where that holds already, nor where the error is not known.
-
-    Args:
-        model, best: the optimum, its Jacobian the one that the covariance is of.
-        errors: (N,) of the white residuals there (``integration.errors``).
+    Nothing is run where that holds already, nor where ``errors`` (N,) of the residuals (``integration.errors``) are not known.
     """
     first = now = shift(errors, best.jacobian)
     rounds = 0

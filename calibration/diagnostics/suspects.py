@@ -1,19 +1,17 @@
 """The usual suspects for a miss, ranked by what they explain of held-out residuals; nothing here simulates anew.
 
-Residuals r of a fit with the Jacobian J are compared with the signatures S of each suspect (``signatures``): [J S] is
-fitted to a part of the samples and predicts the others. Numbers that a signature depends on otherwise, such as a
-frequency, are sought on a grid in each training part, and about its best point. What a suspect explains is the share by
-which the held-out sum of squares falls; of a suspect that is a noise (jitter, steps of a quantisation) it is the share of
-the variance that has its size, or that the likelihood gains by it.
-
-A suspect is significant where chance would let the best of all grids fall so far in less than one record of a hundred
-(F, Bonferroni over grid and suspects). The one that explains most is named. Correlated noise comes last: a shape that
-is missed looks the same, so that it is named only where no suspect is significant.
+Residuals r of a fit with the Jacobian J are compared with the signatures S of each suspect (``signatures``): [J S] is fitted
+to a part of the samples and predicts the others. Numbers such as a frequency are sought on a grid in each training part. What
+a suspect explains is the share by which the held-out sum of squares falls; of a noise (jitter, steps of a quantisation) the
+share of the variance that has its size. A suspect is significant where chance would let the best of all grids fall so far in
+less than one record of a hundred (F, Bonferroni). Correlated noise is named only where nothing else is: a missed shape looks
+the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -21,6 +19,7 @@ import numpy as np
 from scipy import special
 
 from calibration.diagnostics import signatures
+from calibration.diagnostics.residual_tests import neighbours
 from calibration.diagnostics.signatures import Scene
 
 # Chance of a name in a record without any imperfection, all suspects together.
@@ -48,12 +47,10 @@ class Found(NamedTuple):
     """What one suspect explains.
 
     Attributes:
-        name: of the suspect.
         explained: share of the held-out sum of squares.
         chance: that noise alone lets any suspect explain as much as this; 1 where it explains nothing.
         values: numbers of its best shape, SI, and its amplitude where that is one number.
-        columns: (N, K) its signature there; none of a noise.
-        given: whether the signature's amplitude is 1.
+        columns: (N, K) its signature there; none of a noise; given: whether its amplitude is 1.
         numbers: that are fitted or sought for it.
         named: whether it is the one that explains most.
     """
@@ -127,9 +124,7 @@ SUSPECTS: dict[str, _Suspect] = {
     ),
     "resonance": _Suspect(_resonances, signatures.second_order, given=True),
     "hum": _Suspect(_hums, signatures.hum),
-    "drift": _Suspect(lambda x: {}, signatures.drift),
-    "clock offset": _Suspect(lambda x: {}, signatures.clock_offset),
-    "offset": _Suspect(lambda x: {}, signatures.offset),
+    **{name: _Suspect(lambda x: {}, partial(signatures.each, name=name)) for name in signatures.EACH},
     "gain bend": _Suspect(lambda x: {}, signatures.gain_bend, amplitude="gain_bend"),
     "stop": _Suspect(_depths, signatures.stop, sign=1, amplitude="bottoming_stiffness", law=True),
     "relaxation": _Suspect(
@@ -142,14 +137,6 @@ SUSPECTS: dict[str, _Suspect] = {
 NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
 
 
-class _Sums(NamedTuple):
-    """Sums over each fold: (F, P, P), (F, P), (F,)."""
-
-    gram: np.ndarray
-    push: np.ndarray
-    square: np.ndarray
-
-
 class _Errors(NamedTuple):
     """Sum of squares of all samples fitted, of each training part (F,), and of the held-out parts together (F,)."""
 
@@ -160,14 +147,7 @@ class _Errors(NamedTuple):
 
 
 class Rank(NamedTuple):
-    """Residuals in order of their folds.
-
-    Attributes:
-        order: rows by fold; starts: (F,) first of each.
-        residuals, jacobian: in that order.
-        plain: errors without any suspect.
-        count: residuals less coordinates.
-    """
+    """Residuals, Jacobian and rows in ``order`` of their folds; ``starts`` of these; errors without any suspect; freedom."""
 
     order: np.ndarray
     starts: np.ndarray
@@ -183,11 +163,7 @@ def ranked(
 ) -> list[Found]:  # fmt: skip
     """Every suspect, the best first; one that predicts held-out samples worse explains less than nothing.
 
-    Args:
-        scene: of the optimum.
-        residuals, jacobian: (N,), (N, P), white.
-        laws: suspects of the law that may be tried: those whose law there is.
-        taken: suspects that the model has in it already.
+    ``laws``: suspects of the law that may be tried; ``taken``: suspects that the model has in it already.
     """
     scene = signatures.thinned(scene, _SAMPLES)
     at = _folded(scene, residuals, jacobian)
@@ -233,27 +209,18 @@ def _folded(scene: Scene, residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
     return at._replace(plain=_errors(at, scaled, at.residuals))
 
 
-def _sums(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Sums:
-    ends = [*at.starts[1:], at.order.size]
-    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
-    return _Sums(
-        np.stack([c.T @ c for c, _ in parts]),
-        np.stack([c.T @ t for c, t in parts]),
-        np.array([t @ t for _, t in parts]),
-    )
-
-
 def _errors(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Errors:
     """Of least squares of the target by columns: on all rows, and on all folds but one."""
-    s = _sums(at, columns, target)
-    ridge = 1e-9 * np.eye(columns.shape[1])
-    gram, push, square = s.gram.sum(axis=0), s.push.sum(axis=0), float(s.square.sum())
-    amplitudes = np.linalg.solve(gram + ridge, push)
-    rest, given = gram - s.gram + ridge, push - s.push
+    ends = [*at.starts[1:], at.order.size]
+    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
+    gram, push = np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts])
+    square, ridge = np.array([t @ t for _, t in parts]), 1e-9 * np.eye(columns.shape[1])
+    rest, given = gram.sum(axis=0) - gram + ridge, push.sum(axis=0) - push
+    amplitudes = np.linalg.solve(gram.sum(axis=0) + ridge, push.sum(axis=0))
     x = np.linalg.solve(rest, given[..., None])[..., 0]
-    trained = square - s.square - np.einsum("fp,fp->f", given, x)
-    held = s.square - 2.0 * np.einsum("fp,fp->f", s.push, x) + np.einsum("fp,fpq,fq->f", x, s.gram, x)
-    return _Errors(square - float(push @ amplitudes), trained, held, amplitudes)
+    trained = square.sum() - square - np.einsum("fp,fp->f", given, x)
+    held = square - 2.0 * np.einsum("fp,fp->f", push, x) + np.einsum("fp,fpq,fq->f", x, gram, x)
+    return _Errors(float(square.sum() - push.sum(axis=0) @ amplitudes), trained, held, amplitudes)
 
 
 def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
@@ -329,8 +296,7 @@ def _chance(before: float, after: float, more: int, count: int) -> float:
 def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
     """Whether the variance grows with the square of the slope: 1 + (j w x')^2, j sought on a grid.
 
-    Of the residuals' second differences, (r_-1 - 2 r + r_+1)/sqrt(6): a shape that the law misses is smooth over a few
-    samples and leaves them, while a clock errs anew at each.
+    Of the residuals' second differences, (r_-1 - 2 r + r_+1)/sqrt(6), in which a smooth shape leaves little.
     """
     slope, rough = np.zeros(scene.size), np.zeros(scene.size)
     residuals = np.zeros(scene.size)
@@ -417,9 +383,9 @@ def _saturated(at: Rank, scene: Scene, tests: int) -> list[Found]:
 
 def _correlated(scene: Scene, residuals: np.ndarray, tests: int) -> Found:
     """Correlation of successive residuals, which any shape that is missed makes, too."""
-    pairs = np.concatenate([np.stack([s.rows[:-1], s.rows[1:]]) for s in scene.series if s.rows.size > 1], axis=1)
-    phi = float(np.sum(residuals[pairs[0]] * residuals[pairs[1]]) / np.sum(residuals[pairs[0]] ** 2))
+    phi = neighbours(residuals, [s.rows for s in scene.series])
+    count = sum(s.rows.size - 1 for s in scene.series)
     step = float(np.median(np.concatenate([np.diff(s.clock) for s in scene.series])))
-    chance = float(special.ndtr(-phi * np.sqrt(pairs.shape[1]))) * tests
+    chance = float(special.ndtr(-phi * np.sqrt(count))) * tests
     time = -step / np.log(phi) if 0.0 < phi < 1.0 else 0.0
     return Found("correlated noise", max(phi, 0.0) ** 2, min(chance, 1.0), {"correlation": time})

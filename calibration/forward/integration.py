@@ -1,7 +1,6 @@
 """What the integrator's own error does to a fit: it is measured where the fit ended, by a run at a tighter tolerance.
 
-Residuals that are no larger are the integrator's and say nothing of noise or model; and where they are, the cost of a
-point is uncertain by as much, so that starts cannot agree on it to the last digit.
+Residuals that are no larger say nothing of noise or model, and the cost of a point is uncertain by as much.
 """
 
 from __future__ import annotations
@@ -55,12 +54,8 @@ def errors(model: Model, point: np.ndarray, residuals: np.ndarray) -> np.ndarray
 
 
 def own(residuals: np.ndarray, error: np.ndarray, accuracy: float, peak: float) -> bool:
-    """Whether white residuals of one series are no larger than the integrator's error, or its limit's least.
-
-    Args:
-        residuals, error: (n,) what is left, and the integrator's part in it.
-        accuracy: as ``limits``.
-        peak: of the series, in deviations of its noise.
+    """Whether white residuals (n,) of one series are no larger than the integrator's error, or its limit's least; ``peak`` is
+    of the series, in deviations of its noise.
     """
     least = max(accuracy, _FINEST) * peak
     size, doubt = (float(np.sqrt(np.mean(a**2))) for a in (residuals, error))

@@ -64,9 +64,9 @@ class Data(eqx.Module):
 
     Attributes:
         times: (E, T) [s].
-        values, weights: (E, C, T) readings, SI, and 1/sigma; weight 0 is no sample.
+        values, weights: (E, C, T) readings, SI, and 1/sigma; weight 0 is no sample; features, feature_weights: (E, F)
+            likewise.
         memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
-        features, feature_weights: (E, F) likewise.
         fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
         passed: the filter between sensor and record, or None.
     """

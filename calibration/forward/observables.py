@@ -46,27 +46,19 @@ class Passed(NamedTuple):
 
 
 def low_pass(times: Array, values: Array, bandwidth: Array) -> Array:
-    """Output of a first-order sensor, y' = 2 pi bandwidth (x - y), at rest before the first time.
+    """Output of a first-order sensor, y' = 2 pi bandwidth (x - y), bandwidth [Hz], of inputs (T, C) at times (T,), not
+    decreasing.
 
-    Exact for an input that is linear between samples.
-
-    Args:
-        times: (T,) [s], not decreasing.
-        values: (T, C) its inputs.
-        bandwidth: [Hz].
+    At rest before the first time; exact for an input that is linear between samples.
     """
     return _first_order(times, values, 2.0 * jnp.pi * bandwidth)
 
 
 def resonant(times: Array, values: Array, frequency: Array, damping: Array) -> Array:
-    """Output of a second-order sensor, y'' + 2 z w y' + w^2 y = w^2 x, at rest before the first time.
+    """Output of a second-order sensor, y'' + 2 z w y' + w^2 y = w^2 x, of w / 2 pi [Hz] and z above 0 and below 1; as
+    ``low_pass``.
 
-    Exact for an input that is linear between samples: with s = sqrt(1 - z^2), y is the imaginary part of
-    u (z + i s)/s, u' = w (z - i s) (x - u).
-
-    Args:
-        frequency: w / 2 pi [Hz].
-        damping: z, above 0 and below 1.
+    With s = sqrt(1 - z^2), y is the imaginary part of u (z + i s)/s, u' = w (z - i s) (x - u).
     """
     s = jnp.sqrt(1.0 - jnp.square(damping))
     pole = jax.lax.complex(damping, s)
@@ -92,14 +84,10 @@ def filtered(times: Array, values: Array, cutoff: Array, passed: Passed) -> Arra
 def through(
     chain: Mapping[str, Array], times: Array, values: Array, offset: Array, passed: Passed | None = None
 ) -> Array:
-    """What a measuring chain reads of what is there, (T, C); parts that ``chain`` does not name are not compiled.
+    """What a measuring chain reads of values (T, C) that the model has at times (T,) of its clock, not decreasing.
 
-    Args:
-        chain: nuisances by name, of one record (``problem.NUISANCES``).
-        times: (T,) [s] of the model's clock, not decreasing.
-        values: (T, C) readings of the model, SI.
-        offset: () or (C,) readings where there is nothing to read.
-        passed: the filter whose cutoff ``chain`` names.
+    ``chain``: nuisances by name, of one record (``problem.NUISANCES``); parts that it does not name are not compiled.
+    ``offset``: () or (C,) readings where there is nothing to read. ``passed``: the filter whose cutoff ``chain`` names.
     """
     if "bandwidth" in chain:
         values = low_pass(times, values, chain["bandwidth"])

@@ -65,7 +65,6 @@ def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iter
     Args:
         params: parameters [SI] by name; what is none of the scene's is passed over.
         times: (T,) [s] of the scene's clock. Runs of as many share one compiled program.
-        more: readings beside the model's channels.
     """
     run, compile_s, arguments = _compiled(model, params, times, more)
     begin = time.perf_counter()

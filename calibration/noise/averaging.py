@@ -1,13 +1,9 @@
 """The Jacobian of a model whose forces come in spikes: its mean over where the estimate may lie.
 
-An arrival that shifts by more than its spike is long moves the forces by less than the Jacobian at one point says: of
-the joint, the derivative by the windows' clearance is another one 0.03 % further on (tests/data/joint_derivatives.npz),
-while the clearance itself is known to some 7 %. The mean of the Jacobian over the estimate's normal distribution is the
-slope of the best straight line through it (Stein 1981, Annals of Statistics 9, lemma 1).
-
-Such a cost has many little minima beside the one that the mean slope points to, and a descent ends in any of them. One
-Gauss-Newton step with the mean slope goes on from there (Le Cam's one-step estimator; van der Vaart, Asymptotic
-Statistics, 5.7): the estimate is then as good as its covariance says.
+An arrival that shifts by more than its spike is long moves the forces by less than the Jacobian at one point says. The mean over
+the estimate's normal distribution is the slope of the best straight line through it (Stein 1981, Annals of Statistics 9,
+lemma 1). One Gauss-Newton step with it leads on from any of the cost's little minima (Le Cam's one-step estimator; van der Vaart,
+Asymptotic Statistics, 5.7).
 """
 
 from __future__ import annotations
@@ -23,12 +19,9 @@ from calibration.search.refinement import End
 def averaged(evaluate: Evaluate, best: End, covariance: np.ndarray, rotations: int = 1) -> End:
     """An optimum with the mean of its Jacobian over N(point, covariance).
 
-    By the cubature rule of degree 3 (Arasaratnam and Haykin 2009): 2 P points, sqrt(P) deviations off along the
-    principal axes. The rule holds along any other orthonormal axes of the whitened coordinates; the mean of several such
-    rules follows the spikes less. Points beyond the box are taken at its wall; pairs that fail are left out.
-
-    Args:
-        rotations: rules that are averaged, the principal axes' and such of random axes.
+    By the cubature rule of degree 3 (Arasaratnam and Haykin 2009): 2 P points, sqrt(P) deviations off along the principal
+    axes, and along random orthonormal ones of the whitened coordinates for the other ``rotations``. Points beyond the box are
+    taken at its wall; pairs that fail are left out.
     """
     sizes, axes = np.linalg.eigh(covariance)
     count, random = best.point.size, np.random.default_rng(0)

@@ -26,9 +26,6 @@ def settle(
 ) -> tuple[Model, tuple[End, ...], Estimate]:
     """Estimate the noise at the best end and fit with it, in turn, until neither changes; then bring the others along.
 
-    Args:
-        model: as built, with the weights that ``Channel.deviation`` assumes.
-
     Returns:
         The model with settled weights, the ends on it, best first, and the noise.
     """

@@ -33,10 +33,9 @@ class Estimate(NamedTuple):
     """What was found of the noise.
 
     Attributes:
-        sigma: deviation, SI, by channel whose noise is estimated.
-        correlation: time [s] by channel whose correlation is.
-        moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the
-            variance of that.
+        sigma, correlation: deviation, SI, and time [s], by channel whose noise, or correlation, is estimated.
+        moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the variance
+            of that.
         integrator: channels whose residuals are no larger than the integrator's error, which stands for their noise.
     """
 

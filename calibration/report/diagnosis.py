@@ -10,6 +10,7 @@ from calibration.selection import agreement
 from calibration.selection.choice import DECISIVE
 from calibration.selection.diagnosis import SEEN, Diagnosis, Trial
 from calibration.selection.remedies import ADVICE
+from calibration.uncertainty.estimates import briefly
 
 # A suspect that explains less and is not named is not shown.
 _LEAST = 0.01
@@ -86,10 +87,6 @@ def _laws(d: Diagnosis) -> str:
     return f"; the law {' or '.join(good)} explains it" if good else f"; none of {len(tried)} other laws explains it"
 
 
-def _plain(fit: Fit | None) -> dict[str, Any]:
-    return {n: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for n, p in fit.parameters.items()} if fit else {}
-
-
 def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
     """``diagnosis`` of ``fit.json``."""
     return {
@@ -107,11 +104,11 @@ def as_json(d: Diagnosis, plain: Fit) -> dict[str, Any]:
                 "names": list(t.names), "with_law": t.law or None, "lines": t.lines,
                 "bic_change": -t.gain, "confirmed": t.confirmed,
                 "verdict": t.fit.verdict if t.fit else None, "law": t.fit.law.answer if t.fit else None,
-                "reason": t.reason or None, "parameters": _plain(t.fit),
+                "reason": t.reason or None, "parameters": briefly(t.fit.parameters) if t.fit else {},
             }
             for t in d.trials
         ],
-        "plain": _plain(plain),
+        "plain": briefly(plain.parameters),
     }  # fmt: skip
 
 

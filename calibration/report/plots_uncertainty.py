@@ -51,14 +51,13 @@ def draw(fit: Fit, folder: Path) -> list[Picture]:
 
 def residual_series(fit: Fit) -> dict[str, np.ndarray]:
     """White residuals (n,) of a fit in time order, by name of record and channel."""
-    model, residuals = fit.optimum.model, fit.optimum.end.residuals
-    weights = np.asarray(model.data.weights)
-    shaped = residuals[: weights.size].reshape(weights.shape)
-    names = [record.name for record in fit.records if not record.held_out]
-    found = {}
-    for i, j in np.argwhere(np.count_nonzero(weights > 0, axis=2) > 3):
-        found[f"{names[i]} {model.channels[j]}"] = shaped[i, j][weights[i, j] > 0]
-    return found
+    at, names = fit.optimum, [record.name for record in fit.records if not record.held_out]
+    return {
+        f"{names[int(i)]} {at.model.channels[j]}": at.end.residuals[s.rows]
+        for s in at.series
+        if s.rows.size > 3
+        for i, j, _ in [np.unravel_index(s.rows[0], at.model.data.values.shape)]
+    }
 
 
 def profiles(found: Sequence[Profile], units: Mapping[str, str], path: Path) -> None:

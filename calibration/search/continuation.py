@@ -35,13 +35,9 @@ _HOPELESS = 4.0
 
 
 class Interrupted(KeyboardInterrupt):
-    """The user stopped a search; what is best so far is reported.
-
-    Attributes:
-        finished: how many starts were done, of how many.
-        values: SI, by name, of the best; None if nothing was finished.
-        cost: of it, on the data of its stage.
-        stage: "screening" before the descents, "3 of 6" stages of the horizon, "the optimum" or "refinement" after them.
+    """The user stopped a search: how many starts were ``finished`` of how many; ``values`` (SI, by name; None if nothing was
+    finished) and ``cost`` of the best, on the data of its ``stage``: "screening", "3 of 6" stages of the horizon, "the
+    optimum" or "refinement".
     """
 
     def __init__(self, finished: str, values: dict[str, float] | None, cost: float, stage: str) -> None:
@@ -170,10 +166,8 @@ def _fits(known: Any, points: np.ndarray) -> bool:
 
 
 def _descend(part: Model, points: np.ndarray, leg: _Leg, before: Model | None) -> Descents:
-    """One batch on one leg: far off by Adam, then to the right arrivals, then to the least squares.
-
-    Args:
-        part: the data of this leg; before: those of the leg before, where this one's contacts may be missed.
+    """One batch on one leg: far off by Adam, then to the right arrivals, which the leg ``before`` leaves open, then to the least
+    squares.
     """
     evaluate, means = evaluator(part), budget(part.scene)
     if means.apart:
@@ -197,8 +191,7 @@ def _descend(part: Model, points: np.ndarray, leg: _Leg, before: Model | None) -
 def _drawn(before: Evaluate, arrivals: Evaluate, points: np.ndarray) -> np.ndarray:
     """Of each point and draws of what the data before leave open, the one that meets the next arrivals best.
 
-    A hard contact lasts a small part of the time by which its arrival is uncertain, and no slope leads there from beside.
-    Starts that have met nothing draw again, a few times, while most have not.
+    No slope leads to a hard contact from beside. Starts that have met nothing draw again, a few times, while most have not.
     """
     residuals, jacobians = before(points)
     begun, rng = cost_of(arrivals(points)[0]), np.random.default_rng(0)

@@ -87,14 +87,12 @@ def levenberg(
 ) -> Descents:
     """Damped Gauss-Newton within the box, each point with its own damping.
 
-    A coordinate at a bound that the cost pushes it against is held there. A point has converged when what
-    is left to gain is less than ``tolerance`` of the cost per residual, or ``enough``, or its step too short to matter.
-    Points that have, and points that get nowhere, are not waited for.
+    A coordinate at a bound that the cost pushes it against is held there. Points that have converged, and points that get
+    nowhere, are not waited for.
 
     Args:
         evaluate: residuals and Jacobians; asked at most ``iterations + 1`` times.
-        tolerance: of the promised decrease, in units of cost / number of residuals.
-        enough: of the promised decrease itself.
+        tolerance, enough: a point has converged when less is left to gain, in units of cost / residuals, or at all.
         patience: how many times in a row a point may gain nothing to speak of.
     """
     at = np.clip(points, 0.0, 1.0)

@@ -24,11 +24,8 @@ _MET = 0.2
 
 
 def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
-    """First and last sample of each contact in a record (T,), in order.
-
-    Args:
-        values: positive in contact, without gaps.
-        sigma: standard deviation of their noise.
+    """First and last sample of each contact in a record (T,), in order: values positive in contact, without gaps, of noise
+    ``sigma``.
     """
     rise = values - np.percentile(values, 10)
     peak = float(rise.max(initial=0.0))
@@ -57,9 +54,9 @@ def _at_rest(values: np.ndarray) -> float:
 def stages(model: Model) -> list[np.ndarray]:
     """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
-    An experiment's contacts are those of the normal force that has most, or of another reading that contacts make pulse.
-    Of the flight after the first, only as much is fitted as the contact took: far from the truth a mass may come to rest,
-    and vibrates all the way. The last stage is always all data; where each instant is solved for itself, it is the only one.
+    An experiment's contacts are those of the normal force that has most, or of another reading that contacts make pulse. Of
+    the flight after the first, only as much is fitted as the contact took. Where each instant is solved for itself, all is
+    the only stage.
     """
     if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
@@ -120,9 +117,8 @@ def meets(model: Model, residuals: np.ndarray, ends: list[np.ndarray]) -> np.nda
 def impulses(model: Model, residuals: np.ndarray) -> np.ndarray:
     """Running sums over time of weighted residuals (B, N) or their Jacobians (B, N, P): errors of the impulse so far.
 
-    A contact predicted too late leaves an impulse missing for as long as it is late, so the sum of squares falls all
-    the way to the right arrival, where that of the forces themselves is flat between the two contacts. Residuals
-    that are of no history stay.
+    A contact predicted too late leaves an impulse missing for as long as it is late, so the sum of squares falls all the way
+    to the right arrival, where that of the forces is flat. Residuals that are of no history stay.
     """
     shape = model.data.weights.shape
     count = int(np.prod(shape))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from bcfj_jax.xla.threads import each
 from calibration.forward.model import Model, evaluation
 from calibration.forward.runs import refusal
 from calibration.search.descent import Descents
@@ -26,13 +26,9 @@ _BEST, _OTHERS, _AS_LOW = 3, 9, 25.0
 
 @dataclass(frozen=True)
 class End:
-    """Where one start ended.
-
-    Attributes:
-        cost: of the weighted residuals, the sum of their squares or what the loss makes of it.
-        residuals, jacobian: at ``point``, of the ends that the trust region refined; else empty.
-        converged: whether the optimiser met its own tolerance.
-        failure: why it cannot count; "" if it can.
+    """Where one start ended: cost of the weighted residuals, these and their Jacobian at ``point`` (of the ends that the
+    trust region refined; else empty), whether the optimiser met its own tolerance, and why the end cannot count; "" if it
+    can.
     """
 
     start: np.ndarray
@@ -49,20 +45,18 @@ def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...
     samples = max(int(np.count_nonzero(model.data.weights)), 1)
     ends: list[End] = []
     best: list[End] = []
-    order = np.argsort(found.costs, kind="stable")
-    early: dict[int, End] = {}
-    if budget(model.scene).apart:  # Side by side: each is a run after the other.
-        first = [int(k) for k in order[:_BEST] if np.isfinite(found.costs[k])]
-        with ThreadPoolExecutor(len(first) or 1) as pool:
-            done = pool.map(lambda k: finish(model, starts[k], found.points[k]), first)
-            early = dict(zip(first, done, strict=True))
+    order = [int(k) for k in np.argsort(found.costs, kind="stable")]
+    first = [k for k in order[:_BEST] if np.isfinite(found.costs[k])]
+    # At once where each is a run after the other.
+    run = each if budget(model.scene).apart else map
+    early = dict(zip(first, run(lambda k: finish(model, starts[k], found.points[k]), first), strict=True))
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
         near = any(np.abs(end.point - point).max() < budget(model.scene).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
-        if np.isfinite(cost) and (len(best) < _BEST or (elsewhere and len(best) < _BEST + _OTHERS)):
-            ends.append(early.get(int(k)) or finish(model, start, point))
+        if k in early or (np.isfinite(cost) and elsewhere and len(best) < _BEST + _OTHERS):
+            ends.append(early.get(k) or finish(model, start, point))
             best.append(ends[-1])
             log.info("refined start %d: chi2 %.6g", k + 1, ends[-1].cost)
         else:
@@ -103,6 +97,8 @@ def trust_region(
             seen[u.tobytes()] = residuals, jacobian
         return seen[u.tobytes()]
 
+    if not point.size:
+        return Refined(point, *kept(point), True)
     slopes: Any = lambda u: kept(u)[1]  # noqa: E731
     found = least_squares(lambda u: kept(u)[0], point, jac=slopes, bounds=bounds, x_scale="jac", **options)
     return Refined(found.x, *kept(found.x), found.status > 0)

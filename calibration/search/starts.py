@@ -1,9 +1,7 @@
 """Finding optima: scrambled Sobol starts, descents in batches over a growing horizon, a bounded trust region.
 
-Every start goes its own way: none is moved to where another did well, so that their agreement means something.
-Starts descend in batches of one size. After each stage they are ordered by cost, so that those that have arrived go on
-together and wait for none that has not; of many, those that are far off are given up.
-Nothing here assesses: every start is reported with where it ended, failures included.
+Every start goes its own way: none is moved to where another did well, so that their agreement means something. Every one is
+reported with where it ended, failures included.
 """
 
 from __future__ import annotations
@@ -18,15 +16,11 @@ from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model
 from calibration.forward.runs import instants, params_at, ran, refusal
-from calibration.search.continuation import Interrupted as Interrupted
-from calibration.search.continuation import blocks, continued, named
+from calibration.search.continuation import Interrupted, blocks, continued, named
 from calibration.search.descent import Descents, levenberg
-from calibration.search.evaluate import evaluator as evaluator
-from calibration.search.evaluate import loosened
+from calibration.search.evaluate import evaluator, loosened
 from calibration.search.horizon import stages, until
-from calibration.search.refinement import End as End
-from calibration.search.refinement import finish as finish
-from calibration.search.refinement import refined
+from calibration.search.refinement import End, refined
 from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
@@ -96,7 +90,6 @@ def search(
     Args:
         starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
-        journal: where finished batches are kept, and taken from.
 
     Returns:
         The model at the reference penetration that the best end gives, and all starts' ends, best first.
@@ -123,11 +116,7 @@ def search(
 
 
 def _straight(model: Model, points: np.ndarray, found: Descents) -> Descents:
-    """Given starts, fitted to all data at once too, where that ends lower.
-
-    Fitted to the first contacts alone, an estimate moves by what these leave open, and of a hard contact that is enough
-    to miss the last ones.
-    """
+    """Given starts, fitted to all data at once too, where that ends lower: by the first contacts alone they may move too far."""
     if not len(points) or len(stages(model)) == 1:
         return found
     check()

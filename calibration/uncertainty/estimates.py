@@ -20,10 +20,11 @@ from calibration.search.evaluate import evaluator
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
 
-# Name of the reference force among what errors move.
+# Name of the reference force among what is estimated.
 REFERENCE = "reference force"
 # In half-widths of an interval.
 _NEAR = 0.1
+Ends = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,31 @@ class Parameter:
 
     value: float
     unit: str
-    ci95: tuple[float, float] | None
+    ci95: Ends | None
     identifiable: bool
     at_bound: str
     kind: str = "fitted"
     interval_kind: str = "covariance"
-    intervals: dict[str, tuple[float, float] | None] = field(default_factory=dict)
+    intervals: dict[str, Ends | None] = field(default_factory=dict)
     headline: str = ""
-    with_budget: tuple[float, float] | None = None
+    with_budget: Ends | None = None
+
+
+@dataclass(frozen=True)
+class Reference(Parameter):
+    """The power law where the data are: its force at a penetration [m]."""
+
+    penetration: float = 0.0
+
+    @property
+    def force(self) -> float:
+        """[N]."""
+        return self.value
+
+    @property
+    def noise(self) -> Ends | None:
+        """The interval of the noise alone."""
+        return self.intervals.get("noise")
 
 
 def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
@@ -60,56 +78,42 @@ def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
     return {name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in parameters.items()}
 
 
-@dataclass(frozen=True)
-class Reference:
-    """The power law where the data are: F_ref at d_ref, its interval (None as in Parameter), and that of noise alone."""
-
-    penetration: float
-    force: float
-    ci95: tuple[float, float] | None
-    interval_kind: str = "covariance"
-    with_budget: tuple[float, float] | None = None
-    noise: tuple[float, float] | None = None
-
-
 class Estimates(NamedTuple):
-    """Estimates by name, the reference force where there is one, and the tests of both."""
+    """Estimates by name, last the reference force where there is one, and their tests."""
 
     parameters: dict[str, Parameter]
-    reference: Reference | None
     tests: list[fit_tests.Test]
 
 
-def estimates(at: Optimum) -> Estimates:
-    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
-    model, spread = at.model, at.spread
-    pair = model.pair() if model.referenced else None
+class Moving(NamedTuple):
+    """What is estimated, on the scales of its coordinates; the logarithm of the reference force is the last.
+
+    Attributes:
+        z: (K,) coordinates; slopes: (K, P) how they move with the unit box; limits: (K, 2) of an interval.
+    """
+
+    names: tuple[str, ...]
+    z: np.ndarray
+    slopes: np.ndarray
+    log: tuple[bool, ...]
+    limits: np.ndarray
+
+
+def moving(at: Optimum) -> Moving:
+    """The estimates of an optimum."""
+    model = at.model
     z, slopes = placed(model, at.end)
-    parameters, tests, reaches = {}, [], []
-    for i, (axis, label) in enumerate(zip(model.coordinates, at.labels, strict=True)):
-        value, half, widest = float(model.values(at.end.point)[i]), spread.half_width(slopes[i]), fit_tests.widest(axis)
-        known, quantity = bool(half < widest), _quantity(model, axis)
-        edges, reach = _edges(axis, quantity, value, z[i], half)
-        reaches.append(reach)
-        # Of many decades the lowest are no thousandth of the range.
-        margin = 1e-3 * (min(axis.upper - axis.lower, value) if axis.decades else axis.upper - axis.lower)
-        at_bound = "lower" if z[i] < axis.lower + margin else "upper" if z[i] > axis.upper - margin else ""
-        kind = "derived" if pair and i == pair[0] else "fitted"
-        parameters[label] = Parameter(value, quantity.unit, edges if known else None, known, at_bound, kind)
-        tests.append(fit_tests.determined_test(label, half, axis))
-        inside = f"{label} is at its {at_bound} bound"
-        tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
-    if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
-        for slope, label, reach in zip(slopes, at.labels, reaches, strict=True):
-            if spread.half_width(slope) > 0.0:  # Else it is held where it is.
-                tests.append(fit_tests.curvature_test(label, _curvature(at, slope, (-reach, 1.0))))
-    tests.append(fit_tests.rank_test(spread))
-    if not all(t.passed for t in tests if t.name.endswith("determined")):
-        names = [at.labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
-        reason = f"the weakest direction of the data is in {' and '.join(names)}"
-        reason += f"; what would separate them: {separation(names)}" if len(names) > 1 else ""
-        tests.append(fit_tests.Test("weak direction", spread.condition, 0, False, reason))
-    return Estimates(parameters, _reference(at), tests)
+    known = Moving(
+        at.labels, z, slopes, tuple(axis.log for axis in model.coordinates),
+        np.array([[axis.lower, axis.upper] for axis in model.coordinates]),
+    )  # fmt: skip
+    if not model.referenced:
+        return known
+    (lower, width), k = model.box, model.pair()[0]
+    return Moving(
+        (*known.names, REFERENCE), np.append(z, lower[k] + at.end.point[k] * width[k]),
+        np.vstack([slopes, np.diag(width)[k]]), (*known.log, True), np.vstack([known.limits, [-np.inf, np.inf]]),
+    )  # fmt: skip
 
 
 def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
@@ -127,49 +131,67 @@ def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
     return z, slopes
 
 
-def _edges(
-    axis: Coordinate, quantity: Quantity, value: float, z: float, half: float
-) -> tuple[tuple[float, float], float]:
-    """Ends of an interval of a half width on the search scale, SI, and how much of it lies below the estimate."""
-    # No lower than the quantity can be: a clearance that may be closed.
-    reach = 1.0 if axis.log or not 0.0 < half < np.inf else min(1.0, (value - quantity.low) / half)
-    # Nor outside of the bounds that were given.
-    low, high = np.clip((z - reach * half, z + half), axis.lower, axis.upper)
-    return (float(np.exp(low)), float(np.exp(high))) if axis.log else (float(low), float(high)), reach
+def in_si(low: float, high: float, log: bool, limits: Any = (-np.inf, np.inf)) -> Ends:
+    """Ends of an interval of a coordinate, within its limits, as values."""
+    low, high = np.clip((low, high), *limits)
+    return (float(np.exp(low)), float(np.exp(high))) if log else (float(low), float(high))
 
 
-def ends_of(at: Optimum) -> tuple[dict[str, tuple[float, float] | None], tuple[float, float] | None]:
-    """Intervals by name, however wide, and that of the reference force."""
-    z, slopes = placed(at.model, at.end)
-    found = {}
-    for i, (axis, label, value) in enumerate(
-        zip(at.model.coordinates, at.labels, at.model.values(at.end.point).tolist(), strict=True)
-    ):
-        half = at.spread.half_width(slopes[i])
-        found[label] = _edges(axis, _quantity(at.model, axis), value, z[i], half)[0] if np.isfinite(half) else None
-    reference = _reference(at)
-    return found, reference and reference.ci95
+def estimates(at: Optimum) -> Estimates:
+    """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
+    model, spread, how = at.model, at.spread, moving(at)
+    values, ends, parameters, tests = model.values(at.end.point).tolist(), ends_of(at), {}, []
+    for i, (axis, label, value) in enumerate(zip(model.coordinates, at.labels, values, strict=True)):
+        z, half = how.z[i], spread.half_width(how.slopes[i])
+        known = bool(half < fit_tests.widest(axis))
+        # Of many decades the lowest are no thousandth of the range.
+        margin = 1e-3 * (min(axis.upper - axis.lower, value) if axis.decades else axis.upper - axis.lower)
+        at_bound = "lower" if z < axis.lower + margin else "upper" if z > axis.upper - margin else ""
+        kind = "derived" if model.referenced and i == model.pair()[0] else "fitted"
+        unit = _quantity(model, axis).unit
+        parameters[label] = Parameter(value, unit, ends[label] if known else None, known, at_bound, kind)
+        tests.append(fit_tests.determined_test(label, half, axis))
+        inside = f"{label} is at its {at_bound} bound"
+        tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
+    if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
+        for axis, label, value, slope in zip(model.coordinates, at.labels, values, how.slopes, strict=False):
+            if (half := spread.half_width(slope)) > 0.0:  # Else it is held where it is.
+                reach = _reach(axis, _quantity(model, axis), value, half)
+                tests.append(fit_tests.curvature_test(label, _curvature(at, slope, (-reach, 1.0))))
+    tests.append(fit_tests.rank_test(spread))
+    if not all(t.passed for t in tests if t.name.endswith("determined")):
+        names = [at.labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
+        reason = f"the weakest direction of the data is in {' and '.join(names)}"
+        reason += f"; what would separate them: {separation(names)}" if len(names) > 1 else ""
+        tests.append(fit_tests.Test("weak direction", spread.condition, 0, False, reason))
+    if model.referenced:
+        own, force = ends[REFERENCE], float(np.exp(how.z[-1]))
+        parameters[REFERENCE] = Reference(
+            force, "N", own, own is not None, "", intervals={"noise": own}, penetration=float(np.exp(model.log_depth))
+        )
+    return Estimates(parameters, tests)
+
+
+def ends_of(at: Optimum) -> dict[str, Ends | None]:
+    """Intervals by name: of coordinates however wide, of the reference force where it is determined."""
+    how, found = moving(at), {}
+    values = at.model.values(at.end.point).tolist()
+    for k, (name, z, slope, log) in enumerate(zip(how.names, how.z, how.slopes, how.log, strict=True)):
+        half, reach, widest = at.spread.half_width(slope), 1.0, np.log(fit_tests.WIDEST_FACTOR)
+        if name != REFERENCE:
+            axis, widest = at.model.coordinates[k], np.inf
+            reach = _reach(axis, _quantity(at.model, axis), values[k], half)
+        found[name] = in_si(z - reach * half, z + half, log, how.limits[k]) if half < widest else None
+    return found
+
+
+def _reach(axis: Coordinate, quantity: Quantity, value: float, half: float) -> float:
+    """How much of a half width lies below an estimate: none where the quantity cannot be, as of a clearance that is closed."""
+    return 1.0 if axis.log or not 0.0 < half < np.inf else min(1.0, (value - quantity.low) / half)
 
 
 def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
-
-
-def _reference(at: Optimum) -> Reference | None:
-    """F_ref, a coordinate of its own, where stiffness and exponent are both searched."""
-    model = at.model
-    if not model.referenced:
-        return None
-    (lower, width), k = model.box, model.pair()[0]
-    centre, half = float(lower[k] + at.end.point[k] * width[k]), at.spread.half_width(np.diag(width)[k])
-    interval = (float(np.exp(centre - half)), float(np.exp(centre + half)))
-    known = half < np.log(fit_tests.WIDEST_FACTOR)
-    return Reference(
-        float(np.exp(model.log_depth)),
-        float(np.exp(centre)),
-        interval if known else None,
-        noise=interval if known else None,
-    )
 
 
 def _curvature(at: Optimum, slope: np.ndarray, reaches: tuple[float, float]) -> float:

@@ -1,4 +1,4 @@
-"""Which interval each estimate gets: the covariance's, its profile's, or the posterior's; and the tests that follow."""
+"""Which interval each estimate gets, the tests that follow, and what a reader must know of intervals though nothing failed."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
+from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
+from calibration.diagnostics.residual_tests import Series, overstated
 from calibration.forward.coordinates import Coordinate
+from calibration.forward.model import Model
+from calibration.noise.noise_model import Estimate
 from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
-from calibration.uncertainty.estimates import Estimates, ends_of
+from calibration.uncertainty.estimates import REFERENCE, Ends, Estimates, Parameter, ends_of
 from calibration.uncertainty.law_miss import NEXT_RUN
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
@@ -24,7 +28,7 @@ from calibration.uncertainty.profile import Profile
 BOUND = "bound"
 KINDS = ("covariance", "profile", "posterior", BOUND)
 # Intervals by the name of what they are of; None where there is none.
-Ends = Mapping[str, tuple[float, float] | None]
+ByName = Mapping[str, Ends | None]
 
 
 @dataclass(frozen=True)
@@ -74,16 +78,11 @@ def check_kind(kind: str) -> None:
         library(posterior.LIBRARY, "intervals = posterior", "uq")
 
 
-def revised(kind: str, at: Optimum, found: Estimates, batch: int, seed: int) -> tuple[Estimates, Evidence]:
+def revised(kind: str, at: Optimum, found: Estimates, seed: int) -> tuple[Estimates, Evidence]:
     """Estimates and their tests with the intervals that were asked for.
 
-    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead,
-    if that is all that fails.
-
-    Args:
-        found: as the covariance has them, from ``estimates``.
-        batch: points evaluated together.
-        seed: of the sampler.
+    With "covariance", a parameter whose cost does not rise as the covariance says gets its profile's interval instead, if
+    that is all that fails. ``seed``: of the sampler.
     """
     kind = "covariance" if kind == BOUND else kind
     if kind == "posterior":
@@ -103,18 +102,18 @@ def revised(kind: str, at: Optimum, found: Estimates, batch: int, seed: int) -> 
     names = [*at.labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:
         return found, Evidence()
-    profiles = profile.of_optimum(at, only=names, batch=batch)
+    profiles = profile.of_optimum(at, only=names)
     ends = {name: p.interval for name, p in profiles.items()}
     why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in profiles.items()}
     return replaced("profile", at, found, ends, why), Evidence(profiles)
 
 
-def replaced(kind: str, at: Optimum, found: Estimates, ends: Ends, why: Mapping[str, str]) -> Estimates:
+def replaced(kind: str, at: Optimum, found: Estimates, ends: ByName, why: Mapping[str, str]) -> Estimates:
     """Estimates with other intervals, each with its test; one wider than what counts as determined is none.
 
     Tests of the covariance's intervals give way to those of the intervals that replace them; ``why`` there is none.
     """
-    parameters, tests, reference = dict(found.parameters), [], found.reference
+    parameters, tests = dict(found.parameters), []
     for axis, name in zip(at.model.coordinates, at.labels, strict=True):
         if name not in ends:
             continue
@@ -123,17 +122,18 @@ def replaced(kind: str, at: Optimum, found: Estimates, ends: Ends, why: Mapping[
         known = tests[-1].passed
         own = ends[name] if known else None
         parameters[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
-    if reference and "reference_force" in ends:
-        known = half(ends["reference_force"], True) < np.log(fit_tests.WIDEST_FACTOR)
-        reference = replace(reference, ci95=ends["reference_force"] if known else None, interval_kind=kind)
+    if REFERENCE in parameters and "reference_force" in ends:
+        own = ends["reference_force"]
+        own = own if half(own, True) < np.log(fit_tests.WIDEST_FACTOR) else None
+        parameters[REFERENCE] = replace(parameters[REFERENCE], ci95=own, interval_kind=kind)
     gone = {f"interval of {name}" for name in ends} | {t.name for t in tests}
     # That direction is the covariance's: where every parameter turns out bounded it is not weak.
     if set(at.labels) <= set(ends) and all(t.passed for t in tests):
         gone.add("weak direction")
-    return Estimates(parameters, reference, [t for t in found.tests if t.name not in gone] + tests)
+    return Estimates(parameters, [t for t in found.tests if t.name not in gone] + tests)
 
 
-def half(ends: tuple[float, float] | None, log: bool) -> float:
+def half(ends: Ends | None, log: bool) -> float:
     """Half the length of an interval on the search scale; infinite for none."""
     if ends is None:
         return float("inf")
@@ -141,38 +141,77 @@ def half(ends: tuple[float, float] | None, log: bool) -> float:
 
 
 def headlined(at: Optimum, misses: Mapping[str, fit_tests.Spread], found: Estimates, given: bool) -> Estimates:
-    """Estimates with their intervals by kind, and the headline: the widest.
-
-    Args:
-        misses: spreads beside the noise's; none where the law is the noise.
-        found: as the noise has them.
-        given: whether there is one: not after a search that failed, nor where the data allow another answer.
+    """Estimates with their intervals by kind, and the headline: the widest. None where not ``given``: after a search that
+    failed, or where the data allow another answer. ``misses``: spreads beside the noise's; none where the law is the
+    noise.
     """
     kinds = {kind: ends_of(replace(at, spread=spread)) for kind, spread in misses.items()}
-
-    def headline(by_kind: dict[str, tuple[float, float] | None]) -> tuple[Any, str]:
-        if not given or any(ends is None for ends in by_kind.values()):
-            return None, ""
-        by_kind = {kind: ends for kind, ends in by_kind.items() if kind != NEXT_RUN}
-        kind = max(by_kind, key=lambda k: by_kind[k][1] - by_kind[k][0])  # pyright: ignore[reportOptionalSubscript]
-        return by_kind[kind], kind
-
-    parameters, reference = {}, found.reference
-    for axis, name in zip(at.model.coordinates, at.labels, strict=True):
-        by_kind = {"noise": found.parameters[name].ci95, **{kind: ends[name] for kind, (ends, _) in kinds.items()}}
-        ends, kind = headline(by_kind)
-        if ends and _everything(ends, axis):
-            ends, kind = None, ""
-        shown = by_kind if given else {}
-        parameters[name] = replace(found.parameters[name], ci95=ends, headline=kind, intervals=shown)
-    if reference:
-        by_kind = {"noise": reference.ci95, **{kind: own for kind, (_, own) in kinds.items()}}
-        reference = replace(reference, ci95=headline(by_kind)[0])
-    return found._replace(parameters=parameters, reference=reference)
+    limits, parameters = dict(zip(at.labels, at.model.coordinates, strict=True)), {}
+    for name, p in found.parameters.items():
+        by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, ends in kinds.items()}}
+        ends, kind = None, ""
+        if given and all(by_kind.values()):
+            kind, ends = max(
+                ((k, e) for k, e in by_kind.items() if e and k != NEXT_RUN), key=lambda item: item[1][1] - item[1][0]
+            )
+            if name in limits and _everything(ends, limits[name]):
+                ends, kind = None, ""
+        shown = by_kind if given or name == REFERENCE else {}
+        parameters[name] = replace(p, ci95=ends, headline=kind, intervals=shown)
+    return found._replace(parameters=parameters)
 
 
-def _everything(ends: tuple[float, float], axis: Coordinate) -> bool:
+def _everything(ends: Ends, axis: Coordinate) -> bool:
     """Whether an interval is all that the bounds allow."""
     low, high = np.log(ends) if axis.log else ends
     margin = 1e-6 * (axis.upper - axis.lower)
     return bool(low <= axis.lower + margin and high >= axis.upper - margin)
+
+
+# What a reader must know though nothing failed, in sentences.
+WIDE = "with what the law misses and runs differ by allowed for, the data do not determine"
+SPANNING = "with every error that may act allowed for, not to a factor of two:"
+
+
+def of_integrator(noise: Estimate) -> list[str]:
+    """Of channels whose noise is the integrator's own error."""
+    return [
+        f"the noise of {name} is the integrator's: residuals are no larger than what its own error may be, "
+        f"and count as {noise.sigma[name]:.2g} {unit_of(name)}"
+        for name in noise.integrator
+    ]
+
+
+def of_wide(model: Model, parameters: dict[str, Parameter]) -> list[str]:
+    """Of headlines that are wider than what is called determined, though the noise's interval is not."""
+    wide = [
+        name
+        for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
+        if p.intervals.get("noise") and (p.ci95 is None or half(p.ci95, axis.log) >= fit_tests.widest(axis))
+    ]
+    return [f"{WIDE} {' and '.join(wide)} to a factor of two"] if wide else []
+
+
+def of_spanning(at: Optimum, parameters: dict[str, Parameter]) -> list[str]:
+    """Of intervals to quote that span more than a factor of two."""
+    log = {name for name, axis in zip(at.labels, at.model.coordinates, strict=True) if axis.log}
+    wide = {n: p.ci95[1] / p.ci95[0] for n, p in parameters.items() if n in log and p.ci95 and p.ci95[0] > 0.0}
+    wide = [f"{n} (a factor of {x:.2g} from end to end)" for n, x in wide.items() if x > fit_tests.WIDEST_FACTOR]
+    return [f"{SPANNING} {' and '.join(wide)}"] if wide else []
+
+
+def of_bent(tests: list[fit_tests.Test]) -> list[str]:
+    """Of a cost that is no parabola where intervals take it for one."""
+    if not tests:
+        return []
+    worst = max(tests, key=lambda t: abs(np.log(max(t.value, 1e-300))))
+    others = f", and of {len(tests) - 1} more" if len(tests) > 1 else ""
+    said = f"intervals take the cost for a parabola, but {worst.reason}{others}"
+    return [f"{said}: --intervals profile walks along the cost"]
+
+
+def of_overstated(series: list[Series], residuals: np.ndarray) -> list[str]:
+    """Of noise that was stated larger than residuals show."""
+    worst = min((np.sqrt(np.mean(residuals[s.rows] ** 2)) for s in series if overstated(s, residuals)), default=1.0)
+    said = "it was stated too large, and intervals use what residuals show"
+    return [f"residuals are {worst:.2g} times the stated noise: {said}"] if worst < 1.0 else []

@@ -5,10 +5,8 @@ prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
 
 - *discrepancy*: e = noise + what the law misses, a Gaussian process over the phase of a contact, the same in every
   contact and proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). Its size and its length
-  maximise the restricted likelihood of the residuals, which sees nothing in the directions of J. The noise is the one
-  that is most likely without it: intervals by the joint maximum are narrower and hold the truth less often. The process
-  is taken to be as large there as beside them, at most twice as large as the residuals in contact, and no longer
-  than a third of a contact, since what is larger or longer is a coefficient.
+  maximise the restricted likelihood of the residuals, the noise being the one that is most likely without it. The process is
+  at most twice as large as the residuals in contact, and no longer than a third of a contact: what is more is a coefficient.
 - *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times
   G/(G - 1), Student's with G - 1 degrees of freedom. Of fewer runs the moving-block bootstrap within them
   (Kuensch, Ann. Statist. 17, 1989), in the closed form that it has for sums.
@@ -59,12 +57,7 @@ class Discrepancy(NamedTuple):
 def discrepancy(
     series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread
 ) -> Discrepancy | None:
-    """The Gaussian process over the phase; None where no contact is resolved.
-
-    Args:
-        residuals, jacobian: (N,), (N, P), white and of variance 1.
-        noise: spread of the noise alone, whose directions are kept.
-    """
+    """The Gaussian process over the phase, of white residuals (N,) and Jacobian (N, P); None where no contact is resolved."""
     if noise.covariance is None:
         return None
     basis, inside = _cosines(series, residuals.size)

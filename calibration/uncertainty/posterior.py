@@ -17,7 +17,6 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.extras import library
-from bcfj_jax.xla.batched_jvp import with_jacobian
 from calibration.diagnostics.optimum import Optimum
 from calibration.forward.losses import loss_of
 from calibration.forward.model import Model
@@ -95,8 +94,7 @@ def sample(
 
     Args:
         residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
-        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are
-            stated.
+        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are stated.
 
     Raises:
         InputError: where NumPyro is not installed.
@@ -114,7 +112,10 @@ def sample(
     metric = around.covariance * np.outer(stretch, stretch)
     # Starts wider apart than the posterior, without which agreement of the chains would mean little.
     wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains.count)
-    kernel = infer.NUTS(potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True)
+    kernel = infer.NUTS(
+        potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True,
+        forward_mode_differentiation=True,
+    )  # fmt: skip
     sampler = infer.MCMC(
         kernel, num_warmup=chains.warmup, num_samples=chains.draws, num_chains=chains.count,
         chain_method="vectorized", progress_bar=False,
@@ -134,25 +135,18 @@ def _owners(model: Model, estimated: Sequence[str]) -> np.ndarray:
 
 
 def _energy(residuals: Callable[[Array], Array], owners: np.ndarray | None, loss: str) -> Callable[[Array], Array]:
-    """Negative log-likelihood whose reverse derivative comes from the forward-mode Jacobian, in the same solve."""
+    """Negative log-likelihood of a point (P,)."""
 
-    def of(found: Array) -> Array:
-        costs = loss_of(loss, jnp.square(found))[0]
+    def energy(u: Array) -> Array:
+        costs = loss_of(loss, jnp.square(residuals(u)))[0]
         if owners is None:
             return 0.5 * jnp.sum(costs)
-        energy = 0.5 * jnp.sum(jnp.where(owners == -1, costs, 0.0))
+        whole = 0.5 * jnp.sum(jnp.where(owners == -1, costs, 0.0))
         for k in range(owners.max() + 1):
             own = owners == k
-            energy += 0.5 * int(own.sum()) * jnp.log(jnp.sum(jnp.where(own, costs, 0.0)))
-        return energy
+            whole += 0.5 * int(own.sum()) * jnp.log(jnp.sum(jnp.where(own, costs, 0.0)))
+        return whole
 
-    def forward(u: Array) -> tuple[Array, Array]:
-        found, jacobian = with_jacobian(residuals, u)
-        energy, slope = jax.value_and_grad(of)(found)
-        return energy, slope @ jacobian
-
-    energy = jax.custom_vjp(lambda u: of(residuals(u)))
-    energy.defvjp(forward, lambda slope, g: (g * slope,))
     return energy
 
 

@@ -4,17 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
+from bcfj_jax.xla.threads import each
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.forward.model import Model
+from calibration.search.descent import Evaluate
 from calibration.search.evaluate import evaluator
-from calibration.uncertainty.walk import Residuals, Side, Target, together, walk
+from calibration.search.refinement import trust_region
+from calibration.solver_budget import budget
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
 _DIP = 0.05
+# Points a side before the threshold, where the cost is quadratic, and the most that are tried.
+_POINTS, _MOST_POINTS = 4, 60
+# Evaluations of a constrained optimum, and of a look for another region; where the first ends.
+_TRIES, _SCOUT_TRIES, _PRECISE = 40, 6, 1e-9
+# The furthest that extrapolation along a profile may carry another coordinate.
+_LEAP = 0.2
+# A cost lower than the best by this share of the threshold is another optimum, not the integrator's error.
+_BETTER = 0.01
+
+
+class Target(NamedTuple):
+    """What a profile holds fixed: c = u[index] - shift(u), where ``shift`` does not depend on u[index].
+
+    Attributes:
+        low, high: ends of the range of c.
+        shift: from a unit-box point to the shift and its slope (P,).
+        physical: from c to the parameter's value, SI.
+    """
+
+    name: str
+    index: int
+    low: float
+    high: float
+    shift: Callable[[np.ndarray], tuple[float, np.ndarray]]
+    physical: Callable[[float], float]
+    log: bool
 
 
 @dataclass(frozen=True)
@@ -50,20 +81,17 @@ class Profile:
         return None if low is None or high is None else (low, high)
 
 
-def of_optimum(at: Optimum, only: Sequence[str] | None = None, batch: int | None = None) -> dict[str, Profile]:
-    """Profiles of a problem's parameters around its optimum, by label.
+def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Profile]:
+    """Profiles of a problem's parameters around its optimum, by label; ``only``: of these, by default of all.
 
     With a reference force, "reference_force" is its profile and "stiffness" that of K = F_ref / d_ref^n, for which
     K is held and F_ref follows n.
-
-    Args:
-        only: labels wanted; by default all.
-        batch: points evaluated together; by default one a walk.
     """
     targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
     place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
     asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
-    found = profiles(evaluator(at.model), asked, place, labels=at.labels, batch=batch)
+    apart = budget(at.model.scene).apart
+    found = profiles(evaluator(at.model), asked, place, labels=at.labels, at_once=apart)
     return {p.name: p for p in found}
 
 
@@ -112,24 +140,169 @@ def coordinate(name: str, index: int, *, lower: float = 0.0, width: float = 1.0,
 
 
 def profiles(
-    residuals: Residuals, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
-    batch: int | None = None, scouts: int = 3,
+    residuals: Evaluate, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
+    at_once: bool = False, scouts: int = 3,
 ) -> tuple[Profile, ...]:  # fmt: skip
-    """Profile likelihood of every target around an optimum.
+    """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
 
     Args:
-        residuals: batched residual function on the unit box; NaN where a simulation fails.
+        residuals: of points of the unit box (B, P); NaN where a simulation fails.
         asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
-        batch: points in a call of ``residuals``; by default one a walk.
         scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
-    walks = [walk(target, sign, place, threshold, scouts) for target, threshold in asked for sign in (-1.0, 1.0)]
-    sides = together(walks, residuals, batch or len(walks))
-    pairs = zip(asked, sides[::2], sides[1::2], strict=True)
-    return tuple(_profile(target, below, above, rise, labels) for (target, rise), below, above in pairs)
+
+    def both(one: tuple[Target, float]) -> Profile:
+        walks = [_Walk(residuals, *one, scouts) for _ in range(2)]
+        below, above = (walk.outwards(place, sign) for walk, sign in zip(walks, (-1.0, 1.0), strict=True))
+        return _profile(one[0], below, above, one[1], labels)
+
+    return tuple((each if at_once else map)(both, asked))
 
 
-def _profile(target: Target, below: Side, above: Side, threshold: float, labels: Sequence[str]) -> Profile:
+class _Point(NamedTuple):
+    """A constrained optimum: c, unit-box coordinates, cost, and half the cost's slope along the profile."""
+
+    c: float
+    place: np.ndarray
+    cost: float
+    slope: float
+
+
+class _Side(NamedTuple):
+    """One side of a profile: points from the best outwards, c at the threshold or why there is none, whether another region
+    is as good or better, and the slope of the root of the rise at the best.
+    """
+
+    trail: list[_Point]
+    end: float | None
+    slope: float
+    why: str = ""
+    other: bool = False
+
+
+class _Lost(ArithmeticError):
+    """No constrained optimum is found."""
+
+
+class _Walk:
+    """Along constrained optima: one quantity held, all other coordinates following, until the cost has risen."""
+
+    def __init__(self, residuals: Evaluate, target: Target, threshold: float, scouts: int) -> None:
+        self.residuals, self.target, self.threshold, self.scouts = residuals, target, threshold, scouts
+
+    def outwards(self, place: np.ndarray, sign: float) -> _Side:
+        """From the optimum to the threshold or the end of the range."""
+        target, goal = self.target, np.sqrt(self.threshold)
+        limit, reach = target.high if sign > 0 else target.low, target.high - target.low
+        residuals, jacobian = (a[0] for a in self.residuals(place[None]))
+        if not np.isfinite(residuals).all():
+            raise ValueError("the simulation fails at the optimum itself")
+        # The root of the rise is linear in c where the cost is quadratic, and its first slope follows from the Jacobian.
+        tangent, held = self._tangent(jacobian, place), jacobian[:, target.index]
+        first = float(np.linalg.norm(held + tangent @ np.linalg.lstsq(tangent, -held)[0]))
+        best = _Point(place[target.index] - target.shift(place)[0], place, float(residuals @ residuals), 0.0)
+        step = least = min(goal / _POINTS / first, reach / 8) if first > 0 else reach / 8
+        trail = [best]
+        while len(trail) < _MOST_POINTS:
+            at = trail[-1]
+            if sign * (limit - at.c) <= 0:
+                return _Side(trail, None, first, "it reaches its bound")
+            c = at.c + sign * step if step < sign * (limit - at.c) else limit
+            found = self._relaxed(c, _ahead(trail, c))
+            if found is None:
+                step /= 4
+                if step < 1e-3 * least:
+                    return self._lost(trail, first)
+                continue
+            if found.cost < best.cost - _BETTER * self.threshold:
+                why = f"a better optimum lies near {target.physical(c):.4g}"
+                return _Side([*trail, found], None, first, why, True)
+            root = _root(found, best)
+            if root >= goal * (1 - 1e-9):
+                return self._ended(trail, found, limit, first)
+            slope = sign * found.slope / max(root, 1e-12)
+            wanted = min(goal / _POINTS, goal - root) / slope if slope > 0 else np.inf
+            trail.append(found)
+            step = float(np.clip(wanted, step / 4, min(3 * step, reach / 8)))
+        return _Side(trail, None, first, f"it is not bounded after {_MOST_POINTS} steps")
+
+    def _ended(self, trail: list[_Point], outside: _Point, limit: float, first: float) -> _Side:
+        """The side whose threshold lies between the last point of its trail and one outside, and what lies beyond."""
+        inside, best, goal = trail[-1], trail[0], float(np.sqrt(self.threshold))
+        known: dict[float, Any] = {inside.c: inside, outside.c: outside}
+
+        def beyond(c: float) -> float:
+            if c not in known:
+                near = min(known.values(), key=lambda p: abs(p.c - c))
+                known[c] = self._relaxed(c, near.place)
+                if known[c] is None:
+                    raise _Lost
+            return _root(known[c], best) - goal
+
+        try:
+            precise = 1e-7 * abs(outside.c - inside.c)
+            end = float(brentq(beyond, inside.c, outside.c, xtol=precise)) if beyond(outside.c) > 0.0 else outside.c  # pyright: ignore[reportArgumentType]
+        except _Lost:
+            return self._lost(trail, first)
+        pinned = min(known.values(), key=lambda p: abs(p.c - end))
+        place = pinned.place
+        for c in np.linspace(pinned.c, limit, self.scouts + 1)[1:]:
+            found = self._relaxed(float(c), place, _SCOUT_TRIES)
+            place = found.place if found else place
+            if found and found.cost < best.cost + self.threshold:
+                why = f"the data fit as well near {self.target.physical(float(c)):.4g}"
+                return _Side([*trail, pinned], None, first, why, True)
+        return _Side([*trail, pinned], end, first)
+
+    def _lost(self, trail: list[_Point], first: float) -> _Side:
+        where = self.target.physical(trail[-1].c)
+        return _Side(trail, None, first, f"no simulation succeeds, or no optimum is found, beyond {where:.4g}")
+
+    def _relaxed(self, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point | None:
+        """The least squares over the other coordinates; None where nothing simulates, or none is found in all tries."""
+        target, others = self.target, np.arange(place.size) != self.target.index
+        held: dict[bytes, np.ndarray] = {}
+
+        def whole(rest: np.ndarray) -> np.ndarray:
+            full = place.copy()
+            full[others] = rest
+            full[target.index] = c + target.shift(full)[0]
+            return full
+
+        def evaluate(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            full = whole(rest)
+            residuals, jacobian = (a[0] for a in self.residuals(full[None]))
+            held[rest.tobytes()] = jacobian[:, target.index]
+            return residuals, self._tangent(jacobian, full)[:, others]
+
+        precise = dict.fromkeys(("xtol", "ftol", "gtol"), _PRECISE)
+        found = trust_region(evaluate, np.clip(place[others], 0.0, 1.0), method="dogbox", max_nfev=tries, **precise)
+        if found.failed or not (found.converged or tries == _SCOUT_TRIES):
+            return None
+        residuals = found.residuals
+        slope = float(residuals @ held[found.point.tobytes()])
+        return _Point(c, whole(found.point), float(residuals @ residuals), slope)
+
+    def _tangent(self, jacobian: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Jacobian (N, P) of the other coordinates with c held; the held one's column is 0."""
+        index = self.target.index
+        tangent = jacobian + np.outer(jacobian[:, index], self.target.shift(place)[1])
+        tangent[:, index] = 0.0
+        return tangent
+
+
+def _root(at: _Point, best: _Point) -> float:
+    return float(np.sqrt(max(at.cost - best.cost, 0.0)))
+
+
+def _ahead(trail: list[_Point], c: float) -> np.ndarray:
+    """Where the other coordinates go on the line through the last two points."""
+    at, before = trail[-1], trail[max(len(trail) - 2, 0)]
+    move = (at.place - before.place) * (c - at.c) / (at.c - before.c or 1.0)
+    return np.clip(at.place + move * min(1.0, _LEAP / max(np.abs(move).max(), _LEAP)), 0.0, 1.0)
+
+
+def _profile(target: Target, below: _Side, above: _Side, threshold: float, labels: Sequence[str]) -> Profile:
     """Both walks as one curve, its shape in a word, and what there is to say of its ends."""
     trail = [*below.trail[:0:-1], *above.trail]
     best = above.trail[0]
@@ -161,7 +334,7 @@ def _physical(target: Target, end: float | None) -> float | None:
     return None if end is None else target.physical(end)
 
 
-def _shape(below: Side, above: Side, rises: np.ndarray, threshold: float) -> str:
+def _shape(below: _Side, above: _Side, rises: np.ndarray, threshold: float) -> str:
     falls = [
         -np.diff(side).min(initial=0.0) for side in (rises[: len(below.trail)][::-1], rises[len(below.trail) - 1 :])
     ]

@@ -17,7 +17,7 @@ from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
 from calibration.forward.model import evaluation
 from calibration.solver_budget import budget
-from calibration.uncertainty.estimates import REFERENCE, placed
+from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
 from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, mixture
 
 # Kind of interval.
@@ -39,13 +39,9 @@ Anew = Callable[[Optimum], Sequence[Error]]
 
 
 class Line(NamedTuple):
-    """One error.
-
-    Attributes:
-        amplitude, unit: the size up to which it is allowed for, alone; moves: what each estimate moves by then, a share of itself
-            where its coordinate is logarithmic, else in SI.
-        chance: that it acts, by record and prior; prior: by the prior alone.
-        cost: width of each interval over the width without this error.
+    """One error: the ``amplitude`` up to which it is allowed for, alone; what each estimate ``moves`` by then, a share of
+    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; width of each
+    interval over that without it.
     """
 
     error: str
@@ -95,33 +91,12 @@ class Quoted(NamedTuple):
         return float(low), float(high)
 
 
-class Moving(NamedTuple):
-    """What errors move: names, coordinates z (K,), how each moves with the unit box (K, P), whether it is logarithmic."""
-
-    names: tuple[str, ...]
-    z: np.ndarray
-    slopes: np.ndarray
-    log: tuple[bool, ...]
-
-
-def moving(at: Optimum) -> Moving:
-    """Estimates and, last, the logarithm of the reference force."""
-    model = at.model
-    (z, slopes), log = placed(model, at.end), tuple(axis.log for axis in model.coordinates)
-    if not model.referenced:
-        return Moving(at.labels, z, slopes, log)
-    (lower, width), k = model.box, model.pair()[0]
-    z, slopes = np.append(z, lower[k] + at.end.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
-    return Moving((*at.labels, REFERENCE), z, slopes, (*log, True))
-
-
 def quoted(
     at: Optimum, errors: Sequence[Error], free: np.ndarray | None = None, bound: bool = False, anew: Anew | None = None
 ) -> Quoted:
     """The intervals of an optimum whose covariance is known.
 
     Args:
-        errors: about the optimum.
         free: (P,) coordinates that are not held; all where None.
         bound: every error at its limit at once in place of few that act: a bound, no interval of 95 %.
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
@@ -266,13 +241,13 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     return lines
 
 
-def ends_about(
-    z: float, reach: tuple[float, float], log: bool, given: tuple[float, float] | None, limits: tuple[float, float]
-) -> tuple[float, float]:
-    """Ends in SI of an interval that reaches so far about a coordinate, within its limits; holds what was ``given`` (SI) too."""
-    low, high = z + reach[0], z + reach[1]
-    if given:
-        first, last = np.log(given) if log else given
-        low, high = min(low, first), max(high, last)
-    low, high = np.clip((low, high), *limits)
-    return (float(np.exp(low)), float(np.exp(high))) if log else (float(low), float(high))
+def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, kept: bool) -> Parameter:
+    """Estimate k with the interval to quote, where it has one; where ``kept``, that holds the one that it has."""
+    if p.ci95 is None:
+        return p
+    log, reach = how.log[k], by.reach(how.names[k])
+    z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
+    own = in_si(z + reach[0], z + reach[1], log, how.limits[k])
+    ends = (min(own[0], p.ci95[0]), max(own[1], p.ci95[1])) if kept else own
+    headline = KIND if ends == own else p.headline
+    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, KIND: own})

@@ -1,14 +1,9 @@
 """Estimates with errors of which few act: an average over sets of acting errors, each set linear and Gaussian.
 
 Readings less predictions y = J x + S a + e in deviations of the noise, e of variance v; coordinates x, of which nothing is known
-before; amplitudes a of the acting errors, normal with deviation 1 in columns S that are a share of their priors (``SCALES``:
-an error may be far smaller than its prior says, or larger). With J = Q T, S' = S - Q Q^T S and H = 1 + S'^T S'/v:
-
-    a = H^-1 S'^T y / v,   x = T^-1 Q^T (y - S a),   log evidence = -(y'^T y' / v - a^T H a + log |H|) / 2 + constant.
-
-A set's estimates are normal. Noise that is estimated is what the most probable set leaves. What is quoted are quantiles of the
-mixture of all sets by their evidence (Bayesian model averaging: Hoeting et al., Statistical Science 14, 1999). In the words of
-JCGM 100: of the combined variance, Type A is what the noise makes of each set's estimate, Type B the rest.
+before; amplitudes a of the acting errors, normal with deviation 1 in columns S that are a share of their priors (``SCALES``).
+How x, a and the evidence of a set follow: docs/theory/calibration.md. Noise that is estimated is what the most probable set
+leaves. What is quoted are quantiles of the mixture of all sets by their evidence.
 """
 
 from __future__ import annotations
@@ -20,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
+
+from calibration.diagnostics.residual_tests import neighbours
 
 # Chance that an error acts, before the record is looked at; shares of its prior, with their chances, if it does.
 ACTS, SCALES = 0.6, {0.1: 0.3, 0.3: 0.3, 1.0: 0.3, 3.0: 0.1}
@@ -54,10 +51,9 @@ class Linear(NamedTuple):
     """A fit, linear about its optimum.
 
     Attributes:
-        data: (N,) readings less predictions, in deviations.
-        jacobian: (N, P) of the predictions; rows: (Q, P) how what is quoted moves with the coordinates.
-        floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss, whose
-            outliers say nothing of it.
+        data: (N,) readings less predictions, in deviations; jacobian: (N, P) of the predictions.
+        rows: (Q, P) how what is quoted moves with the coordinates.
+        floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss.
         freedom: readings less coordinates.
         series: rows in order of time, which may share more than the noise.
         student: quantile of an interval of the noise alone, over the normal one.
@@ -79,9 +75,8 @@ class Mixture(NamedTuple):
     Attributes:
         weights: (M,), sum 1; members: (M, E) with which share of its prior an error acts, 0 where not.
         means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
-        variance: of the noise, in squares of its deviation.
+        variance: of the noise; memory: how many times that of a mean grows by what the most probable set leaves.
         prior: (E,) that each error acts, before the record is looked at.
-        memory: how many times the variance of a mean grows by what the most probable set leaves; 1 of chance.
     """
 
     weights: np.ndarray
@@ -122,18 +117,10 @@ class Mixture(NamedTuple):
 
     def pooled(self, other: Mixture) -> Mixture:
         """Half of each: one fit, linear about two points; errors are the same."""
-        both = (np.concatenate([getattr(self, n), getattr(other, n)]) for n in self._fields[:5])
-        weights, members, means, type_a, type_b = both
-        return Mixture(
-            0.5 * weights,
-            members,
-            means,
-            type_a,
-            type_b,
-            max(self.variance, other.variance),
-            self.prior,
-            max(self.memory, other.memory),
-        )
+        arrays = ("weights", "members", "means", "type_a", "type_b")
+        both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in arrays}
+        larger = {n: max(getattr(self, n), getattr(other, n)) for n in ("variance", "memory")}
+        return self._replace(**both | {"weights": 0.5 * both["weights"]}, **larger)
 
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
@@ -231,8 +218,7 @@ def _split(sums: _Sums, count: int, variance: float) -> tuple[_Sums, _Always]:
 
 def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
     """How many times the variance of a mean grows where neighbours correlate by c, (1 + c)/(1 - c); 1 where chance explains c."""
-    pairs, size = sum(float(left[r[1:]] @ left[r[:-1]]) for r in series), sum(float(left[r] @ left[r]) for r in series)
-    count, kept = sum(r.size for r in series), pairs / size if size > 0.0 else 0.0
+    count, kept = sum(r.size for r in series), neighbours(left, series)
     return (1.0 + kept) / (1.0 - kept) if count and kept > QUANTILE / np.sqrt(count) else 1.0
 
 

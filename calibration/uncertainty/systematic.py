@@ -1,11 +1,10 @@
 """Errors that may act: of the sensor, its clock, what was held fixed, the law; each with a signature and a prior.
 
 A signature is an error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that
-the error has with 95 % if it acts: what is called large for such a sensor, or the tolerance that is stated of a value. What is
-stated of an instrument (``calibration.instrument``) takes the place of a prior; it acts always, in full, once a channel. What
-one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as large. Three
-generic groups stand for what nobody listed: waves in time, waves of the force by depth, a clock that bends; of these a tenth
-acts always. What estimates they leave: ``uncertainty.sets``.
+the error has with 95 % if it acts; what is stated of an instrument (``calibration.instrument``) acts always, in full, once a
+channel. What one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as
+large. Three generic groups stand for what nobody listed; of these a tenth acts always. What estimates they leave:
+``uncertainty.sets``.
 """
 
 from __future__ import annotations
@@ -123,12 +122,8 @@ def _instruments(at: Optimum) -> _Known:
 def of_sensor(
     model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str], known: _Known = ()
 ) -> list[Error]:
-    """Errors of the sensor, but for what is fitted and what is ``stated`` of every record.
-
-    Args:
-        readings: (E, C, T) that the model predicts, SI.
-        stated: names of nuisances.
-        known: of each series.
+    """Errors of the sensor, but for what is fitted and nuisances that are ``stated`` of every record; ``readings`` (E, C, T)
+    are predicted.
     """
     taken = {axis.name for axis in model.coordinates} | stated
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
@@ -136,7 +131,7 @@ def of_sensor(
     errors = []
     for name, own in _SENSOR.items():
         rest = [s for s, (_, said) in zip(series, known, strict=True) if own.key not in said]
-        signature = sum((_part(found[name], s) for s in rest), np.zeros_like(found[name]))
+        signature = _part(found[name], rest)
         if own.nuisance not in taken and np.any(signature):
             kind = "lag" if name == "lag" else ""
             errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), kind, _THERE.get(name, 0.0)))
@@ -145,9 +140,11 @@ def of_sensor(
     return [*errors, *_steps(readings, series, known, found["gain"].size)]
 
 
-def _part(column: np.ndarray, s: Series) -> np.ndarray:
-    part = np.zeros_like(column)
-    part[s.rows] = column[s.rows]
+def _part(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
+    """The rows of some series, of all columns; 0 elsewhere."""
+    part = np.zeros_like(columns)
+    for s in series:
+        part[s.rows] = columns[s.rows]
     return part
 
 
@@ -164,7 +161,7 @@ def _as_stated(
         return []
     for channel in dict.fromkeys(known[k][0] for k in sizes):
         of = [k for k in sizes if known[k][0] == channel]
-        column = sum((_part(signature, series[k]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
+        column = sum((_part(signature, [series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
         columns.append(_own(name, column, [series[k] for k in of]))
     return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
 
@@ -204,14 +201,9 @@ def _own(name: str, signature: np.ndarray, series: list[Series]) -> np.ndarray:
     return np.hstack([signature[:, None], _apart(signature[:, None], series)]) * np.sqrt(0.5)
 
 
-def _apart(columns: np.ndarray, series: list[Series]) -> np.ndarray:
+def _apart(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
     """(N, K E): the part of each record by itself."""
-    parts = []
-    for s in series:
-        part = np.zeros_like(columns)
-        part[s.rows] = columns[s.rows]
-        parts.append(part)
-    return np.hstack(parts)
+    return np.hstack([_part(columns, [s]) for s in series])
 
 
 def of_fixed(
@@ -219,10 +211,8 @@ def of_fixed(
 ) -> list[Error]:
     """Errors of scene parameters that were held fixed, and of nuisances that were ``stated``, by runs with a little of each.
 
-    Of a rough cost only those with a stated tolerance: a motion of the joint costs seconds each.
-
-    Args:
-        tolerances: by name (E,), SI, where they were stated.
+    Of a rough cost only those with a stated tolerance (``tolerances`` (E,) by name, SI): a motion of the joint costs seconds
+    each.
     """
     point, found = np.asarray(best.point)[None], []
     free = {axis.name for axis in model.coordinates}

@@ -19,22 +19,21 @@ the record's clock holds.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from scipy.interpolate import interp1d
-from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from bcfj_jax.io.units import format_si
-from calibration.diagnostics.residual_tests import Series
+from calibration.diagnostics.optimum import Optimum
+from calibration.diagnostics.residual_tests import Series, neighbours
 from calibration.filters import Filter
-from calibration.forward.coordinates import Coordinate
 from calibration.forward.model import Model, evaluation
 from calibration.problem import Experiment
-from calibration.search.refinement import FAILED_RESIDUAL, End
-from calibration.uncertainty.estimates import placed
+from calibration.search.refinement import trust_region
+from calibration.uncertainty.estimates import Ends, in_si, moving
 
 # Filters that stand for all of order 1 to 8.
 FILTERS = (
@@ -69,13 +68,11 @@ class Tried(NamedTuple):
 
 
 class Ambiguity(NamedTuple):
-    """What unstated filters make of a fit.
+    """What unstated filters make of a fit: the best fit, and D of that without a filter.
 
     Attributes:
-        best: the fit of least squares.
-        plain: D of the fit without a filter.
-        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference
-            force where that is searched; infinite where the slowest filter of all is not excluded.
+        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference force;
+            infinite where the slowest filter of all is not excluded.
         slowest: of the filters that are not excluded the one with the lowest cut-off; None where all are.
     """
 
@@ -90,14 +87,10 @@ class Ambiguity(NamedTuple):
         """Whether the record excludes the fit without a filter."""
         return self.plain >= DECISIVE
 
-    def ends(self, k: int, ci95: tuple[float, float], axis: Coordinate | None = None) -> tuple[float, float]:
-        """Hull of estimate k with the interval that it has, within the bounds of its axis, SI; None: a logarithm."""
-        log = axis is None or axis.log
+    def ends(self, k: int, ci95: Ends, log: bool, limits: Any = (-np.inf, np.inf)) -> Ends:
+        """Hull of estimate k with the interval that it has, within limits of its coordinate, SI."""
         low, high = np.log(ci95) if log else ci95
-        low, high = min(low, self.low[k]), max(high, self.high[k])
-        if axis is not None:
-            low, high = np.clip((low, high), axis.lower, axis.upper)
-        return (float(np.exp(low)), float(np.exp(high))) if log else (float(low), float(high))
+        return in_si(min(low, self.low[k]), max(high, self.high[k]), log, limits)
 
 
 class _Sampled:
@@ -110,12 +103,11 @@ class _Sampled:
         wanted = int(np.ceil(_SAMPLES * max(steps) / duration))
         self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
         self.filters = FILTERS if sum(self.counts) <= _MOST else FILTERS[::2]
-        self.weights, self.memory = np.asarray(d.weights), np.asarray(d.memory)
-        self.values, self.previous = np.asarray(d.values), np.asarray(d.previous)
+        self.weights, self.values = np.asarray(d.weights), np.asarray(d.values)
         bare = eqx.tree_at(
             lambda m: (m.data.values, m.data.weights, m.data.memory),
             model,
-            (np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(self.memory)),
+            (np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(d.memory)),
         )
         times = np.asarray(d.times)
         between = np.zeros_like(times)
@@ -146,11 +138,9 @@ class _Sampled:
             clock = np.stack([c[i, :own] for c in self.clocks], axis=1).ravel()
             values = np.stack([row[i, :, :own] for row in rows], axis=2).reshape(shape[1], own * self.parts, -1)
             read[i, :, :own] = _passed(clock, values, self.clocks[0][i, :own], passed, cutoff)
-        weighed = np.where(self.weights[..., None] > 0, read, 0.0) * self.weights[..., None]
-        weighed[..., 0] -= np.where(self.weights > 0, self.values, 0.0) * self.weights
-        before = np.take_along_axis(weighed, self.previous[..., None], axis=2)
-        white = (weighed - self.memory[..., None] * before) / np.sqrt(1.0 - self.memory[..., None] ** 2)
-        white = np.where(self.weights[..., None] > 0, white, 0.0).reshape(-1, count + 1)
+        read[..., 0] -= self.values
+        each = [self.model.data.white(read[..., k]).ravel() for k in range(count + 1)]
+        white = np.stack(each, axis=1)
         return white[:, 0], white[:, 1:]
 
     def stepped(self, one: Tried, rows: list[np.ndarray], passed: Filter, cutoff: float) -> Tried | None:
@@ -167,26 +157,15 @@ class _Sampled:
 
     def fitted(self, point: np.ndarray, passed: Filter, cutoff: float) -> Tried:
         """The least squares with a filter, from a point on; the clock is not bound, for its bounds know no filter."""
-        seen: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-
-        def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            if u.tobytes() not in seen:
-                seen.clear()
-                residuals, jacobian = self.passed(self.read(u), passed, cutoff)
-                failed = np.full_like(residuals, FAILED_RESIDUAL)
-                seen[u.tobytes()] = (residuals, jacobian) if np.isfinite(residuals).all() else (failed, jacobian)
-            return seen[u.tobytes()]
-
         clock = np.array([axis.name == "time_offset" for axis in self.model.coordinates])
-        result = least_squares(
-            lambda u: evaluate(u)[0],
+        found = trust_region(
+            lambda u: self.passed(self.read(u), passed, cutoff),
             np.where(clock, point, np.clip(point, 1e-9, 1.0 - 1e-9)),
-            jac=lambda u: evaluate(u)[1],  # pyright: ignore[reportArgumentType]
-            bounds=(np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)),
-            x_scale="jac", ftol=1e-5, xtol=1e-6, max_nfev=15,
+            (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)), ftol=1e-5, xtol=1e-6, max_nfev=15,
         )  # fmt: skip
-        residuals, jacobian = evaluate(result.x)
-        return Tried(passed, cutoff, result.x, float(residuals @ residuals), residuals, jacobian)
+        return Tried(
+            passed, cutoff, found.point, float(found.residuals @ found.residuals), found.residuals, found.jacobian
+        )
 
 
 def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Filter, cutoff: float) -> np.ndarray:
@@ -222,32 +201,28 @@ def _once(values: np.ndarray, passed: Filter, cutoff: float, step: float) -> np.
     return found + values[:, :1]
 
 
-def ambiguity(
-    model: Model, experiments: tuple[Experiment, ...], series: list[Series], end: End,
-    halves: np.ndarray,
-) -> Ambiguity | None:  # fmt: skip
-    """What filters leave open; None where the model has no contact.
+def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
+    """What filters leave open of an optimum; None where the model has no contact.
 
     Args:
-        model, experiments: what was fitted, with the weights of its noise.
-        series, end: of the optimum.
         halves: (K,) half widths of the intervals there, as of ``Ambiguity.low``.
     """
+    series, end = at.series, at.end
     longest = [s.longest for s in series if np.isfinite(s.longest) and s.longest > 0.0]
     if not longest:
         return None
     plain = Tried(None, np.inf, end.point, float(end.residuals @ end.residuals), end.residuals, end.jacobian)
-    chains = _chains(_Sampled(model, experiments, max(longest)), plain, series, max(longest))
+    chains = _chains(_Sampled(at.model, at.experiments, max(longest)), plain, series, max(longest))
     best = min((one for chain in chains for one in chain), key=lambda one: one.square)
     low, high = np.full(halves.size, np.inf), np.full(halves.size, -np.inf)
     slowest: Tried | None = None
-    own = _scaled(model, plain, end)[1]
+    own = _scaled(at, plain)[1]
     for chain in chains:
-        places, deviations = map(np.stack, zip(*(_scaled(model, one, end) for one in chain), strict=True))
+        places, deviations = map(np.stack, zip(*(_scaled(at, one) for one in chain), strict=True))
         excess = np.array([_excess(one, best, series) for one in chain])
         # Between two cut-offs as on a straight line.
-        at = np.linspace(0.0, len(chain) - 1.0, (len(chain) - 1) * _BETWEEN + 1)
-        between = lambda y, at=at: interp1d(np.arange(y.shape[0]), y, axis=0)(at)  # noqa: E731
+        steps = np.linspace(0.0, len(chain) - 1.0, (len(chain) - 1) * _BETWEEN + 1)
+        between = lambda y, steps=steps: interp1d(np.arange(y.shape[0]), y, axis=0)(steps)  # noqa: E731
         over = between(excess)
         kept = over < ALLOWED
         reach = halves * (between(deviations) / own) * np.sqrt(1.0 - np.minimum(over, ALLOWED) / ALLOWED)[:, None]
@@ -278,26 +253,21 @@ def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: flo
 
 def _excess(one: Tried, best: Tried, series: list[Series]) -> float:
     """D of one fit against the best."""
-    rows, own = [s.rows for s in series], best.residuals
-    pairs, size = sum(float(own[r[1:]] @ own[r[:-1]]) for r in rows), sum(float(own[r] @ own[r]) for r in rows)
-    kept = min(max(pairs / size, 0.0), 0.999) if size > 0 else 0.0
+    rows = [s.rows for s in series]
+    kept = min(max(neighbours(best.residuals, rows), 0.0), 0.999)
     samples = sum(r.size for r in rows)
     count = max(samples * (1.0 - kept) / (1.0 + kept), min(_FEWEST, samples))
     by_size = count * float(np.log(max(one.square, 1e-300) / max(best.square, 1e-300)))
     return by_size if any(s.estimated for s in series) else min(by_size, one.square - best.square)
 
 
-def _scaled(model: Model, one: Tried, end: End) -> tuple[np.ndarray, np.ndarray]:
+def _scaled(at: Optimum, one: Tried) -> tuple[np.ndarray, np.ndarray]:
     """Estimates (K,) on their scales, and their deviations for residuals of variance 1."""
-    z, slopes = placed(model, replace(end, point=one.point))
-    if model.referenced:
-        lower, width = model.box
-        k = model.pair()[0]
-        z, slopes = np.append(z, lower[k] + one.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
+    how = moving(replace(at, end=replace(at.end, point=one.point)))
     size = np.linalg.norm(one.jacobian, axis=0)
     size = np.where(size > 0, size, 1.0)
     covariance = np.linalg.pinv((one.jacobian / size).T @ (one.jacobian / size), rcond=1e-12) / np.outer(size, size)
-    return z, np.sqrt(np.einsum("kp,pq,kq->k", slopes, covariance, slopes))
+    return how.z, np.sqrt(np.einsum("kp,pq,kq->k", how.slopes, covariance, how.slopes))
 
 
 REMEDY = (

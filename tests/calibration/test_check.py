@@ -10,7 +10,7 @@ import pytest
 from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import fit_tests, influence
-from calibration.diagnostics.clearance import clearance_tests, gap_of, whole_contact_test
+from calibration.diagnostics.answers import clearance_tests, gap_of, whole_contact_test
 from calibration.diagnostics.optimum import Optimum
 from calibration.fit import AllStartsFailed
 from calibration.forward import model

@@ -16,7 +16,7 @@ from calibration.forward.coordinates import Coordinate
 from calibration.noise.noise_model import Estimate
 from calibration.search.refinement import End
 from calibration.uncertainty import estimates, intervals, profile, unstated_filter
-from calibration.uncertainty.estimates import Estimates, Parameter, Reference
+from calibration.uncertainty.estimates import REFERENCE, Estimates, Parameter, Reference
 
 DEPTH = 2e-4
 FREE = (Free("stiffness", 1e7, 1e9), Free("exponent", 1.0, 2.5), Free("mass", 0.05, 0.2, scale="linear"))
@@ -69,7 +69,8 @@ def test_intervals_are_about_the_estimates_on_their_scales(built):
     point, known = np.array([0.4, 0.6, 0.3]), spread(1)
     values = built.values(point)
     _, slopes = estimates.placed(built, optimum(point))
-    found, force = estimates.ends_of(at(built, point, known))
+    found = estimates.ends_of(at(built, point, known))
+    force = found[REFERENCE]
     halves = 1.959964 * np.sqrt(np.diag(slopes @ known.covariance @ slopes.T))
     for name, axis, value, half in zip(NAMES, built.coordinates, values, halves, strict=True):
         ends = value * np.exp([-half, half]) if axis.log else value + np.array([-half, half])
@@ -81,19 +82,20 @@ def test_intervals_are_about_the_estimates_on_their_scales(built):
     assert force == pytest.approx(tuple(values[0] * DEPTH ** values[1] * np.exp([-half, half])), rel=1e-6)
     # What is not determined to a factor of two has none.
     wide = known._replace(covariance=1e6 * known.covariance)
-    assert estimates.ends_of(at(built, point, wide))[1] is None
+    assert estimates.ends_of(at(built, point, wide))[REFERENCE] is None
 
 
 def test_ends_stay_where_the_quantity_can_be_and_within_the_bounds():
     gap = Quantity("clearance", "m", "a gap", low=0.0)
     axis = Coordinate("clearance", None, False, -1.0, 3e-5)
-    assert estimates._edges(axis, gap, 1e-5, 1e-5, 5e-6) == (pytest.approx((5e-6, 1.5e-5)), 1.0)
+    assert estimates._reach(axis, gap, 1e-5, 5e-6) == 1.0
     # A closed gap is no smaller; its interval has less than half of its width below.
-    assert estimates._edges(axis, gap, 1e-5, 1e-5, 4e-5) == (pytest.approx((0.0, 3e-5)), pytest.approx(0.25))
-    assert estimates._edges(axis, gap, 1e-5, 1e-5, np.inf)[1] == 1.0
+    assert estimates._reach(axis, gap, 1e-5, 4e-5) == pytest.approx(0.25)
+    assert estimates._reach(axis, gap, 1e-5, np.inf) == 1.0
+    assert estimates.in_si(0.0, 5e-5, False, (-1.0, 3e-5)) == (0.0, 3e-5)
     decades = Coordinate("stiffness", None, True, np.log(0.5), np.log(8.0))
-    assert estimates._edges(decades, gap, 2.0, np.log(2.0), np.log(3.0)) == (pytest.approx((2.0 / 3.0, 6.0)), 1.0)
-    assert estimates._edges(decades, gap, 2.0, np.log(2.0), np.log(5.0))[0] == pytest.approx((0.5, 8.0))
+    assert estimates._reach(decades, gap, 2.0, np.log(3.0)) == 1.0
+    assert estimates.in_si(np.log(2.0 / 5.0), np.log(10.0), True, decades[3:5]) == pytest.approx((0.5, 8.0))
 
 
 def test_half_the_length_of_an_interval_is_on_its_scale():
@@ -104,7 +106,7 @@ def test_half_the_length_of_an_interval_is_on_its_scale():
 def test_intervals_that_replace_others_bring_their_own_tests(built):
     """One as wide as a factor of two, or as half of the range, is none."""
     old = {name: Parameter(1.0, "", (0.9, 1.1), True, "") for name in NAMES}
-    force = Reference(DEPTH, 2.0, (1.0, 4.0))
+    force = Reference(2.0, "N", (1.0, 4.0), True, "", penetration=DEPTH)
     ends = {"stiffness": (1e8, 3.9e8), "mass": (0.06, 0.22), "reference_force": (1.1, 4.0)}
     place = at(built, np.full(3, 0.5), spread(1))
     tests = [
@@ -113,15 +115,17 @@ def test_intervals_that_replace_others_bring_their_own_tests(built):
     ]
 
     def other(ends, why):
-        return intervals.replaced("profile", place, Estimates(old, force, tests), ends, why)
+        return intervals.replaced("profile", place, Estimates({**old, REFERENCE: force}, tests), ends, why)
 
-    found, reference, _ = other(ends, {})
+    found = other(ends, {}).parameters
+    reference = found[REFERENCE]
     assert found["exponent"] == old["exponent"]
     assert found["stiffness"].ci95 == ends["stiffness"] and found["stiffness"].interval_kind == "profile"
     assert found["mass"].ci95 is None and not found["mass"].identifiable
     assert reference.ci95 == ends["reference_force"] and reference.interval_kind == "profile"
     wide = {"reference_force": (1.0, 4.1), "stiffness": None, "mass": (0.06, 0.2)}
-    found, reference, again = other(wide, {"stiffness": "it is flat"})
+    found, again = other(wide, {"stiffness": "it is flat"})
+    reference = found[REFERENCE]
     assert found["stiffness"].ci95 is None and found["mass"].ci95 == (0.06, 0.2) and reference.ci95 is None
     again = {t.name: t for t in again}
     assert set(again) == {"weak direction", "x", "stiffness determined", "mass determined"}
@@ -137,7 +141,7 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
     """Of the estimates and, last, of the logarithm of the reference force; of residuals of variance 1."""
     point, jacobian = np.array([0.4, 0.6, 0.3]), np.random.default_rng(2).standard_normal((9, 3)) * [1.0, 1e3, 1e-2]
     one = unstated_filter.Tried(None, np.inf, point, 0.0, np.zeros(9), jacobian)
-    z, deviations = unstated_filter._scaled(built, one, optimum(np.full(3, 0.5)))
+    z, deviations = unstated_filter._scaled(at(built, np.full(3, 0.5), spread(1)), one)
     where, slopes = estimates.placed(built, optimum(point))
     values = built.values(point)
     assert z == pytest.approx([*where, np.log(values[0] * DEPTH ** values[1])], rel=1e-9)

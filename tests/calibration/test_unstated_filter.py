@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from scipy import signal
 import bcfj_jax as bj
 from calibration import Channel, Experiment, Filter, Free, Problem, fit
 from calibration.diagnostics.residual_tests import Series
-from calibration.forward.coordinates import Coordinate
 from calibration.search.refinement import End
 from calibration.uncertainty import unstated_filter
 from calibration.uncertainty.unstated_filter import Ambiguity, Tried
@@ -85,12 +85,11 @@ def test_the_hull_holds_the_interval_and_keeps_to_the_bounds():
     one = tried(np.ones(3))
     found = Ambiguity(one, 10.0, np.array([-1.0, np.log(2.0), -np.inf]), np.array([0.5, np.log(3.0), np.inf]), None)
     assert found.decisive and not found._replace(plain=9.9).decisive
-    linear = Coordinate("gain", None, False, -5.0, 5.0)
-    assert found.ends(0, (0.0, 2.0), linear) == (-1.0, 2.0) and found.ends(0, (-2.0, 0.0), linear) == (-2.0, 0.5)
-    assert found.ends(2, (0.0, 2.0), linear) == (-5.0, 5.0)
-    decades = Coordinate("stiffness", None, True, np.log(1.0), np.log(2.5))
-    assert found.ends(1, (2.2, 2.4), decades) == pytest.approx((2.0, 2.5))
-    assert found.ends(1, (2.2, 2.4)) == pytest.approx((2.0, 3.0))
+    gain = False, (-5.0, 5.0)
+    assert found.ends(0, (0.0, 2.0), *gain) == (-1.0, 2.0) and found.ends(0, (-2.0, 0.0), *gain) == (-2.0, 0.5)
+    assert found.ends(2, (0.0, 2.0), *gain) == (-5.0, 5.0)
+    assert found.ends(1, (2.2, 2.4), True, np.log([1.0, 2.5])) == pytest.approx((2.0, 2.5))
+    assert found.ends(1, (2.2, 2.4), True) == pytest.approx((2.0, 3.0))
 
 
 def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
@@ -121,17 +120,17 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     plain = kept[0][0]
     monkeypatch.setattr(unstated_filter, "_Sampled", lambda *_: None)
     monkeypatch.setattr(unstated_filter, "_chains", lambda *_: kept)
-    monkeypatch.setattr(unstated_filter, "_scaled", lambda model, one, end: places.get(id(one), places[id(plain)]))
+    monkeypatch.setattr(unstated_filter, "_scaled", lambda at, one: places.get(id(one), places[id(plain)]))
     end = End(np.zeros(1), np.zeros(1), 52.0, plain.residuals, plain.jacobian, True)
     halves = np.array([0.5, 0.7])
-    model: Any = None
-    found = unstated_filter.ambiguity(model, (), series, end, halves)
+    at: Any = SimpleNamespace(model=None, experiments=(), series=series, end=end)
+    found = unstated_filter.ambiguity(at, halves)
     assert found is not None and found.plain == pytest.approx(50.0 * np.log(1.04)) and found.best is kept[0][1]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for chain in chains:
-        for at in np.arange(0.0, 2.01, 0.25):
+        for where in np.arange(0.0, 2.01, 0.25):
             z, deviation, over = (
-                np.interp(at, [0.0, 1.0, 2.0], part)
+                np.interp(where, [0.0, 1.0, 2.0], part)
                 for part in ([c[0] for c in chain], [c[1] for c in chain], [50.0 * np.log(c[2] / 50.0) for c in chain])
             )
             if over < 5.99:
@@ -141,9 +140,10 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     assert found.slowest is kept[1][1]
     # Where the slowest filter of a kind is not excluded, there is no end.
     monkeypatch.setattr(unstated_filter, "_chains", lambda *_: [kept[0][:2]])
-    found = unstated_filter.ambiguity(model, (), series, end, halves)
+    found = unstated_filter.ambiguity(at, halves)
     assert found is not None and np.array_equal(found.low, [-np.inf] * 2) and np.array_equal(found.high, [np.inf] * 2)
-    assert unstated_filter.ambiguity(model, (), [series[0]._replace(longest=np.inf)], end, halves) is None
+    at.series = [series[0]._replace(longest=np.inf)]
+    assert unstated_filter.ambiguity(at, halves) is None
 
 
 @pytest.mark.full
