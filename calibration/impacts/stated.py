@@ -33,6 +33,11 @@ class Noise(NamedTuple):
     relative: float
     jitter: float
 
+    def of_means(self, count: int) -> Noise:
+        """That of the mean of several samples."""
+        shrunk = math.sqrt(count)
+        return Noise(None if self.sigma is None else self.sigma / shrunk, self.relative / shrunk, self.jitter / shrunk)
+
 
 def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Noise:
     """The noise of one channel.
