@@ -45,7 +45,7 @@ def reduced(times: np.ndarray, channels: Mapping[str, np.ndarray], where: str) -
     """Readings of attitudes that are kept, by channel: q1, q2, q3 of length at most 1, q0 being what is left of 1.
 
     Args:
-        times: (T,) [s]; channels: readings (T,) by name, all four of an attitude, or q1 to q3 where q0 is not negative.
+        times, channels: (T,) [s]; (T,) by name, all four of an attitude, or q1 to q3 where q0 is not negative.
         where: for the message.
 
     Raises:

@@ -197,9 +197,9 @@ def _kind(found: Understood) -> str:
 
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
-    s, mass, speed = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s")
+    s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     # What a contact feels of two free bodies is their effective mass.
-    felt = None if mass is None else effective(mass, said.other)
+    felt = None if mass is None else effective(mass, other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     # 1 + e from the impulse, where mass and speed are both known.
     both = isinstance(known.mass, float) and isinstance(known.speed, float)

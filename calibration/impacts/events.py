@@ -57,14 +57,13 @@ def quantity(observes: str) -> str:
     """What a channel is a reading of: "normal", "velocity", "place", or "pulse" of what contacts make pulse."""
     what = observes.partition(" in ")[0].split(".")[1:2]
     known = {"normal": "normal", "velocity": "velocity", "rate": "velocity", "place": "place", "angle": "place"}
-    return known.get(what[0] if what else "", "pulse")
+    return known.get("".join(what), "pulse")
 
 
 def rest(values: np.ndarray) -> float | None:
     """The reading at rest: the middle of the quarter of the samples that lie closest together.
 
-    The record must begin there and stay for some samples: an oscillating force that begins near a turning point, where
-    its samples lie close together, has no rest. None where that is none: a record that is all contact has no rest.
+    None where the record does not begin there and stay for some samples, as one that is all contact, or an oscillating force.
     """
     seen = values[np.isfinite(values)]
     span, count = float(np.ptp(seen)) if seen.size else 0.0, max(seen.size // 4, _LEVEL)
@@ -102,11 +101,7 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
-    """Every contact that a channel (T,) shows, in order; of a velocity or a position the first.
-
-    Args:
-        values: (T,), NaN where nothing was read.
-    """
+    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity or a position the first."""
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []
@@ -114,12 +109,18 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
     peak, step = float(rises.max()), float(np.median(np.diff(clock)))
     if not peak > _ROUNDING * float(np.abs(values[seen]).max()):
         return []
+
+    def event(first: int, last: int, peak: float, loose: float = 0.0) -> Event:
+        before = float(clock[first - 1]) if first else float(clock[0]) - step
+        ends = float(clock[first]), float(clock[last])
+        return Event(int(seen[first]), int(seen[last]), before, *ends, peak, step, loose)
+
     if quantity(observes) in ("velocity", "place"):
         # A position leaves its line further and further: what counts is how far it has when it turns.
         peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
         high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
-        return [_event(clock, seen, first, first + int(high), peak, step)]
+        return [event(first, first + int(high), peak)]
     rises, high, width = steady(rises)
     found, k = [], 0
     while k < clock.size:
@@ -131,9 +132,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         while last + 1 < clock.size and rises[last + 1 : last + 2 + width].max() > 0.5 * high:
             last += 1
         last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
-        first, end = (k, last) if width == 1 else _grown(rises, k, last, high)
-        event = _event(clock, seen, first, end, float(rises[k : last + 1].max()), step)
-        found.append(event._replace(loose=(width - 1) * step))
+        ends = (k, last) if width == 1 else _grown(rises, k, last, high)
+        found.append(event(*ends, float(rises[k : last + 1].max()), (width - 1) * step))
         k = last + 1
     return found
 
@@ -217,11 +217,6 @@ def _mean(rises: np.ndarray, width: int) -> np.ndarray:
     """Running mean (T,) over an odd number of samples, of fewer at the ends."""
     ones = np.ones(width)
     return np.convolve(rises, ones, "same") / np.convolve(np.ones(rises.size), ones, "same")
-
-
-def _event(clock: np.ndarray, seen: np.ndarray, first: int, last: int, peak: float, step: float) -> Event:
-    before = float(clock[first - 1]) if first else float(clock[0]) - step
-    return Event(int(seen[first]), int(seen[last]), before, float(clock[first]), float(clock[last]), peak, step)
 
 
 def telling(observed: list[str]) -> list[str]:
