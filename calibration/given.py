@@ -98,10 +98,10 @@ def numbers(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, 
     return found
 
 
-def tolerances(where: str, given: Mapping[str, Any], known: Mapping[str, Quantity]) -> dict[str, float]:
+def tolerances(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, float]:
     """How well values are known, 0 or more; a name that is not known may be another model's of the same data."""
-    units = {name: known[name].unit if name in known else "1" for name in given}
-    return {name: not_negative(where, name, units[name], value) for name, value in given.items()}
+    units = {name: known[name].unit if name in known else "1" for name in table(where, given)}
+    return {name: not_negative(where, name, unit, given[name]) for name, unit in units.items()}
 
 
 def pair(where: str, given: Any, quantity: Quantity) -> tuple[float, float]:

@@ -401,7 +401,7 @@ def _columns(found: Understood, kind: str) -> tuple[dict[str, str], list[str]]:
         if names[unit]:
             minus = header.startswith("-") != (sign < 0 and unit.startswith("m"))
             signed[names[unit]] = f"{'-' if minus else ''}{header.removeprefix('-')}"
-    return signed, [name for name in signed if name.startswith("contact.")] or telling(list(signed))[:1]
+    return signed, [name for name in signed if name.startswith("contact.")] or telling(signed)[:1]
 
 
 def _observed(found: Understood, kind: str) -> Line:

@@ -6,11 +6,13 @@ line. Nothing is assumed of the sampling: times are the record's own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from calibration.forward.runs import stretches
 from calibration.noise.scatter import scatter
 
 # Samples from which on a level of rest is looked for, and the fewest that are one.
@@ -122,19 +124,14 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
         return [event(first, first + int(high), peak)]
     rises, high, width = steady(rises)
-    found, k = [], 0
-    while k < clock.size:
-        if rises[k] <= high:
-            k += 1
-            continue
-        last = k
-        # One low sample between two high ones is noise, not a flight.
-        while last + 1 < clock.size and rises[last + 1 : last + 2 + width].max() > 0.5 * high:
-            last += 1
-        last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
-        ends = (k, last) if width == 1 else _grown(rises, k, last, high)
-        found.append(event(*ends, float(rises[k : last + 1].max()), (width - 1) * step))
-        k = last + 1
+    found, above = [], np.flatnonzero(rises > 0.5 * high)
+    # One low sample between two high ones is noise, not a flight.
+    for rows in np.split(above, np.flatnonzero(np.diff(above) > width + 1) + 1):
+        begun = rows[rises[rows] > high]
+        if begun.size:
+            first, last = int(begun[0]), int(rows[-1])
+            ends = (first, last) if width == 1 else _grown(rises, first, last, high)
+            found.append(event(*ends, float(rises[first : last + 1].max()), (width - 1) * step))
     return found
 
 
@@ -197,11 +194,11 @@ def alone(rises: np.ndarray) -> np.ndarray:
 
     wrong = lone(rises)
     others = np.where(wrong, 0.0, rises)
-    peak, high = float(others.max()), np.diff(np.r_[False, others > 0.5 * others.max(), False].astype(int))
-    longest = int(np.max(np.flatnonzero(high == -1) - np.flatnonzero(high == 1), initial=0))
-    if longest < _RESOLVED or peak < 2.0 * _SIGMAS * noise:
+    peak = float(others.max())
+    high = stretches(others > 0.5 * peak)
+    if max((end - begin for begin, end in high), default=0) < _RESOLVED or peak < 2.0 * _SIGMAS * noise:
         return np.zeros(rises.size, dtype=bool)
-    first = int(np.flatnonzero(others > 0.5 * peak)[0])
+    first = high[0][0]
     return (wrong & ((np.arange(rises.size) < first) | (rises > peak))) | (lone(-rises) & (rises < -0.5 * peak))
 
 
@@ -219,6 +216,12 @@ def _mean(rises: np.ndarray, width: int) -> np.ndarray:
     return np.convolve(rises, ones, "same") / np.convolve(np.ones(rises.size), ones, "same")
 
 
-def telling(observed: list[str]) -> list[str]:
+def telling(observed: Iterable[str]) -> list[str]:
     """Channels in the order in which they tell a contact: a normal force, what pulses, a velocity, a position."""
     return sorted(observed, key=lambda o: ("normal", "pulse", "velocity", "place").index(quantity(o)))
+
+
+def told(times: np.ndarray, channels: Mapping[str, np.ndarray]) -> tuple[str, list[Event]]:
+    """The contacts of the first channel that tells any, and its name; "" and none where none does."""
+    found = ((o, contacts(o, times, channels[o])) for o in telling(channels))
+    return next((seen for seen in found if seen[1]), ("", []))

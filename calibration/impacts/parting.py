@@ -41,7 +41,7 @@ def runs_of(path: Path, entry: Any, where: str) -> tuple[list[Record], list[tupl
 
 def _each_contact(label: str, part: Record, entry: Any, where: str) -> list[tuple[str, Record]]:
     """Rows about each contact of a run, cut midway between them; those too small to be fitted beside the largest are left out."""
-    observes = telling(list(entry.observe))[0]
+    observes = telling(entry.observe)[0]
     header = entry.observe[observes]
     clock = part.numbers(entry.time, "s", f"{where} time", blank=False)
     values = part.numbers(header.removeprefix("-").strip(), unit_of(observes), f"{where} observe", blank=True)

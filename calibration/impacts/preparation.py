@@ -18,7 +18,7 @@ from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.impacts import inspection
-from calibration.impacts.events import contacts, quantity, rest, rise, steady, telling, turning, wrong
+from calibration.impacts.events import contacts, quantity, rest, rise, steady, told, turning, wrong
 
 # A contact of more than so many samples is averaged down to at least as many, where the record has more than so many.
 _ENOUGH, _MANY = 250, 3000
@@ -219,7 +219,7 @@ def _thinned(
     Returns:
         Times, channels, m, and notes; m is 1 where nothing was done.
     """
-    events = next((e for o in telling(list(channels)) if (e := contacts(o, clock, channels[o]))), [])
+    events = told(clock, channels)[1]
     if clock.size <= _MANY or not events:
         return clock, channels, 1, []
     step = float(np.median(np.diff(clock)))

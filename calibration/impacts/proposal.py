@@ -247,7 +247,7 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         said = header if column(header)[1] is not None else hints.observe
         # Who names a column in g as a reading means gravities: a mass is none.
         gravities = column(said)[1] in GRAVITIES and not _named(said, "N")
-        unit = "m/s^2" if gravities else _unit(table, said) or next((u for u in _READ if _named(said, u)), None)
+        unit = "m/s^2" if gravities else read_unit(table, said) or next((u for u in _READ if _named(said, u)), None)
         if unit not in _READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
@@ -301,7 +301,7 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
         for header in table.header:
             if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
                 continue
-            if column(header)[1] is not None and _unit(table, header) != unit:
+            if column(header)[1] is not None and read_unit(table, header) != unit:
                 continue
             values = np.array([next(iter(_values(part, header, unit)), np.nan) for part in parts])
             if ((values > 0.0) & (values < np.inf)).all():
@@ -349,7 +349,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
-    stated = {h: u for h in numeric if (u := _unit(table, h))}
+    stated = {h: u for h in numeric if (u := read_unit(table, h))}
 
     def later(header: str) -> tuple[bool, float]:
         unit = stated[header]
@@ -391,7 +391,7 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
-def _unit(table: Record, header: str) -> str | None:
+def read_unit(table: Record, header: str) -> str | None:
     """The SI unit of ``_KINDS`` that a header's unit converts to, or that of its sensor's sensitivity."""
     name, text = column(header)[0], table.unit(header)
     if text in _KINDS:

@@ -16,7 +16,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from calibration.filters import Filter
-from calibration.impacts.events import Event, contacts, quantity, telling
+from calibration.impacts.events import Event, quantity, told
 from calibration.impacts.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
 
@@ -77,8 +77,7 @@ def proposed(
     """Bounds of one nuisance from one record, or why there are none; ``free``: what else is searched, with its bounds."""
     if name not in ("time_offset", "cutoff") and name not in OFFSETS.values():
         return f"a record does not give a {name}"
-    read = ((o, contacts(o, record.times, record.readings[o].values)) for o in telling(list(record.readings)))
-    observes, found = next((seen for seen in read if seen[1]), ("", []))
+    observes, found = told(record.times, {o: reading.values for o, reading in record.readings.items()})
     if not found:
         return "it shows no contact"
     slow, fast = (share / found[0].duration for share in _CUTOFFS)
