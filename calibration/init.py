@@ -202,8 +202,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     felt = None if mass is None else effective(mass, other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     # 1 + e from the impulse, where mass and speed are both known.
-    both = isinstance(known.mass, float) and isinstance(known.speed, float)
-    ratio = s.impulse / (known.mass * known.speed) if both else float("nan")
+    ratio = float("nan")
+    if isinstance(known.mass, float) and isinstance(known.speed, float):
+        ratio = s.impulse / (known.mass * known.speed)
     elastic = kind == "impact" and ratio > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"

@@ -6,7 +6,7 @@ What may be in one: docs/howto/problem_file.md; ``[[model]]`` and ``[[candidate]
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -134,10 +134,10 @@ class _File(tables.Table):
     candidate: list[dict[str, Any]] = []
 
     @property
-    def passed(self) -> Filter | None:
+    def passed(self) -> Filter | Literal["none", "unknown"] | None:
         """The filter that is stated."""
-        given = self.filter
-        return Filter(given.kind, given.order, given.zero_phase) if isinstance(given, _Filter) else None
+        said = self.filter
+        return Filter(said.kind, said.order, said.zero_phase) if isinstance(said, _Filter) else said
 
 
 def schema() -> dict[str, Any]:
@@ -147,12 +147,13 @@ def schema() -> dict[str, Any]:
 
 
 class _Read(NamedTuple):
-    """A record of an entry: the number of the entry, the entry, what was made of its rows, and these."""
+    """A record of an entry: the entry's number and itself, what was made of its rows, these, and what their columns give."""
 
     k: int
     entry: _Experiment
-    record: Prepared | None
-    part: Record | None
+    record: Prepared | None = None
+    part: Record | None = None
+    columned: Mapping[str, tuple[float, float | None]] = {}
 
 
 def load(path: str | Path) -> Problem:
@@ -186,15 +187,16 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
             found += "has that mass" if _STRUCK in known else "has no body that strikes"
             raise InputError(f"{path}: [[experiment]] {k + 1} parameters", found, "give its mass, or leave it out")
     records = _records(file, path, base)
-    experiments = [_experiment(r.entry, r.record, f"{path}: [[experiment]] {r.k + 1}", known, one) for r in records]
+    experiments = [_experiment(r, f"{path}: [[experiment]] {r.k + 1}", known, one) for r in records]
     found = _sensor(file, path, base, records, experiments, known)
     experiments = [replace(e, bounds={**found.bounds.get(i, {}), **e.bounds}) for i, e in enumerate(experiments)]
     free = [free_of(one(name), table, path, known) for name, table in file.free.items() if one(name) not in found.names]
     for k, entry in enumerate(file.experiment):
         _check_own(entry, f"{path}: [[experiment]] {k + 1} bounds", free, found, one)
     for name in found.names:
-        ends = dict(zip(("lower", "upper"), found.envelope(name), strict=True))
-        free.append(free_of(name, file.free.get(name, FreeTable()).model_copy(update=ends), path, known))
+        lower, upper = found.envelope(name)
+        own = file.free.get(name, FreeTable()).model_copy(update={"lower": lower, "upper": upper})
+        free.append(free_of(name, own, path, known))
     problem = Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
@@ -204,7 +206,7 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
         tolerances=dict(base.tolerances),
-        filter=file.passed or file.filter or ("unknown" if _measured(file, base) else "none"),
+        filter=file.passed or ("unknown" if _measured(file, base) else "none"),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
     doubts = _doubts(problem, records)
@@ -255,7 +257,8 @@ def _sensor(
     searched = {f.name: (f.lower, f.upper) for f in (free_of(n, t, path, known) for n, t in bounded.items())}
     stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
-    asked += ["cutoff"] if file.passed and "cutoff" not in stated else []
+    passed = file.passed if isinstance(file.passed, Filter) else None
+    asked += ["cutoff"] if passed and "cutoff" not in stated else []
     # What contacts do above the reading at rest does not know its zero.
     observed = [o for entry in file.experiment for o in entry.observe if not entry.events]
     own = sensor.unasked(observed) if _measured(file, base) else []
@@ -271,7 +274,7 @@ def _sensor(
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
             given: Any = "it has no history of readings"
             if r.record:
-                given = sensor.proposed(name, r.record, scene, params, searched, file.passed)
+                given = sensor.proposed(name, r.record, scene, params, searched, passed)
             if not isinstance(given, str):
                 proposals[i] = given
             if doubt := given if isinstance(given, str) else given.doubt:
@@ -337,7 +340,7 @@ def _doubts(problem: Problem, records: list[_Read]) -> tuple[Doubt, ...]:
         return ()
     found, masses, bodies = [], [], {}
     speed = free.get("approach_speed")
-    for e, (_, entry, record, part) in zip(problem.experiments, records, strict=True):
+    for e, (_, entry, record, part, _) in zip(problem.experiments, records, strict=True):
         if record is None or part is None or entry.events:
             continue
         own = problem.params | e.fixed
@@ -383,7 +386,7 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[_Read]:
         if not entry.observe and not entry.features:
             raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [kN]" }')
         if not entry.observe:
-            records.append(_Read(k, entry, None, None))
+            records.append(_Read(k, entry))
             continue
         for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
             channel(observes, base.scene, where=f"{where} observe '{observes}'")
@@ -409,7 +412,7 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[_Read]:
                 own = _by_columns(entry, part, base, where, label)
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
                 record = replace(record, notes=(said, *record.notes) if said else record.notes)
-                records.append(_Read(k, own, record, part))
+                records.append(_Read(k, entry, record, part, own))
                 said = ""  # Of a file, not of each of its runs.
         with broken:
             faults.refuse(wholes[0].name)
@@ -417,22 +420,21 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[_Read]:
     return records
 
 
-def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
-    """An entry for one record, with the parameters that columns of its rows give.
+def _by_columns(
+    entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str
+) -> dict[str, tuple[float, float | None]]:
+    """Parameters that columns of a record's rows give, SI, and how well they are known.
 
     The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.
-
-    Raises:
-        InputError: for a parameter that there is not or that is given twice, and a column that changes within the record.
     """
-    found, known = {}, base.scene.quantities
+    found, known, one = {}, base.scene.quantities, base.scene.canonical
     for said, text in entry.columns.items():
-        name, here = base.scene.canonical(said), f"{where} columns.{said}"
+        name, here = one(said), f"{where} columns.{said}"
         falls = name == "drop_height" and name not in known and "approach_speed" in known
         if not falls and name not in known:
             raise InputError(here, f"the scene has no parameter '{said}'", ", ".join(known))
         target = "approach_speed" if falls else name
-        if target in {base.scene.canonical(n) for n in entry.parameters} | found.keys():
+        if target in {one(n) for n in entry.parameters} | found.keys():
             raise InputError(here, f"'{target}' is given twice", "give it once, as a value or by a column")
         unit = "m" if falls else known[name].unit
         header, _, tolerance = (part_.strip() for part_ in text.partition("+-"))
@@ -447,9 +449,9 @@ def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, whe
             if not value > 0.0:
                 raise InputError(here, f"a height of {format_si(value, unit)}", "give one above 0")
             speed = float(np.sqrt(2.0 * GRAVITY * value))
-            value, known_to, unit = speed, None if known_to is None else 0.5 * known_to / value * speed, "m/s"
-        found[target] = f"{value!r} {unit}" + ("" if known_to is None else f" +- {known_to!r} {unit}")
-    return entry.model_copy(update={"parameters": {**entry.parameters, **found}}) if found else entry
+            value, known_to = speed, known_to and 0.5 * known_to / value * speed
+        found[target] = value, known_to
+    return found
 
 
 def _recipe(entry: _Experiment, where: str) -> Recipe:
@@ -483,41 +485,41 @@ def _limits(entry: _Experiment, where: str) -> dict[str, float]:
     return dict.fromkeys(entry.observe, quantity(entry.saturation, next(iter(units)), place))
 
 
-def _experiment(
-    entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
-) -> Experiment:
-    fixed, tolerances, channels = {}, {}, []
+def _experiment(read: _Read, where: str, known: dict[str, Quantity], one: Callable[[str], str]) -> Experiment:
+    _, entry, record, _, columned = read
+    own, channels = {}, []
     for name, value in ((one(name), value) for name, value in entry.given.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
-        fixed[name], tolerance = toleranced(value, known[name].unit, f"{where} parameters.{name}")
-        tolerances |= {} if tolerance is None else {name: tolerance}
+        own[name] = toleranced(value, known[name].unit, f"{where} parameters.{name}")
+    own |= columned
     memory = stated.correlation(entry.correlation, f"{where} correlation")
     features = stated.features(entry.features, entry.feature_noise, where)
     span = None if entry.span is None else quantity(entry.span, "s", f"{where} span")
     if entry.events and not record:
         raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')
-    for observes, reading in record.readings.items() if record else ():
+    readings, times, averaged = (record.readings, record.times, record.averaged) if record else ({}, np.zeros(0), 1)
+    for observes, reading in readings.items():
         # What is stated is the noise of a sample as recorded.
-        noise = stated.noise(entry.noise, observes, reading.values, f"{where} noise").of_means(record.averaged)
+        noise = stated.noise(entry.noise, observes, reading.values, f"{where} noise").of_means(averaged)
         if not entry.events:
             said = instrument.stated(entry.instrument, observes, entry.observe, f"{where} instrument")
             channels.append(Channel(observes, reading.values, noise.sigma, noise.relative, memory, noise.jitter, said))
             continue
         if noise.jitter:
             raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")
-        features += trains.observations(observes, record.times, reading.values, noise.sigma, noise.relative)
-        span = float(record.times[-1]) if span is None else span
+        features += trains.observations(observes, times, reading.values, noise.sigma, noise.relative)
+        span = float(times[-1]) if span is None else span
     return Experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
-        times=record.times if record and channels else np.zeros(0),
+        times=times if channels else np.zeros(0),
         channels=tuple(channels),
         hold_out=_held_out(entry, record),
-        fixed=fixed,
+        fixed={name: value for name, (value, _) in own.items()},
         source=record.source if record else where,
         features=features,
         span=span,
-        tolerances=tolerances,
+        tolerances={name: tolerance for name, (_, tolerance) in own.items() if tolerance is not None},
         bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )
 
