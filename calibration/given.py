@@ -55,11 +55,7 @@ def fill(frozen: Any, values: Mapping[str, Any]) -> None:
 
 
 def all_of(where: str, given: Any, kind: type) -> tuple[Any, ...]:
-    """A tuple of objects of one class.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """A tuple of objects of one class."""
     remedy = f"give a list of calibration.{kind.__name__}(...)"
     if isinstance(given, (kind, str, bytes, Mapping)) or not isinstance(given, Iterable):
         raise InputError(where, quoted(given), remedy)
@@ -85,11 +81,7 @@ def table(where: str, given: Any) -> dict[str, Any]:
 
 
 def numbers(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, float]:
-    """A table of numbers by the names of known quantities; texts with a unit are converted.
-
-    Raises:
-        InputError: for what is no table, a name that is not known, and what is no number of its unit and range.
-    """
+    """A table of numbers by the names of known quantities; texts with a unit are converted."""
     found = table(where, given)
     for name, value in found.items():
         if name not in known:

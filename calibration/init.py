@@ -294,11 +294,7 @@ def _columned(found: Understood, kind: str) -> Line:
 
 
 def rows_of(text: str | None) -> dict[str, Any]:
-    """What --rows says: a column and a value.
-
-    Raises:
-        InputError: for a text without "=".
-    """
+    """What --rows says: a column and a value."""
     if text is None:
         return {}
     name, mark, value = (part.strip() for part in text.partition("="))

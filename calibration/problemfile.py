@@ -384,7 +384,7 @@ def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[_Read]:
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
-            raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [kN]" }')
+            raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
         if not entry.observe:
             records.append(_Read(k, entry))
             continue

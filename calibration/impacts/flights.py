@@ -42,13 +42,10 @@ class Passage(NamedTuple):
     """A contact between two flights: what is known of it without a law, SI.
 
     Attributes:
-        begin: its first sample's time.
         speed: before it, v = g t/2 of a flight of the length t.
         kept: restitution, by the flights before and after.
-        impulse: of the force above its rest.
         mass: impulse over change of speed: 2 J/(g (t_1 + t_2)), t from the middle of a contact to that of the next, which
             holds the weight's impulse, too.
-        duration, peak: as it was read.
         clock, force: (k,) its window, the clock from half a sample before ``begin`` on, the force above its rest.
     """
 
@@ -114,8 +111,7 @@ def loss(events: Sequence[Event]) -> Loss | None:
 def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c: Mapping[str, float]) -> str:
     """Why a law loses energy with the speed otherwise than a drop's flights do; "" where it does not, or nothing is known.
 
-    Args:
-        c: coefficients to be expected, and ``mass``.
+    ``c``: coefficients to be expected, and ``mass``.
     """
     seen = loss(events)
     if seen is None or not isinstance(law, MemoryFree) or {*law.needs} != _READ:

@@ -16,11 +16,7 @@ from calibration.impacts.events import apart, contacts, telling
 
 
 def files_of(path: Path, name: str, where: str) -> list[Path]:
-    """The file of a name beside a calibration file, or all files of a pattern such as "run*.csv".
-
-    Raises:
-        InputError: where a pattern has none.
-    """
+    """The file of a name beside a calibration file, or all files of a pattern such as "run*.csv"."""
     if not any(sign in name for sign in "*?") or (path.parent / name).exists():
         return [path.parent / name]
     found = sorted((path.parent / name).parent.glob(Path(name).name))

@@ -96,10 +96,6 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
     Args:
         time: header of the clock's column.
         observe: header of a column, "-" before it to flip its sign, by the reading it is of.
-
-    Raises:
-        InputError: for a clock that does not go forward, a column that is constant or of the wrong sign, an impact
-            that is not whole, and whatever leaves nothing to fit.
     """
     faults, raw, clock, rounded = Faults(), {}, np.zeros(part.lines.size), ""
     with faults:
@@ -207,17 +203,10 @@ def _inside(times: np.ndarray, window: tuple[float, float] | None, name: str, wh
 def _thinned(
     clock: np.ndarray, channels: dict[str, np.ndarray], averaged: bool
 ) -> tuple[np.ndarray, dict[str, np.ndarray], int, list[str]]:
-    """A record brought down to the samples that its contacts need: means of m successive samples, times too.
+    """A record brought down to the samples that its contacts need: means of m successive samples, or every m-th; m, and notes.
 
     A mean of white noise has its deviation over sqrt(m), so that nothing of what the record says of the noise is lost; what a
     mean does to a contact of _ENOUGH samples is below 1e-5 of its peak. Far from contacts whole blocks are left out.
-
-    Args:
-        channels: (N,) each, NaN where nothing was measured.
-        averaged: whether means are taken; else every m-th sample, for noise that remembers itself.
-
-    Returns:
-        Times, channels, m, and notes; m is 1 where nothing was done.
     """
     events = told(clock, channels)[1]
     if clock.size <= _MANY or not events:
@@ -251,18 +240,9 @@ def _thinned(
 def _resampled(
     clock: np.ndarray, breaks: np.ndarray, channels: dict[str, np.ndarray], rate: float, where: str
 ) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
-    """Every channel at an even lower rate, stretch by stretch: low-passed forwards and backwards, then sampled.
+    """Every channel at an even lower rate, stretch by stretch: low-passed forwards and backwards, then sampled; and notes.
 
-    Args:
-        clock: (N,) [s].
-        breaks: rows after which it jumps.
-        channels: (N,) each, NaN where nothing was measured.
-
-    Returns:
-        Times (T,), channels (T,) each, and notes.
-
-    Raises:
-        InputError: for a rate above the record's, or where no stretch is long enough to filter.
+    ``breaks``: rows after which the clock jumps.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfiltfilt

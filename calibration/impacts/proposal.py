@@ -142,11 +142,7 @@ class Hints(NamedTuple):
 
 
 def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B008
-    """What a table is, by its headers and by what its columns do.
-
-    Raises:
-        InputError: where there is no clock, no reading or no contact in it.
-    """
+    """What a table is, by its headers and by what its columns do."""
     where, faults = table.name, Faults(table.faults)
     if hints.observe is None:
         refuse_motion(table)

@@ -26,11 +26,7 @@ _DRIVEN = (
 
 
 def refuse_pulling(run: Run, where: str) -> None:
-    """Refuse a force that pulls about as it pushes.
-
-    Raises:
-        InputError: with the way to a driven scene.
-    """
+    """Refuse a force that pulls about as it pushes."""
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
     if force.size < _FEW:
@@ -60,11 +56,7 @@ def is_slow(run: Run) -> bool:
 
 
 def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
-    """The problem file at ``path`` of a slow test, which names the record ``file``.
-
-    Raises:
-        InputError: for several tests.
-    """
+    """The problem file at ``path`` of a slow test, which names the record ``file``."""
     if found.runs[0]:
         many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
         raise InputError(str(found.path), many, f'choose one: --rows "{found.runs[0]} = 1"')

@@ -37,14 +37,7 @@ class Noise(NamedTuple):
 
 
 def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Noise:
-    """The noise of one channel.
-
-    Args:
-        stated: a number, SI, a text, or a table of these by channel.
-
-    Raises:
-        InputError: for what states no noise above 0, or not this channel's.
-    """
+    """The noise of one channel: stated by a number, SI, a text, or a table of these by channel."""
     if isinstance(stated, dict):
         if observes not in stated:
             raise InputError(where, f"no noise of '{observes}'", f"{_RIGHT} for each channel")
@@ -86,11 +79,7 @@ def correlation(stated: object, where: str) -> float | None:
 
 
 def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Observation, ...]:
-    """Measured features by name, such as "contact.peak", with the noise that is stated of them.
-
-    Raises:
-        InputError: for an unknown feature, a value in another unit, or a feature without noise.
-    """
+    """Measured features by name, such as "contact.peak", with the noise that is stated of them."""
     found = []
     for name, value in stated.items():
         kind = name.rpartition(".")[2]

@@ -40,11 +40,9 @@ class State(NamedTuple):
 
 
 def first(clock: np.ndarray, places: np.ndarray, attitudes: np.ndarray, axis: int) -> State:
-    """The state of the first row of a flight, by its first rows.
+    """The state of the first row of a flight, by its first rows: clock (N,), places (3, N), attitudes (4, N) scalar first.
 
-    Args:
-        clock, places, attitudes: (N,) [s], (3, N) [m], (4, N) scalar first, without gaps.
-        axis: upwards, 0 to 2.
+    ``axis``: upwards, 0 to 2.
     """
     rows = slice(0, min(_FIRST, clock.size))
     t, span = clock[rows] - clock[0], float(clock[rows][-1] - clock[0])
@@ -70,11 +68,7 @@ def first(clock: np.ndarray, places: np.ndarray, attitudes: np.ndarray, axis: in
 
 
 def _read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Clock (N,), places (3, N) [m] and attitudes (4, N) of the rows that are whole.
-
-    Raises:
-        InputError: for fewer rows than a first state needs.
-    """
+    """Clock (N,), places (3, N) [m] and attitudes (4, N) of the rows that are whole."""
     clock = table.numbers(time, "s", table.name, False)
     found = np.array(
         [table.numbers(headers[k], "m" if k in PLACES else "1", table.name, True) for k in (*PLACES, *ATTITUDE)]
@@ -86,11 +80,7 @@ def _read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray
 
 
 def _upwards(clock: np.ndarray, places: np.ndarray) -> int:
-    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards.
-
-    Raises:
-        InputError: where none is.
-    """
+    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards."""
     bends = [2.0 * float(np.polyfit(clock[:_FIRST], row[:_FIRST], 2)[0]) for row in places]
     nearest = int(np.argmin(np.abs(np.array(bends) + GRAVITY)))
     if abs(bends[nearest] + GRAVITY) > 0.5 * GRAVITY:
@@ -117,11 +107,7 @@ class Toss(NamedTuple):
 def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> Draft:
     """The problem file at ``path`` of tossed bodies: a box's corners on a plane, and a first state of each run.
 
-    Args:
-        file: the record as the problem file names it.
-
-    Raises:
-        InputError: for runs that do not begin at 0 s, and such as fall along several axes.
+    ``file``: the record as the problem file names it.
     """
     headers, time, runs, axes = moved.columns, moved.table.clock, [], set[int]()
     paths = sorted(record.parent.glob(record.name)) if re.search("[*?]", record.name) else [record]

@@ -33,17 +33,10 @@ _TOP, _MANY, _MORE = 0.5, 8, 10
 def observations(
     observes: str, times: np.ndarray, values: np.ndarray, sigma: float | None = None, relative: float = 0.0
 ) -> tuple[Observation, ...]:
-    """Features of every contact that a record of a normal force shows, in order from number 1.
+    """Features of every contact that a record (T,) of a normal force, NaN where nothing was read, shows, from number 1.
 
-    The record must begin before the first contact of the run. A contact that its end cuts is left out.
-
-    Args:
-        times, values: (T,) [s], [N]; NaN where nothing was read.
-        sigma: deviation of the noise [N]; None: that of the samples apart from contacts.
-        relative: part of it that grows with the reading.
-
-    Raises:
-        InputError: for another reading, a record that shows no whole contact, and one with too few samples in it.
+    The record must begin before the first contact of the run. A contact that its end cuts is left out. The noise has a
+    deviation [N], None for that of the samples apart from contacts, and a part that grows with the reading.
     """
     place, _, kind = observes.rpartition(".")
     where = f"events of {observes}"

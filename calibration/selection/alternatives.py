@@ -86,14 +86,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
 
 
 def models(path: Path, problem: Problem) -> list[Alternative]:
-    """The [[model]] tables of a calibration file; none where there are none.
-
-    Args:
-        problem: what it states without them; every model has its very experiments.
-
-    Raises:
-        InputError: for what is not right in a model, or a [free] parameter that no model has.
-    """
+    """The [[model]] tables of a calibration file, whose problem without them is given: every model has its experiments."""
     content = tables.read(path)
     entries = enumerate(content.get("model", []), 1)
     found = [_model(tables.validated(_Model, x, str(path), f"model {k}"), content, path, problem) for k, x in entries]
@@ -104,14 +97,7 @@ def models(path: Path, problem: Problem) -> list[Alternative]:
 
 
 def candidates(path: Path, problem: Problem) -> list[Candidate]:
-    """The [[candidate]] tables of a calibration file; none where there are none.
-
-    Args:
-        problem: whose parameters they set; of a file with [[model]], the chosen one's.
-
-    Raises:
-        InputError: for what is not right in one.
-    """
+    """The [[candidate]] tables of a calibration file; of one with [[model]], the problem is the chosen one's."""
     found = []
     for k, table in enumerate(tables.read(path).get("candidate", []), 1):
         entry = tables.validated(_Candidate, table, str(path), f"candidate {k}")

@@ -41,12 +41,9 @@ SEEN = ("quantisation",)
 
 @dataclass(frozen=True)
 class Trial:
-    """A fit with one or two suspects' lines.
+    """A fit with one or two suspects' lines, of the laws that are fitted for one suspect with ``law``; None where it failed.
 
-    Attributes:
-        fit: None where it failed, or where there is nothing to fit.
-        gain: by how much BIC falls against the plain fit.
-        law: of the laws that are fitted for one suspect, which.
+    ``gain``: by how much BIC falls against the plain fit.
     """
 
     names: tuple[str, ...]

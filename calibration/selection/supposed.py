@@ -32,12 +32,8 @@ def with_another(
 ) -> Fit:  # fmt: skip
     """A fit that gives no interval, with those of another problem's fit that holds on conditions: ``conditional``.
 
-    Unchanged where that fit fails or gives none.
-
-    Args:
-        what: it is, for its reasons.
-        conditions: on which it holds, before its own.
-        known: estimates that need no fit, with their intervals; then of others only what the fit itself has a name for.
+    Unchanged where that fit fails or gives none. ``what``: it is, for its reasons. ``known``: estimates that need no fit; then
+    of others only what the fit itself has a name for.
     """
     try:
         with stage(what):
