@@ -93,7 +93,7 @@ def _check_spin(times: np.ndarray, q: np.ndarray, spin: np.ndarray, body: str, w
 
 
 def compared(read: Mapping[str, Array], measured: Mapping[str, Array]) -> dict[str, Array]:
-    """Readings (T,) by channel, of attitudes the scalar part, too, those of attitudes as what was measured, with the error added."""
+    """Readings (T,) by channel, of attitudes the scalar part, too; of these what was measured, with the error added."""
     found = dict(read)
     for parts in attitudes(measured).values():
         names = [parts[q] for q in QUATERNION[1:]]
