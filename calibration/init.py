@@ -37,7 +37,7 @@ _SAID = {
     "bounce": f"a drop under gravity, several contacts; {_FILE}",
     "oblique_impact": f"a sphere with friction and spin; {_FILE}",
 }
-SCENES = tuple(_SAID)
+SCENES, _ALIGN = tuple(_SAID), "onset"
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which no damping is searched.
@@ -432,7 +432,7 @@ def _window(s: Sizes, kind: str) -> list[Line]:
         after = min(after, s.duration + 0.7 * s.flights[0])
         note = f"the first of {s.contacts} contacts; --scene bounce takes all"
     ends = f'["{format_si(-before, "s", 3)}", "{format_si(after, "s", 3)}"]'
-    return [Line('align = "onset"', "time 0 where the record first rises"), Line(f"window = {ends}", note)]
+    return [Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), Line(f"window = {ends}", note)]
 
 
 def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[Line]:

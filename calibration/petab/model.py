@@ -42,36 +42,46 @@ class SceneModel(Model):
 
     @staticmethod
     def from_file(filepath_or_buffer: Any, model_id: str, base_path: str | Path | None = None) -> Model:
+        """Not from here: ``reading.load`` reads the scene."""
         raise NotImplementedError("use calibration.petab.load")
 
     def to_file(self, filename: str | Path | None = None) -> None:
+        """Write the scene file."""
         write_toml(Path(filename or self.rel_path), self._resolved, "the model of the PEtab problem beside it")
 
     @property
     def model_id(self) -> str:
+        """The scene's kind."""
         return self._kind
 
     def get_parameter_value(self, id_: str) -> float:
+        """Value of a parameter [SI]."""
         if id_ not in self._params:
             raise ValueError(f"no parameter {id_}")
         return self._params[id_]
 
     def get_free_parameter_ids_with_values(self) -> Iterable[tuple[str, float]]:
+        """Every parameter with its value."""
         return self._params.items()
 
     def get_parameter_ids(self) -> Iterable[str]:
+        """Every input."""
         return self._inputs
 
     get_valid_parameters_for_parameter_table = get_valid_ids_for_condition_table = get_parameter_ids
 
     def has_entity_with_id(self, entity_id: str) -> bool:
+        """Whether it is an input or an output."""
         return entity_id in self._inputs or entity_id in self._outputs
 
     def symbol_allowed_in_observable_formula(self, id_: str) -> bool:
+        """Only outputs are."""
         return id_ in self._outputs
 
     def is_valid(self) -> bool:
+        """A scene is checked where it is made."""
         return True
 
     def is_state_variable(self, id_: str) -> bool:
+        """States stay inside a scene."""
         return False
