@@ -59,7 +59,7 @@ def quantity(observes: str) -> str:
     """What a channel is a reading of: "normal", "velocity", "place", or "pulse" of what contacts make pulse."""
     what = observes.partition(" in ")[0].split(".")[1:2]
     known = {"normal": "normal", "velocity": "velocity", "rate": "velocity", "place": "place", "angle": "place"}
-    return known.get("".join(what), "pulse")
+    return known.get(what[0] if what else "", "pulse")
 
 
 def rest(values: np.ndarray) -> float | None:

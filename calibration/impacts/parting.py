@@ -13,6 +13,7 @@ from bcfj_jax.data.record import Record, split
 from bcfj_jax.data.textfile import Stated
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.impacts.events import apart, contacts, telling
+from calibration.impacts.preparation import signed
 
 
 def files_of(path: Path, name: str, where: str) -> list[Path]:
@@ -38,9 +39,7 @@ def runs_of(path: Path, entry: Any, where: str) -> tuple[list[Record], list[tupl
 def _each_contact(label: str, part: Record, entry: Any, where: str) -> list[tuple[str, Record]]:
     """Rows about each contact of a run, cut midway between them; those too small to be fitted beside the largest are left out."""
     observes = telling(entry.observe)[0]
-    header = entry.observe[observes]
     clock = part.numbers(entry.time, "s", f"{where} time", blank=False)
-    values = part.numbers(header.removeprefix("-").strip(), unit_of(observes), f"{where} observe", blank=True)
-    values = np.where(np.isinf(values), np.nan, -values if header.startswith("-") else values)
-    pieces = apart(clock, contacts(observes, clock, values))
+    values = signed(part, entry.observe[observes], unit_of(observes), where)
+    pieces = apart(clock, contacts(observes, clock, np.where(np.isinf(values), np.nan, values)))
     return [(f"{label} contact {k + 1}" if len(pieces) > 1 else label, part.where(keep)) for k, keep in pieces]

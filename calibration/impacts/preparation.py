@@ -103,7 +103,7 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
         inspection.check_clock(clock, part, time)
     for o, header in observe.items():
         with faults:
-            raw[o] = _signed(part, header, unit_of(o), where)
+            raw[o] = signed(part, header, unit_of(o), where)
     saturated = {o: np.abs(values) >= recipe.saturation.get(o, np.inf) for o, values in raw.items()}
     # Infinity, of a sample beyond what an instrument can show, says no more than that.
     raw = {o: np.where(np.isinf(values), np.nan, values) for o, values in raw.items()}
@@ -147,7 +147,8 @@ def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe:
     return Prepared(name, part.span, clock, gaps, times, readings, begun, recipe.window, tuple(notes), averaged)
 
 
-def _signed(part: Record, header: str, unit: str, where: str) -> np.ndarray:
+def signed(part: Record, header: str, unit: str, where: str) -> np.ndarray:
+    """A column in SI, with "-" before its header of the other sign."""
     sign = -1.0 if header.startswith("-") else 1.0
     return sign * part.numbers(header.removeprefix("-").strip(), unit, f"{where} observe", blank=True)
 
