@@ -28,6 +28,7 @@ from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
 from calibration.impacts.otherwise import InMotion
+from calibration.impacts.parting import matching
 from calibration.impacts.plausible import effective
 from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
 
@@ -138,8 +139,7 @@ def found_in(record: Path, said: Said) -> Understood:
     def seen(path: Path, table: str | None) -> Understood:
         return understood(read(path, "record", table, said.stated), said.hints)
 
-    if re.search("[*?]", record.name):
-        paths = sorted(record.parent.glob(record.name))
+    if (paths := matching(record)) != [record]:
         if not paths:
             raise InputError("record", f"no file is named as {record}", "put the pattern in quotes: 'run*.csv'")
         each = [seen(p, said.table) for p in paths]

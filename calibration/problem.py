@@ -100,13 +100,13 @@ def offsets_of(observes: str, among: Iterable[str]) -> tuple[str, ...]:
 
 def size(observes: str, values: np.ndarray) -> float:
     """What a share of a channel is a share of: its largest reading; of a place its range; 1 of an attitude."""
-    what = observes.partition(" in ")[0].split(".")[1:2]
-    if what == [ATTITUDE]:
+    what = quantity_of(observes)[0]
+    if what == ATTITUDE:
         return 1.0
     seen = values[np.isfinite(values)]
     if not seen.size:
         return 0.0
-    return float(np.ptp(seen)) if what in (["place"], ["angle"]) and np.ptp(seen) > 0 else float(np.max(np.abs(seen)))
+    return float(np.ptp(seen)) if what in ("place", "angle") and np.ptp(seen) > 0 else float(np.max(np.abs(seen)))
 
 
 def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:

@@ -16,11 +16,15 @@ from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.preparation import signed
 
 
+def matching(path: Path) -> list[Path]:
+    """The file of a path, or all files of a pattern such as "run*.csv"."""
+    pattern = any(sign in path.name for sign in "*?") and not path.exists()
+    return sorted(path.parent.glob(path.name)) if pattern else [path]
+
+
 def files_of(path: Path, name: str, where: str) -> list[Path]:
-    """The file of a name beside a calibration file, or all files of a pattern such as "run*.csv"."""
-    if not any(sign in name for sign in "*?") or (path.parent / name).exists():
-        return [path.parent / name]
-    found = sorted((path.parent / name).parent.glob(Path(name).name))
+    """Files by their name beside a calibration file (``matching``); a pattern has one at least."""
+    found = matching(path.parent / name)
     if not found:
         raise InputError(f"{where} file", f"no file is named as {name}", "give a pattern relative to the problem file")
     return found

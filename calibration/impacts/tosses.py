@@ -5,7 +5,6 @@ Every run starts from a state of its own, which is free within what its first ro
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
@@ -20,6 +19,7 @@ from bcfj_jax.data.record import Record
 from calibration.attitudes import rotation
 from calibration.impacts.lines import Draft, Line, Said, box, scene_of, toml, with_scene
 from calibration.impacts.otherwise import ATTITUDE, PLACES, InMotion
+from calibration.impacts.parting import matching
 from calibration.noise.scatter import scatter
 
 # Rows from which a first state is told, and the deviations of it that its bounds leave open.
@@ -110,7 +110,7 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
     ``file``: the record as the problem file names it.
     """
     headers, time, runs, axes = moved.columns, moved.table.clock, [], set[int]()
-    paths = sorted(record.parent.glob(record.name)) if re.search("[*?]", record.name) else [record]
+    paths = matching(record)
     for one in paths:
         clock, places, attitudes = _read(read(one, "record", said.table, said.stated), time, headers)
         axes.add(_upwards(clock, places))
