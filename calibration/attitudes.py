@@ -45,7 +45,7 @@ def reduced(times: np.ndarray, channels: Mapping[str, np.ndarray], where: str) -
     """Readings of attitudes that are kept, by channel: q1, q2, q3 of length at most 1, q0 being what is left of 1.
 
     Args:
-        times: (T,) [s]; channels: readings (T,) by name, all four of an attitude, or q1 to q3 where q0 is not negative.
+        times, channels: (T,) [s]; (T,) by name, all four of an attitude, or q1 to q3 where q0 is not negative.
         where: for the message.
 
     Raises:
@@ -93,12 +93,7 @@ def _check_spin(times: np.ndarray, q: np.ndarray, spin: np.ndarray, body: str, w
 
 
 def compared(read: Mapping[str, Array], measured: Mapping[str, Array]) -> dict[str, Array]:
-    """Readings (T,) by channel, those of attitudes as what was measured, with the error added.
-
-    Args:
-        read: of the model, of attitudes the scalar part, too.
-        measured: of the channels that are kept.
-    """
+    """Readings (T,) by channel, of attitudes the scalar part, too; of these what was measured, with the error added."""
     found = dict(read)
     for parts in attitudes(measured).values():
         names = [parts[q] for q in QUATERNION[1:]]

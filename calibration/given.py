@@ -55,11 +55,7 @@ def fill(frozen: Any, values: Mapping[str, Any]) -> None:
 
 
 def all_of(where: str, given: Any, kind: type) -> tuple[Any, ...]:
-    """A tuple of objects of one class.
-
-    Raises:
-        InputError: for anything else.
-    """
+    """A tuple of objects of one class."""
     remedy = f"give a list of calibration.{kind.__name__}(...)"
     if isinstance(given, (kind, str, bytes, Mapping)) or not isinstance(given, Iterable):
         raise InputError(where, quoted(given), remedy)
@@ -85,11 +81,7 @@ def table(where: str, given: Any) -> dict[str, Any]:
 
 
 def numbers(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, float]:
-    """A table of numbers by the names of known quantities; texts with a unit are converted.
-
-    Raises:
-        InputError: for what is no table, a name that is not known, and what is no number of its unit and range.
-    """
+    """A table of numbers by the names of known quantities; texts with a unit are converted."""
     found = table(where, given)
     for name, value in found.items():
         if name not in known:
@@ -98,10 +90,10 @@ def numbers(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, 
     return found
 
 
-def tolerances(where: str, given: Mapping[str, Any], known: Mapping[str, Quantity]) -> dict[str, float]:
+def tolerances(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[str, float]:
     """How well values are known, 0 or more; a name that is not known may be another model's of the same data."""
-    units = {name: known[name].unit if name in known else "1" for name in given}
-    return {name: not_negative(where, name, units[name], value) for name, value in given.items()}
+    units = {name: known[name].unit if name in known else "1" for name in table(where, given)}
+    return {name: not_negative(where, name, unit, given[name]) for name, unit in units.items()}
 
 
 def pair(where: str, given: Any, quantity: Quantity) -> tuple[float, float]:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple
@@ -22,10 +23,12 @@ from bcfj_jax.data.record import RUN_COLUMNS
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
-from calibration.impacts import otherwise, scenes, slow_tests
-from calibration.impacts.events import apart, contacts
+from calibration.impacts import slow_tests, tosses
+from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.inspection import clock_note
-from calibration.impacts.lines import FIXED, Line, Said, read_as, toml
+from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
+from calibration.impacts.otherwise import InMotion
+from calibration.impacts.parting import matching
 from calibration.impacts.plausible import effective
 from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
 
@@ -77,45 +80,50 @@ def run(record: Path, out: Path | None, said: Said, say: Callable[[str], None]) 
         InputError: for a file that holds no clock, no reading or no contact, and where the problem file is there already.
     """
     path, relative = _paths(record, out)
+    draft, made = _drafted(record, said, path, relative), []
+    try:
+        for file, text in draft.files.items():
+            create(file, text)
+            made.append(file)
+        for one in problemfile.prepared(path) if draft.whole else ():
+            say(f"{one.name}: {'; '.join(one.notes)}")
+    except InputError:
+        for file in made:
+            file.unlink()
+        raise
+    for text in draft.said:
+        say(text)
+    return 0
+
+
+def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
+    """What is proposed at ``path`` of the record ``file``, by the kind that it is."""
     try:
         found = found_in(record, said)
-    except otherwise.InMotion as moved:
+    except InMotion as moved:
         if said.scene:
             raise
-        return _with_scene(scenes.toss(moved, record, said, path, relative), path, say)
+        return tosses.draft(moved, record, said, path, file)
     if not said.scene:
         slow_tests.refuse_pulling(found.records[0], str(record))
-        if found.records and slow_tests.is_slow(found.records[0]):
-            return _with_scene(scenes.slow(found, said, path, relative), path, say)
+        if slow_tests.is_slow(found.records[0]):
+            return slow_tests.draft(found, said, path, file)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
-    found = _each(found, said) if kind == "impact" else found
-    given = said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
-    text, missing = _text(found, kind, said, relative)
-    create(path, text)
+    found = _each(found, said) if kind == "impact" else found
+    text, missing = _text(found, kind, said, file)
+    wrote, after = f"wrote {path}", f"bcfj calibrate {quote(str(path))}"
     if missing:
-        say(f"{record}: {'; '.join(filter(None, (found.said, clock_note(found.records[0].clock))))}")
-        say(f"wrote {path}")
-        marks = "the question mark" if len(missing) == 1 else "the question marks"
-        say(
-            f"the record does not give {' and '.join(missing)}: write {'it' if len(missing) == 1 else 'them'} in {path} in place "
-            f"of {marks}, then: bcfj calibrate {quote(str(path))}"
-        )
-        return 0
-    try:
-        for one in problemfile.prepared(path):
-            say(f"{one.name}: {'; '.join(one.notes)}")
-    except InputError:
-        path.unlink()
-        raise
-    say(f"wrote {path}")
-    if _asks(found, kind, given[1], said.struck):
-        say(f'one question is left in {path}, struck_mass: "{FIXED}", or the mass of the body that is struck')
-    say(f"next: bcfj calibrate {quote(str(path))}")
-    return 0
+        facts = "; ".join(filter(None, (found.said, clock_note(found.records[0].clock))))
+        them, marks = ("it", "the question mark") if len(missing) == 1 else ("them", "the question marks")
+        left = f"the record does not give {' and '.join(missing)}: write {them} in {path} in place of {marks}, then: {after}"
+        return Draft({path: text}, [f"{record}: {facts}", wrote, left], False)
+    question = f'one question is left in {path}, struck_mass: "{FIXED}", or the mass of the body that is struck'
+    asked = [question] if _asks(found, kind, said) else []
+    return Draft({path: text}, [wrote, *asked, f"next: {after}"], True)
 
 
 def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
@@ -125,52 +133,36 @@ def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
     return path, Path(os.path.relpath(record, path.parent)).as_posix()
 
 
-def _with_scene(proposed: scenes.Proposed, path: Path, say: Callable[[str], None]) -> int:
-    """Write a scene and its problem file, or neither, and say what is in the records."""
-    made: list[Path] = []
-    try:
-        for one, text in ((scenes.scene_of(path), proposed.scene), (path, "\n".join(map(str, proposed.lines)) + "\n")):
-            create(one, text)
-            made.append(one)
-        for one in () if proposed.missing else problemfile.prepared(path):
-            say(f"{one.name}: {'; '.join(one.notes)}")
-    except InputError:
-        for one in made:
-            one.unlink()
-        raise
-    say(proposed.kind)
-    say(f"wrote {scenes.scene_of(path)} and {path}")
-    say(f"next: {proposed.missing}bcfj calibrate {quote(str(path))}")
-    return 0
-
-
 def found_in(record: Path, said: Said) -> Understood:
     """What a record is: a file, the one table of several that holds a contact, or all files of a pattern."""
-    if re.search("[*?]", record.name):
-        paths = sorted(record.parent.glob(record.name))
+
+    def seen(path: Path, table: str | None) -> Understood:
+        return understood(read(path, "record", table, said.stated), said.hints)
+
+    if (paths := matching(record)) != [record]:
         if not paths:
             raise InputError("record", f"no file is named as {record}", "put the pattern in quotes: 'run*.csv'")
-        each = [understood(read(p, "record", said.table, said.stated), said.hints) for p in paths]
-        if any(e.columns != each[0].columns or e.time != each[0].time for e in each):
-            other = next(e for e in each if e.columns != each[0].columns or e.time != each[0].time)
-            found = f"{other.path} has other columns than {paths[0]}: {', '.join(other.columns.values())}"
-            raise InputError("record", found, "propose a file for each kind")
+        each = [seen(p, said.table) for p in paths]
+        for one in each:
+            if (one.columns, one.time) != (each[0].columns, each[0].time):
+                found = f"{one.path} has other columns than {paths[0]}: {', '.join(one.columns.values())}"
+                raise InputError("record", found, "propose a file for each kind")
         records = [r for e in each for r in e.records]
         speeds = tuple(v for e in each for v in e.speeds)
         return replace(each[0], records=records, speeds=speeds, runs=("file", len(records)))
-    if said.table is None and len(names := tables(record, "record", said.stated)) > 1:
-        found, refused = [], []
-        for name in names:
-            try:
-                found.append(understood(read(record, "record", name, said.stated), said.hints))
-            except InputError as error:
-                refused.append(f"'{name}': {error.found}")
-        if len(found) == 1:
-            return found[0]
-        which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
-        many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
-        raise InputError(str(record), f"holds {len(names)} tables, and {many}", f"give {which}" if found else which)
-    return understood(read(record, "record", said.table, said.stated), said.hints)
+    if said.table is not None or len(names := tables(record, "record", said.stated)) < 2:
+        return seen(record, said.table)
+    found, refused = [], []
+    for name in names:
+        try:
+            found.append(seen(record, name))
+        except InputError as error:
+            refused.append(f"'{name}': {error.found}")
+    if len(found) == 1:
+        return found[0]
+    which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
+    many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
+    raise InputError(str(record), f"holds {len(names)} tables, and {many}", f"give {which}" if found else which)
 
 
 def _each(found: Understood, said: Said) -> Understood:
@@ -178,10 +170,8 @@ def _each(found: Understood, said: Said) -> Understood:
     s = sizes(found)
     if said.speed is not None or found.given[0] or not s.flights or min(s.flights) < _APART * s.duration:
         return found
-    if len(found.records) > 1 and max(len(r.events) for r in found.records) == 1:
-        return found
-    unit = next(u for u in ("N", "m/s^2", "m/s", "m") if u in found.columns)
-    if unit not in ("N", "m/s^2"):
+    unit = next((u for u in ("N", "m/s^2") if u in found.columns), "")
+    if not unit or (len(found.records) > 1 and max(len(r.events) for r in found.records) == 1):
         return found
     pieces = []
     for record in found.records:
@@ -201,30 +191,37 @@ def _kind(found: Understood) -> str:
     if "tangential" in found.columns:
         return "oblique_impact"
     s = sizes(found)
-    falling = all(b < a for a, b in zip(s.flights, s.flights[1:], strict=False))
+    falling = all(b < a for a, b in pairwise(s.flights))
     return "bounce" if s.flights and falling and min(s.flights) > s.duration else "impact"
 
 
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
-    s, mass, speed = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s")
+    s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
     # What a contact feels of two free bodies is their effective mass.
-    felt = None if mass is None else effective(mass, said.other)
+    felt = None if mass is None else effective(mass, other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
-    doubt = _doubt(s, known)
-    elastic = kind == "impact" and _ratio(s, known) > 1.0 + _ELASTIC
-    own = known if mass is None else known._replace(mass=mass)
+    # 1 + e from the impulse, where mass and speed are both known.
+    ratio = float("nan")
+    if isinstance(known.mass, float) and isinstance(known.speed, float):
+        ratio = s.impulse / (known.mass * known.speed)
+    elastic = kind == "impact" and ratio > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
-    parameters, missing = _parameters(own, kind, elastic, falls, said.struck, _asks(found, kind, speed, said.struck))
+    own = known if mass is None else known._replace(mass=mass)
+    entries = _entries(own, kind, elastic, falls)
+    said_of = _other(found, kind)
+    if ratio <= 0.95 or ratio >= 2.05:
+        wrong = "and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
+        said_of.append(f"CHECK: impulse / (mass x speed) is {ratio:.3g}, {wrong}")
+    if s.mass and not s.speed and mass is None:
+        said_of.append(_BODY.format(format_si(s.mass, "kg", 3)))
     name = f"{found.path.stem}.toml"
     lines = [
         f"# A contact law from {found.path.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(name)}",
         *([f"# Read as {found.said}."] if found.said else []),
         f"# Found: {_summary(found, s)}.",
-        *(f"# {text}." for text in _other(found, kind)),
-        *([f"# CHECK: {doubt}."] if doubt else []),
-        *([f"# {_BODY.format(format_si(s.mass, 'kg', 3))}."] if s.mass and not s.speed and mass is None else []),
+        *(f"# {text}." for text in said_of),
         Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         "[[experiment]]",
@@ -232,67 +229,72 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *([Line('contacts = "each"', "every contact is a record, each with a speed of its own")] if found.each else []),
         *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
         _observed(found, kind),
-        Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"'),
+        NOISE,
         *_window(s, kind),
-        *_columned(found, known, kind),
-        *parameters,
+        *([_columned(found, kind)] if known.by_column else []),
+        *_parameters(entries, said.struck, _asks(found, kind, said)),
         "[free]",
         *_free(s, known, kind, found, elastic),
     ]
-    return "\n".join(map(str, lines)) + "\n", missing
+    return joined(lines), [e.key for e in entries if e.value is None]
 
 
-def _asks(found: Understood, kind: str, speed: float | None, struck: str | None) -> bool:
+def _asks(found: Understood, kind: str, said: Said) -> bool:
     """Whether a record of a force and one body's acceleration leaves open what the other body is."""
-    return kind == "impact" and struck is None and speed is None and {"N", "m/s^2"} <= found.columns.keys()
+    return kind == "impact" and said.struck is None and said.speed is None and {"N", "m/s^2"} <= found.columns.keys()
 
 
-def _parameters(
-    known: _Known, kind: str, elastic: bool, falls: bool, struck: str | None, asks: bool
-) -> tuple[list[Line], list[str]]:
-    """What is known of every record, with the question of the struck body, and the keys that are left to fill in."""
-    entries: list[tuple[str, float | None, str, str]] = []
+class _Entry(NamedTuple):
+    """A parameter of every record; its value is None where it is left to fill in."""
+
+    key: str
+    value: float | None
+    unit: str
+    origin: str = ""
+
+    @property
+    def text(self) -> str:
+        return f'"{"?" if self.value is None else f"{self.value:.4g}"} {self.unit}"'
+
+
+def _entries(known: _Known, kind: str, elastic: bool, falls: bool) -> list[_Entry]:
+    entries = []
     if not isinstance(known.mass, tuple):
-        entries.append(("mass", known.mass, "kg", known.mass_from))
+        entries.append(_Entry("mass", known.mass, "kg", known.mass_from))
     if kind != "bounce" and not isinstance(known.speed, tuple):
-        entries.append(("approach_speed", known.speed, "m/s", known.speed_from))
+        entries.append(_Entry("approach_speed", known.speed, "m/s", known.speed_from))
     if kind == "oblique_impact":
-        entries += [("impact_angle", None, "deg", ""), ("radius", None, "mm", "")]
+        entries += [_Entry("impact_angle", None, "deg"), _Entry("radius", None, "mm")]
     if elastic:
-        entries.append(("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
+        entries.append(_Entry("damping", 0.0, "s/m", "the impulse says that nothing is lost: no damping is searched"))
     if falls:
-        entries.append(("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
-    missing = [key for key, value, *_ in entries if value is None]
-    texts = {k: f'"{"?" if value is None else f"{value:.4g}"} {unit}"' for k, value, unit, _ in entries}
-    texts |= {"struck_mass": toml(struck)} if struck else {}
-    origins = dict.fromkeys(origin for _, value, _, origin in entries if value is not None and origin)
-    note = "FILL IN the question marks" if missing else "; ".join(origins)
+        entries.append(_Entry("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
+    return entries
+
+
+def _parameters(entries: list[_Entry], struck: str | None, asks: bool) -> list[Line]:
+    """What is known of every record, with the question of the struck body."""
+    texts = {e.key: e.text for e in entries} | ({"struck_mass": toml(struck)} if struck else {})
+    origins = dict.fromkeys(e.origin for e in entries if e.value is not None and e.origin)
+    note = "FILL IN the question marks" if any(e.value is None for e in entries) else "; ".join(origins)
     if asks:  # A line each: one of them is to be taken in.
-        lines = [
-            Line(f"parameters.{key} = {text}", note if k == 0 else "") for k, (key, text) in enumerate(texts.items())
-        ]
-        return [*lines, Line(f'# parameters.struck_mass = "{FIXED}"', _STRUCK)], missing
-    text = ", ".join(f"{key} = {text}" for key, text in texts.items())
-    return ([Line(f"parameters = {{ {text} }}", note)] if texts else []), missing
+        lines = [Line(f"parameters.{key} = {x}", "" if k else note) for k, (key, x) in enumerate(texts.items())]
+        return [*lines, Line(f'# parameters.struck_mass = "{FIXED}"', _STRUCK)]
+    text = ", ".join(f"{key} = {x}" for key, x in texts.items())
+    return [Line(f"parameters = {{ {text} }}", note)] if texts else []
 
 
-def _columned(found: Understood, known: _Known, kind: str) -> list[Line]:
+def _columned(found: Understood, kind: str) -> Line:
     """The line by which a column gives the speed of every run."""
-    if not known.by_column:
-        return []
     header, unit = found.given
     key = "drop_height" if unit == "m" else "approach_speed"
     how = "of each run, which strikes at sqrt(2 g h)" if unit == "m" and kind != "bounce" else "of each run"
     note = f'{how}; CHECK, and say how well it is known: "{header} +- 2 %"'
-    return [Line(f"columns = {{ {key} = {toml(header)} }}", note)]
+    return Line(f"columns = {{ {key} = {toml(header)} }}", note)
 
 
 def rows_of(text: str | None) -> dict[str, Any]:
-    """What --rows says: a column and a value.
-
-    Raises:
-        InputError: for a text without "=".
-    """
+    """What --rows says: a column and a value."""
     if text is None:
         return {}
     name, mark, value = (part.strip() for part in text.partition("="))
@@ -303,15 +305,14 @@ def rows_of(text: str | None) -> dict[str, Any]:
 
 def _asked_runs(found: Understood, said: Said) -> bool:
     """Whether the file must say what numbers its runs, since no name of the column does."""
-    return found.runs[0] not in ("", "file", "contact") and (
-        said.hints.runs_by is not None or found.runs[0].strip().lower() not in RUN_COLUMNS
-    )
+    named = found.runs[0].strip().lower() in RUN_COLUMNS
+    return found.runs[0] not in ("", "file", "contact") and (said.hints.runs_by is not None or not named)
 
 
 def _summary(found: Understood, s: Sizes) -> str:
     what = "contacts" if found.each else "files" if found.runs[0] == "file" else "runs"
     many = f"{found.runs[1]} {what}, " if found.runs[0] else ""
-    of = " a run" if what == "runs" and many else " each" if many else ""
+    of = "" if not many else " a run" if what == "runs" else " each"
     parts = [
         f"{many}a sample every {format_si(s.step, 's', 3)}",
         f"{s.contacts} contact{'s' if s.contacts > 1 else ''}{of}, the first of "
@@ -321,48 +322,48 @@ def _summary(found: Understood, s: Sizes) -> str:
         peak, impulse = ("N", "N s") if "N" in found.columns else ("m/s^2", "m/s")
         parts.append(f"peak {format_si(s.peak, peak, 3)}, impulse {format_si(s.impulse, impulse, 3)}")
     if "N" in found.columns:
-        rests = [r.rest("N") for r in found.records]
-        parts.append(f"rest at {format_si(float(np.median(rests)), 'N', 2)}")
+        level = float(np.median([r.rest("N") for r in found.records]))
+        parts.append(f"rest at {format_si(level, 'N', 2)}")
     if s.speed:
         parts.append(f"approach at {format_si(float(np.mean(s.speed)), 'm/s', 3)}")
     return "; ".join(parts)
 
 
+def _wider(least: float, most: float) -> tuple[float, float]:
+    """Bounds of a mass or speed by impulses: J/2 to J over the other, since 1 + e is 1 to 2."""
+    return least / 2.0 / _MARGIN, most * _MARGIN
+
+
 def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of an impact: as given, else as other columns show them, else as the impulse bounds them."""
+    if speed is None and found.speeds:
+        return _with_speeds(mass, found)
     mass_from = speed_from = "as given"
     v: float | tuple[float, float] | None = speed
     m: float | tuple[float, float] | None = mass
-    if v is None and found.speeds:
-        return _with_speeds(s, mass, found)
     if v is None and s.speed:
         v, speed_from = (s.speed[0] / _MARGIN, s.speed[1] * _MARGIN), "from the motion before contact"
     if m is None and s.mass and s.mass > 0 and s.speed:
         m, mass_from = float(f"{s.mass:.3g}"), "CHECK the mass, the impulse over the change of the speed: weigh it"
+    least, most = s.impulses
     pushed = np.isfinite(s.impulse) and s.impulse > 0
     force = "N" in found.columns and pushed
     if m is None and isinstance(v, float) and force:
-        m = (s.impulses[0] / (2.0 * v) / _MARGIN, s.impulses[1] / v * _MARGIN)
+        m = _wider(least / v, most / v)
     if v is None and isinstance(m, float) and force:
-        v, speed_from = (
-            (s.impulses[0] / (2.0 * m) / _MARGIN, s.impulses[1] / m * _MARGIN),
-            "from the impulse and the mass",
-        )
+        v, speed_from = _wider(least / m, most / m), "from the impulse and the mass"
     elif v is None and pushed and not force:  # What an acceleration sums up to is v (1 + e).
-        v, speed_from = (s.impulses[0] / 2.0 / _MARGIN, s.impulses[1] * _MARGIN), "from the change of speed in contact"
+        v, speed_from = _wider(least, most), "from the change of speed in contact"
     return _Known(m, v if v is not None else _ANY_SPEED, mass_from, speed_from)
 
 
-def _with_speeds(s: Sizes, mass: float | None, found: Understood) -> _Known:
+def _with_speeds(mass: float | None, found: Understood) -> _Known:
     """Where a column gives the speed of each run: the mass follows from each run's own impulse."""
     ends = min(found.speeds), max(found.speeds)
     if mass is not None or "N" not in found.columns:
         return _Known(mass, ends, "as given", "", True)
-    masses = [r.impulse() / v for r, v in zip(found.records, found.speeds, strict=True)]
-    masses = [m for m in masses if m > 0.0]
-    if not masses:
-        return _Known(None, ends, "", "", True)
-    return _Known((min(masses) / 2.0 / _MARGIN, max(masses) * _MARGIN), ends, "", "", True)
+    masses = [m for r, v in zip(found.records, found.speeds, strict=True) if (m := r.impulse() / v) > 0.0]
+    return _Known(_wider(min(masses), max(masses)) if masses else None, ends, "", "", True)
 
 
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
@@ -384,52 +385,33 @@ def _middle(value: float | tuple[float, float] | None) -> float | None:
     return float(np.sqrt(value[0] * value[1])) if isinstance(value, tuple) else value
 
 
-def _ratio(s: Sizes, known: _Known) -> float:
-    """1 + e from the impulse over mass and speed, where both are known; else NaN."""
-    if not (isinstance(known.mass, float) and isinstance(known.speed, float)):
-        return float("nan")
-    return s.impulse / (known.mass * known.speed)
+def _columns(found: Understood, kind: str) -> tuple[dict[str, str], list[str]]:
+    """Headers with their sign, by the readings of the scene, and which are fitted: forces, or what tells a contact best.
 
-
-def _doubt(s: Sizes, known: _Known) -> str:
-    """Whether mass and speed, both known, contradict the impulse."""
-    ratio = _ratio(s, known)
-    if not np.isfinite(ratio) or 0.95 < ratio < 2.05:
-        return ""
-    return f"impulse / (mass x speed) is {ratio:.3g}, and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
-
-
-def _columns(found: Understood, kind: str) -> dict[str, str]:
-    """Headers with their sign, by the readings of the scene: an impact goes along +x, a fall along -y."""
+    An impact goes along +x, a fall along -y.
+    """
     axis, sign = ("x", 1.0) if kind == "impact" else ("y", -1.0)
-    names = {"N": "contact.normal", "m/s^2": f"body.acceleration.{axis}", "m/s": f"body.velocity.{axis}"}
-    names |= {"m": f"body.place.{axis}"}
-    names |= {"tangential": "contact.tangential"} if kind == "oblique_impact" else {}
+    names = {"N": "contact.normal", "tangential": "contact.tangential" if kind == "oblique_impact" else ""}
+    names |= {u: f"body.{what}.{axis}" for u, what in (("m/s^2", "acceleration"), ("m/s", "velocity"), ("m", "place"))}
     signed = {}
     for unit, header in found.columns.items():
-        if unit in names:
+        if names[unit]:
             minus = header.startswith("-") != (sign < 0 and unit.startswith("m"))
             signed[names[unit]] = f"{'-' if minus else ''}{header.removeprefix('-')}"
-    return signed
-
-
-def _taken(columns: dict[str, str]) -> list[str]:
-    """The readings that are fitted: forces, or else what follows a contact best."""
-    forces = [name for name in columns if name.startswith("contact.")]
-    return forces or [min(columns, key=lambda n: ("acceleration", "velocity", "place").index(n.split(".")[1]))]
+    return signed, [name for name in signed if name.startswith("contact.")] or telling(signed)[:1]
 
 
 def _observed(found: Understood, kind: str) -> Line:
-    columns = _columns(found, kind)
-    text = ", ".join(f'"{name}" = {toml(columns[name])}' for name in _taken(columns))
+    columns, taken = _columns(found, kind)
+    text = ", ".join(f'"{name}" = {toml(columns[name])}' for name in taken)
     flipped = columns.get("contact.normal", "").startswith("-")
     return Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
 
 
 def _other(found: Understood, kind: str) -> list[str]:
     """What the table holds beside what is fitted."""
-    columns = _columns(found, kind)
-    more = [f'"{name}" = "{h}"' for name, h in columns.items() if name not in _taken(columns)]
+    columns, taken = _columns(found, kind)
+    more = [f'"{name}" = "{h}"' for name, h in columns.items() if name not in taken]
     said = [f"It could observe more: {', '.join(more)}"] if more else []
     bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
     said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
@@ -468,37 +450,34 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
     origin = f"depth about {format_si(float(np.sqrt(depths[0] * depths[-1])), 'm', 2)}, force {format_si(peak, 'N', 2)}"
     origin = "wide: the mass is not known yet" if open_scale else origin
     each = ", each = true" if found.runs[0] else ""
-    lower, upper = min(ends) / _WIDE / unknown, max(ends) * _WIDE * unknown
+    stiff = (f"{min(ends) / _WIDE / unknown:.1g}", f"{max(ends) * _WIDE * unknown:.1g}")
     lines = [
-        _box("stiffness", (f"{lower:.1g}", f"{upper:.1g}"), f"N/m^n; {origin}"),
-        _box("exponent", (f"{n}" for n in _EXPONENTS), "1.5 of a smooth elastic bump"),
+        box("stiffness", stiff, f"N/m^n; {origin}"),
+        box("exponent", (f"{n}" for n in _EXPONENTS), "1.5 of a smooth elastic bump"),
     ]
     if kind == "oblique_impact":
-        lines += [_box("friction_dynamic", ("0.01", "1.0"), ""), _box("restitution", ("0.1", "1.0"), "")]
+        lines += [box("friction_dynamic", ("0.01", "1.0")), box("restitution", ("0.1", "1.0"))]
     elif kind == "bounce" and s.loss is not None and s.loss.exponent + 2.0 * s.loss.deviation < _GROWS:
         most, least = s.loss.kept.max(), s.loss.kept.min()
-        ends = f"{max(1.0 - 2.0 * (1.0 - least), 0.05):.3g}", f"{1.0 - 0.5 * (1.0 - most):.3g}"
-        lines.append(
-            _box("restitution", ends, f"{least:.3g} to {most:.3g} by the flights, whatever the speed: law of Flores")
-        )
+        bounds = f"{max(1.0 - 2.0 * (1.0 - least), 0.05):.3g}", f"{1.0 - 0.5 * (1.0 - most):.3g}"
+        note = f"{least:.3g} to {most:.3g} by the flights, whatever the speed: law of Flores"
+        lines.append(box("restitution", bounds, note))
     elif not elastic:
-        low, high = _LOSS[0] / max(speeds), _LOSS[1] / min(speeds)
-        lines.append(_box("damping", (f"{low:.2g}", f"{high:.2g}"), "s/m; 0.01 to 5 over the speed"))
+        bounds = f"{_LOSS[0] / max(speeds):.2g}", f"{_LOSS[1] / min(speeds):.2g}"
+        lines.append(box("damping", bounds, "s/m; 0.01 to 5 over the speed"))
     if isinstance(known.mass, tuple):
-        lines.append(_box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
-    if kind == "bounce" and not known.by_column:
+        lines.append(box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
+    if known.by_column:
+        return lines
+    if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
-        given = known.speed_from == "as given" or not s.flights
-        ends = [height] * 2 if given else [height * (t / s.flights[0]) ** 2 for t in s.after]
-        box = (f'"{x:.3g} m"' for x in (0.5 * ends[0], 2.0 * ends[1]))
-        lines.append(_box("drop_height", box, known.speed_from, each))
-    elif kind != "bounce" and isinstance(known.speed, tuple) and not known.by_column:
+        heights = (
+            [height] * 2 if known.speed_from == "as given" else [height * (t / s.flights[0]) ** 2 for t in s.after]
+        )
+        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], 2.0 * heights[1]))
+        lines.append(box("drop_height", bounds, known.speed_from, each))
+    elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from
-        lines.append(_box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))
+        lines.append(box("approach_speed", (f'"{x:.3g} m/s"' for x in known.speed), note, each))
     return lines
-
-
-def _box(name: str, bounds: Iterable[str], note: str, more: str = "") -> Line:
-    lower, upper = bounds
-    return Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)

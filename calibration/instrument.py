@@ -43,10 +43,7 @@ def merged(common: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def stated(given: Mapping[str, Any], observes: str, known: Mapping[str, Any], where: str) -> dict[str, Limit]:
-    """What is said of a channel, itself or with all.
-
-    Args:
-        known: by channel that is read.
+    """What is said of a channel, itself or with all; ``known``: by channel that is read.
 
     Raises:
         InputError: for what is no such property, channel, or size.
@@ -58,8 +55,10 @@ def stated(given: Mapping[str, Any], observes: str, known: Mapping[str, Any], wh
     said = {key: value for key, value in {**given, **own}.items() if not isinstance(value, Mapping)}
     full = said.pop(_FULL, None)
     scale = None if full is None else abs(quantity(full, unit_of(observes), f"{where}.{_FULL}"))
-    parsed = lambda key, value: value if isinstance(value, Limit) else _limit(key, value, observes, scale, where)  # noqa: E731
-    return {key: parsed(key, value) for key, value in said.items()}
+    return {
+        key: value if isinstance(value, Limit) else _limit(key, value, observes, scale, where)
+        for key, value in said.items()
+    }
 
 
 def _limit(key: str, text: object, observes: str, scale: float | None, where: str) -> Limit:
@@ -76,9 +75,8 @@ def _limit(key: str, text: object, observes: str, scale: float | None, where: st
     plain = _OF.sub("%", text) if isinstance(text, str) else f"{text}"
     share = "%" in plain
     if unit == "%" and (not share or (found and found[2] in _FULL_SCALE)):
-        raise InputError(
-            place, f"{key} = {quoted(text)}", 'give a share of the reading, such as "0.5 % of reading, k = 2"'
-        )
+        remedy = 'give a share of the reading, such as "0.5 % of reading, k = 2"'
+        raise InputError(place, f"{key} = {quoted(text)}", remedy)
     size = toleranced(f"{1 if share else f'0 {unit}'} +- {plain}", "1" if share else unit, place)[1]
     if size is None:
         raise InputError(place, f"{key} = {quoted(text)}", 'give a size, such as "0.5 % of reading, k = 2"')

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -64,10 +64,18 @@ NEUTRAL = {
     "resonance": 1e12, "resonance_damping": 0.05, "gain_bend": 0.0, "drift": 0.0, "hum_frequency": 50.0,
     "hum_sine": 0.0, "hum_cosine": 0.0,
 }  # fmt: skip
-_NEEDS = {"resonance_damping": ("resonance",), "hum_sine": ("hum_frequency",), "hum_cosine": ("hum_frequency",)}
+_NEEDS = {"resonance_damping": "resonance", "hum_sine": "hum_frequency", "hum_cosine": "hum_frequency"}
 # In the unit of what is read, so that one number does not serve channels of several; and what comes after that unit.
 _IN_UNIT = {"force_offset": "{}", "drift": "{}/s", "hum_sine": "{}", "hum_cosine": "{}", "gain_bend": "1/({})"}
 LOSSES = ("linear", "soft_l1", "cauchy")
+# Of what is given: place, what is wrong, what would be right.
+_Fault = tuple[str, str, str]
+
+
+def _refuse(faults: Iterable[_Fault]) -> None:
+    """Raise the first of the faults, if there is one."""
+    for fault in faults:
+        raise InputError(*fault)
 
 
 def units_of(observed: Iterable[str]) -> dict[str, list[str]]:
@@ -92,13 +100,13 @@ def offsets_of(observes: str, among: Iterable[str]) -> tuple[str, ...]:
 
 def size(observes: str, values: np.ndarray) -> float:
     """What a share of a channel is a share of: its largest reading; of a place its range; 1 of an attitude."""
-    what = observes.partition(" in ")[0].split(".")[1:2]
-    if what == [ATTITUDE]:
+    what = quantity_of(observes)[0]
+    if what == ATTITUDE:
         return 1.0
     seen = values[np.isfinite(values)]
     if not seen.size:
         return 0.0
-    return float(np.ptp(seen)) if what in (["place"], ["angle"]) and np.ptp(seen) > 0 else float(np.max(np.abs(seen)))
+    return float(np.ptp(seen)) if what in ("place", "angle") and np.ptp(seen) > 0 else float(np.max(np.abs(seen)))
 
 
 def nuisances(observed: Iterable[str]) -> dict[str, Quantity]:
@@ -324,34 +332,35 @@ class Problem:
         listed["free"] = tuple(replace(f, name=scene.canonical(f.name)) for f in listed["free"])
         names = [seen.feature for e in listed["experiments"] for seen in e.features]
         given.fill(self, {"scene": observing(scene, names), **listed})
-        if not self.free:
-            remedy = "add a table such as [free.stiffness] with lower and upper"
-            raise InputError(where, "no free parameter", remedy)
-        if not any(not e.hold_out for e in self.experiments):
-            raise InputError(where, "no experiment to fit", "give at least one [[experiment]] without hold_out")
-        self._check_filter()
+        _refuse(self._incomplete())
         self._in_numbers(where)
-        for parameter in self.free:
-            self._check_free(parameter)
+        _refuse(fault for f in self.free for fault in self._wrong_free(f, f"{where}: [free.{f.name}]"))
         given.fill(self, {"adequate": scalar(f"{where}: adequate", _ADEQUATE, self.adequate)})
         if not isinstance(self.loss, str) or self.loss not in LOSSES:
             raise InputError(f"{where}: loss", f"no loss {quoted(self.loss)}", nearest(self.loss, LOSSES))
-        for experiment in self.experiments:
-            _check_experiment(experiment, self.scene)
-            self._check_fixed(experiment)
-            # Of a contact with members one is observed: seat_ball_2.
-            _check_features(experiment, self.scene.members)
-            if any(event(seen.feature.rpartition(".")[2]) for seen in experiment.features):
-                self._check_single(experiment)
-        self._check_samples(where)
-        self._check_chain()
         for e in self.experiments:
-            for name in e.bounds:
-                self._check_bounds(e, name)
-            for f in self.free:
-                if f.name in e.fixed:
-                    found = f"'{f.name}' is free, and known to be {e.fixed[f.name]:g} in {e.name}"
-                    raise InputError(where, found, "take one of them out")
+            _refuse(self._wrong_record(e, e.source or e.name))
+        _refuse(self._too_few())
+        _refuse(self._wrong_chain())
+        _refuse(self._said_twice())
+
+    def _incomplete(self) -> Iterator[_Fault]:
+        """What is missing; a filter needs a cut-off, and a cut-off a filter."""
+        if not self.free:
+            yield self.where, "no free parameter", "add a table such as [free.stiffness] with lower and upper"
+        if all(e.hold_out for e in self.experiments):
+            yield self.where, "no experiment to fit", "give at least one [[experiment]] without hold_out"
+        where = f"{self.where}: filter"
+        cut = ["cutoff" in {f.name for f in self.free} | e.fixed.keys() for e in self.experiments]
+        if isinstance(self.filter, Filter):
+            self.filter.checked(where)
+            if not all(cut):
+                yield where, "the cut-off is missing", "give cutoff, or add [free.cutoff]"
+        elif not (isinstance(self.filter, str) and self.filter in ("none", "unknown")):
+            yield where, quoted(self.filter), 'give a calibration.Filter, "none" or "unknown"'
+        elif any(cut):
+            remedy = 'give filter = { kind = "butterworth", order = 2, zero_phase = false }'
+            yield f"{self.where}: cutoff", "no filter is given that it is of", remedy
 
     def _in_numbers(self, where: str) -> None:
         """Values, tolerances and bounds as numbers, SI."""
@@ -360,33 +369,17 @@ class Problem:
         asked = budget(self.scene).accuracy if unsaid else self.accuracy
         changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
         changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
-        changed["tolerances"] = given.table(f"{where}: tolerances", self.tolerances)
-        changed["tolerances"] = given.tolerances(f"{where}: tolerances", changed["tolerances"], known)
-        experiments = tuple(self._known(e, known, self.scene.canonical) for e in self.experiments)
+        changed["tolerances"] = given.tolerances(f"{where}: tolerances", self.tolerances, known)
+        experiments = tuple(self._known(e, known) for e in self.experiments)
         # Models of the same data share it, so that its programs are compiled once.
         if any(new is not old for new, old in zip(experiments, self.experiments, strict=True)):
             changed["experiments"] = experiments
         given.fill(self, changed)
-        given.fill(self, {"free": tuple(self._in_si(f) for f in self.free)})
+        given.fill(self, {"free": tuple(self._in_si(f, known) for f in self.free)})
 
-    def _check_samples(self, where: str) -> None:
-        """There are more samples than unknowns, and records that determine every noise which is to be estimated."""
-        fitted = [e for e in self.experiments if not e.hold_out]
-        samples = sum(e.samples for e in fitted)
-        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
-        if samples <= unknowns:
-            found = f"{samples} samples for {unknowns} free parameters"
-            raise InputError(where, found, "free fewer parameters or give more data")
-        known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
-        for e in self.experiments:
-            for c in e.channels:
-                if e.hold_out and c.sigma is None and c.observes not in known:
-                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
-                    raise InputError(where, found, "state its noise")
-
-    def _known(self, e: Experiment, known: dict[str, Quantity], one: Callable[[str], str]) -> Experiment:
+    def _known(self, e: Experiment, known: dict[str, Quantity]) -> Experiment:
         """An experiment whose own values are numbers, by the scene's names of them."""
-        place = f"{self.where}: parameters of {e.name}"
+        place, one = f"{self.where}: parameters of {e.name}", self.scene.canonical
         fixed, tolerances, bounds = ({one(k): v for k, v in x.items()} for x in (e.fixed, e.tolerances, e.bounds))
         for name in bounds.keys() & known.keys():  # Another model of the same data may have more.
             bounds[name] = given.pair(f"{self.where}: bounds of {name} in {e.name}", bounds[name], known[name])
@@ -394,42 +387,111 @@ class Problem:
         own = {"fixed": fixed, "tolerances": tolerances, "bounds": bounds}
         return e if all(getattr(e, key) == value for key, value in own.items()) else replace(e, **own)
 
-    def _check_filter(self) -> None:
-        """A filter needs a cut-off, and a cut-off a filter."""
-        where = f"{self.where}: filter"
-        named = [{f.name for f in self.free} | e.fixed.keys() for e in self.experiments]
-        if isinstance(self.filter, Filter):
-            self.filter.checked(where)
-            if not all("cutoff" in own for own in named):
-                raise InputError(where, "the cut-off is missing", "give cutoff, or add [free.cutoff]")
-        elif not (isinstance(self.filter, str) and self.filter in ("none", "unknown")):
-            raise InputError(where, quoted(self.filter), 'give a calibration.Filter, "none" or "unknown"')
-        elif any("cutoff" in own for own in named):
-            remedy = 'give filter = { kind = "butterworth", order = 2, zero_phase = false }'
-            raise InputError(f"{self.where}: cutoff", "no filter is given that it is of", remedy)
+    def _in_si(self, f: Free, known: dict[str, Quantity]) -> Free:
+        """A free parameter with its bounds and its start as numbers."""
+        where = f"{self.where}: [free.{f.name}]"
+        if f.name not in known:
+            raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{f.name}'", nearest(f.name, known))
+        power = inputs.exponent(self.scene, f.name, self.params, dict(self.scene.defaults))
+        parts = {key: getattr(f, key) for key in ("lower", "upper", "start") if getattr(f, key) is not None}
+        return replace(f, **{k: scalar(f"{where} {k}", known[f.name], x, power) for k, x in parts.items()})
 
-    def _check_fixed(self, e: Experiment) -> None:
-        """Values of one record that must agree with each other."""
+    def _wrong_free(self, f: Free, where: str) -> Iterator[_Fault]:
+        if not f.lower < f.upper:
+            yield where, f"lower = {f.lower:g} is not below upper = {f.upper:g}", "swap the bounds"
+        if f.start is not None and not f.lower <= f.start <= f.upper:
+            yield where, f"start = {f.start:g} is outside [{f.lower:g}, {f.upper:g}]", "start within the bounds"
+        if f.log and f.lower <= 0:
+            yield where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'"
+        own = in_its_place(self.params, f.name) if f.name in self.scene.quantities else None
+        if own is not None:
+            beside = f"[free.{own[0]}]" if own else f"[parameters] {f.name} = ... in the scene file, or params"
+            found = f"'{f.name}' has no value that the search could stand in for"
+            yield where, found, f"{'write' if own else 'give it in'} {beside}"
+
+    def _wrong_record(self, e: Experiment, where: str) -> Iterator[_Fault]:
+        """Times, channels, values that must agree with each other, and features."""
+        late = np.flatnonzero(np.diff(e.times) <= 0)
+        if late.size:
+            k = int(late[0])
+            found = f"time {e.times[k + 1]:g} s follows {e.times[k]:g} s in {e.name}"
+            remedy = "times must increase: sort the rows, or split the runs with rows = { column = ... }"
+            yield where, found, remedy
+        if not e.samples:
+            yield where, f"{e.name} holds no reading and no feature", "give data, or leave it out"
+        members = self.scene.members
+        for channel in e.channels:
+            yield from _wrong_noise(channel, f"{where}: noise of {channel.observes}")
+            place = f"{where}: observe '{channel.observes}'"
+            seen = reading(channel.observes, self.scene, where=place)
+            if members.get(seen.part) and not seen.member:
+                yield place, f"'{seen.part}' has {members[seen.part]} members", f"observe one, such as {seen.part}_1"
         sought = {f.name for f in self.free}
         values = {name: value for name, value in (self.params | e.fixed).items() if name not in sought}
-        check_order(
-            f"{self.where}: parameters of {e.name}", [name for name in self.scene.quantities if name in values], values
-        )
+        own = [name for name in self.scene.quantities if name in values]
+        check_order(f"{self.where}: parameters of {e.name}", own, values)
+        for seen in e.features:
+            feature(seen.feature, members)  # Of a contact with members one is observed: seat_ball_2.
+            if not (0.0 < seen.sigma < np.inf and np.isfinite(seen.value)):
+                found = f"feature '{seen.feature}' = {seen.value:g} with a deviation of {seen.sigma:g}"
+                yield where, found, "give a number and a feature_noise above 0"
+        if e.features and e.span is None and not e.channels:
+            yield where, "features without the time that they were taken over", 'give span, as in "50 ms"'
+        if any(event(seen.feature.rpartition(".")[2]) for seen in e.features):
+            # Of a scene that can be followed, and of no sensor but for clock and gain.
+            check_followed(self.scene)
+            wrong = sorted((sought | e.fixed.keys()) & (NUISANCES.keys() - {"time_offset", "gain"}))
+            if wrong and not e.channels:
+                found = (
+                    f"{wrong[0]} moves features of single contacts of {e.name}, which are those of the contact itself"
+                )
+                yield self.where, found, "take it out, or fit samples"
 
-    def _check_single(self, e: Experiment) -> None:
-        """Features of single contacts are of a scene that can be followed, and of no sensor but for clock and gain."""
-        check_followed(self.scene)
-        named = ({f.name for f in self.free} | e.fixed.keys()) & (NUISANCES.keys() - {"time_offset", "gain"})
-        if not e.channels and (wrong := sorted(named)):
-            found = f"{wrong[0]} moves features of single contacts of {e.name}, which are those of the contact itself"
-            raise InputError(self.where, found, "take it out, or fit samples")
+    def _too_few(self) -> Iterator[_Fault]:
+        """There are more samples than unknowns, and records that determine every noise which is to be estimated."""
+        fitted = [e for e in self.experiments if not e.hold_out]
+        samples = sum(e.samples for e in fitted)
+        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
+        if samples <= unknowns:
+            found = f"{samples} samples for {unknowns} free parameters"
+            yield self.where, found, "free fewer parameters or give more data"
+        known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
+        for e in self.experiments:
+            for c in e.channels:
+                if e.hold_out and c.sigma is None and c.observes not in known:
+                    found = f"the noise of {c.observes} is 'estimate' in {e.name}, and no fitted record determines it"
+                    yield self.where, found, "state its noise"
 
-    def _check_bounds(self, e: Experiment, name: str) -> None:
-        free, where = {f.name: f for f in self.free}.get(name), f"{self.where}: bounds of {name} in {e.name}"
-        if free is None:  # Another model of the same data may not search it.
-            return
-        if free.log and e.bounds[name][0] <= 0:
-            raise InputError(where, f"scale = log with a lower bound of {e.bounds[name][0]:g}", "use positive bounds")
+    def _wrong_chain(self) -> Iterator[_Fault]:
+        """One number in the channels' unit needs channels of one unit; a part of the chain may need another."""
+        free, units = {f.name for f in self.free}, list(units_of(self.observed))
+        named = free.union(*(e.fixed for e in self.experiments))
+        wrong = [name for name in _IN_UNIT if name in named and (name != "force_offset" or "N" not in units)]
+        if len(units) > 1 and wrong:
+            own = " or ".join(OFFSETS[u] for u in units if u in OFFSETS) if wrong[0] == "force_offset" else ""
+            remedy = own or "take it out, or fit the channels apart"
+            yield self.where, f"one {wrong[0]} for channels in {' and '.join(units)}", remedy
+        for e in self.experiments:
+            for name, need in _NEEDS.items():
+                if name in free | e.fixed.keys() and need not in free | e.fixed.keys():
+                    remedy = f"give {need} in [[experiment]] parameters, or add [free.{need}]"
+                    yield f"{self.where}: {name}", f"{e.name} has no {need}", remedy
+        if "hum_frequency" in free and not {"hum_sine", "hum_cosine"} & named:
+            remedy = "add [free.hum_sine] and [free.hum_cosine]"
+            yield f"{self.where}: [free.hum_frequency]", "the hum has no size", remedy
+
+    def _said_twice(self) -> Iterator[_Fault]:
+        """Bounds and values of one record beside those of all."""
+        free = {f.name: f for f in self.free}
+        for e in self.experiments:
+            for name in e.bounds.keys() & free.keys():  # Another model of the same data may not search it.
+                lower = e.bounds[name][0]
+                if free[name].log and lower <= 0:
+                    found = f"scale = log with a lower bound of {lower:g}"
+                    yield f"{self.where}: bounds of {name} in {e.name}", found, "use positive bounds"
+            for name in [f.name for f in self.free if f.name in e.fixed]:
+                found = f"'{name}' is free, and known to be {e.fixed[name]:g} in {e.name}"
+                yield self.where, found, "take one of them out"
 
     @property
     def observed(self) -> tuple[str, ...]:
@@ -440,50 +502,6 @@ class Problem:
     def quantities(self) -> dict[str, Quantity]:
         """What may be free: the scene's parameters and the nuisances."""
         return {**self.scene.quantities, **nuisances(self.observed)}
-
-    def _check_chain(self) -> None:
-        """One number in the channels' unit needs channels of one unit; a part of the chain may need another."""
-        free, units = {f.name for f in self.free}, list(units_of(self.observed))
-        named = free.union(*(e.fixed for e in self.experiments))
-        wrong = [name for name in _IN_UNIT if name in named and (name != "force_offset" or "N" not in units)]
-        if len(units) > 1 and wrong:
-            found = f"one {wrong[0]} for channels in {' and '.join(units)}"
-            own = " or ".join(OFFSETS[u] for u in units if u in OFFSETS) if wrong[0] == "force_offset" else ""
-            raise InputError(self.where, found, own or "take it out, or fit the channels apart")
-        for e in self.experiments:
-            for name, needs in _NEEDS.items():
-                if name in free | e.fixed.keys() and not any(n in free | e.fixed.keys() for n in needs):
-                    remedy = f"give {needs[0]} in [[experiment]] parameters, or add [free.{needs[0]}]"
-                    raise InputError(f"{self.where}: {name}", f"{e.name} has no {needs[0]}", remedy)
-        sought = {"hum_frequency"} & free
-        if sought and not {"hum_sine", "hum_cosine"} & named:
-            remedy = "add [free.hum_sine] and [free.hum_cosine]"
-            raise InputError(f"{self.where}: [free.hum_frequency]", "the hum has no size", remedy)
-
-    def _in_si(self, f: Free) -> Free:
-        """A free parameter with its bounds and its start as numbers."""
-        where, known = f"{self.where}: [free.{f.name}]", self.quantities
-        if f.name not in known:
-            raise InputError(where, f"scene '{self.scene.kind}' has no parameter '{f.name}'", nearest(f.name, known))
-        power = inputs.exponent(self.scene, f.name, self.params, dict(self.scene.defaults))
-        parts = {key: getattr(f, key) for key in ("lower", "upper", "start") if getattr(f, key) is not None}
-        return replace(f, **{k: scalar(f"{where} {k}", known[f.name], x, power) for k, x in parts.items()})
-
-    def _check_free(self, f: Free) -> None:
-        where = f"{self.where}: [free.{f.name}]"
-        if not f.lower < f.upper:
-            raise InputError(where, f"lower = {f.lower:g} is not below upper = {f.upper:g}", "swap the bounds")
-        if f.start is not None and not f.lower <= f.start <= f.upper:
-            raise InputError(
-                where, f"start = {f.start:g} is outside [{f.lower:g}, {f.upper:g}]", "start within the bounds"
-            )
-        if f.log and f.lower <= 0:
-            raise InputError(where, f"scale = log with lower = {f.lower:g}", "use positive bounds or scale = 'linear'")
-        own = in_its_place(self.params, f.name) if f.name in self.scene.quantities else None
-        if own is not None:
-            beside = f"[free.{own[0]}]" if own else f"[parameters] {f.name} = ... in the scene file, or params"
-            found = f"'{f.name}' has no value that the search could stand in for"
-            raise InputError(where, found, f"{'write' if own else 'give it in'} {beside}")
 
 
 def _turned(experiment: Experiment) -> Experiment:
@@ -498,51 +516,21 @@ def _turned(experiment: Experiment) -> Experiment:
     return replace(experiment, channels=tuple(rest))
 
 
-def _check_experiment(experiment: Experiment, scene: AbstractModel) -> None:
-    where = experiment.source or experiment.name
-    late = np.flatnonzero(np.diff(experiment.times) <= 0)
-    if late.size:
-        k = int(late[0])
-        found = f"time {experiment.times[k + 1]:g} s follows {experiment.times[k]:g} s in {experiment.name}"
-        raise InputError(
-            where, found, "times must increase: sort the rows, or split the runs with rows = { column = ... }"
-        )
-    if not experiment.samples:
-        raise InputError(where, f"{experiment.name} holds no reading and no feature", "give data, or leave it out")
-    for channel in experiment.channels:
-        _check_noise(channel, f"{where}: noise of {channel.observes}")
-        seen = reading(channel.observes, scene, where=f"{where}: observe '{channel.observes}'")
-        if scene.members.get(seen.part) and not seen.member:
-            found = f"'{seen.part}' has {scene.members[seen.part]} members"
-            raise InputError(f"{where}: observe '{channel.observes}'", found, f"observe one, such as {seen.part}_1")
-
-
-def _check_noise(channel: Channel, where: str) -> None:
+def _wrong_noise(channel: Channel, where: str) -> Iterator[_Fault]:
     """Every sample must have a noise above 0, known or to be found."""
     unit = error_unit(channel.observes)
-    if channel.sigma is None and (channel.relative or channel.jitter):
-        raise InputError(where, "one part is stated, the other estimated", "state both or estimate one number")
     if channel.correlation is not None and not 0.0 <= channel.correlation < np.inf:
-        raise InputError(where, f"a correlation time of {channel.correlation:g} s", "give a finite time, 0 or more")
+        yield where, f"a correlation time of {channel.correlation:g} s", "give a finite time, 0 or more"
     if channel.sigma is None:
+        if channel.relative or channel.jitter:
+            yield where, "one part is stated, the other estimated", "state both or estimate one number"
         return
     if not all(0.0 <= part < np.inf for part in (channel.sigma, channel.relative, channel.jitter)):
         found = f"{channel.sigma:g} {unit} + {channel.relative:.3%} of reading + {channel.jitter:g} s of clock"
-        raise InputError(where, found, "give finite deviations above 0")
+        yield where, found, "give finite deviations above 0"
     size = np.abs(channel.values[np.isfinite(channel.values)])
     least, peak = size.min(initial=np.inf), size.max(initial=0.0)
     # A ten-thousandth of the peak is below what any sensor resolves.
     if size.size and not channel.sigma + channel.relative * least > 1e-4 * channel.relative * peak:
         remedy = f'add an absolute part, as in "0.1 {"kN" if unit == "N" else unit} + 2 % of reading"'
-        raise InputError(where, f"a reading of {least:g} {unit} would be exact", remedy)
-
-
-def _check_features(experiment: Experiment, contacts: dict[str, int]) -> None:
-    where = experiment.source or experiment.name
-    for seen in experiment.features:
-        feature(seen.feature, contacts)
-        if not (0.0 < seen.sigma < np.inf and np.isfinite(seen.value)):
-            found = f"feature '{seen.feature}' = {seen.value:g} with a deviation of {seen.sigma:g}"
-            raise InputError(where, found, "give a number and a feature_noise above 0")
-    if experiment.features and experiment.span is None and not experiment.channels:
-        raise InputError(where, "features without the time that they were taken over", 'give span, as in "50 ms"')
+        yield where, f"a reading of {least:g} {unit} would be exact", remedy

@@ -1,40 +1,15 @@
 """Calibration files: a TOML problem becomes a ``Problem``, every mistake named by file and key.
 
-scene = "impact.toml"            a scene file (relative to this one) or a built-in scene's name
-[[experiment]]                   name; file (of a kind in ``readers``), table (which one inside it), time, rows,
-                                 observe, noise (of a sample as recorded, or as resampled) and its correlation time; hold_out =
-                                 true, or the runs to hold out: ["run 5"];
-                                 parameters (known for it alone; "0.55 kg +- 2 %" says how well); features, feature_noise and
-                                 span (``stated``); events = true fits times, peaks and impulses of the record's contacts in
-                                 place of its samples (``impacts.trains``); saturation = "10 kN" (or of each channel, as noise)
-                                 drops samples at or beyond it; resample = "10 kHz" brings the record down to that rate; align =
-                                 "onset" puts time 0 where the first channel first exceeds a tenth of its peak; window = [from,
-                                 to] keeps those times (after aligning); separator, decimal, encoding and header say how a text
-                                 is written where it is not to be found (``data.textfile``); file may be a pattern, "run*.csv",
-                                 each a run; runs_by names the column that numbers runs; contacts = "each" makes every contact
-                                 of a run a record (``events.apart``); sensitivity = "10 mV/N" and full_scale = "500 N" say
-                                 what volts, charges and shares stand for
-loss = "linear"                  what a residual costs, as in ``Problem``
-accuracy = 1e-6                  error of the simulated forces as a share of their peak, likewise
-sensor = "free"                  time_offset and the zero of each unit are free within bounds that each record gives
-                                 (``impacts.sensor``), unless the file says what they are; "exact" holds them at 0
-filter = { kind = "bessel", order = 4, zero_phase = true, cutoff = "1 kHz" }   the low-pass between sensor and record
-                                 (``filters``); without a cutoff it is free within bounds that the records give. "none";
-                                 "unknown", the default of a free sensor: the fit asks whether a record tells one
-[free.NAME]                      lower, upper, start, scale, or NAME = [lower, upper] under [free]; each = true gives every
-                                 experiment its own, false none. Without bounds a nuisance has those that each record gives.
-                                 bounds = { NAME = [from, to] } in [[experiment]]: of these records alone
-[instrument]                     what is stated of sensors' errors (``instrument``); in [[experiment]], of its records
-[[model]], [[candidate]]         other models of the same data, experiments that might be made: ``alternatives``
+What may be in one: docs/howto/problem_file.md; ``[[model]]`` and ``[[candidate]]``: ``selection.alternatives``.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pydantic
@@ -124,10 +99,6 @@ class _Filter(tables.Table):
     zero_phase: bool = False
     cutoff: Any = None
 
-    @property
-    def filter(self) -> Filter:
-        return Filter(self.kind, self.order, self.zero_phase)
-
 
 class FreeTable(tables.Table):
     """[free.NAME]: bounds as numbers or texts with a unit; of a nuisance none, where records are to give them.
@@ -162,11 +133,27 @@ class _File(tables.Table):
     model: list[dict[str, Any]] = []
     candidate: list[dict[str, Any]] = []
 
+    @property
+    def passed(self) -> Filter | Literal["none", "unknown"] | None:
+        """The filter that is stated."""
+        said = self.filter
+        return Filter(said.kind, said.order, said.zero_phase) if isinstance(said, _Filter) else said
+
 
 def schema() -> dict[str, Any]:
     """The JSON Schema of a calibration file."""
     free = (dict[str, FreeTable | list[tables.Number]], ...)
     return tables.published(pydantic.create_model("Calibration", __base__=_File, free=free), "calibration")
+
+
+class _Read(NamedTuple):
+    """A record of an entry: the entry's number and itself, what was made of its rows, these, and what their columns give."""
+
+    k: int
+    entry: _Experiment
+    record: Prepared | None = None
+    part: Record | None = None
+    columned: Mapping[str, tuple[float, float | None]] = {}
 
 
 def load(path: str | Path) -> Problem:
@@ -176,6 +163,11 @@ def load(path: str | Path) -> Problem:
         InputError: for anything missing, unknown, of a wrong dimension or out of order, in it or in its data.
     """
     return load_with_records(path)[0]
+
+
+def prepared(path: str | Path) -> list[Prepared]:
+    """What was understood of each record that a calibration file reads, for people to look at; raises as ``load``."""
+    return load_with_records(path)[1]
 
 
 def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
@@ -194,36 +186,33 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
             found = f'{_STRUCK} = "{_HELD}", where the scene '
             found += "has that mass" if _STRUCK in known else "has no body that strikes"
             raise InputError(f"{path}: [[experiment]] {k + 1} parameters", found, "give its mass, or leave it out")
-    records, parts = _records(file, path, base)
-    experiments = [
-        _experiment(entry, record, f"{path}: [[experiment]] {k + 1}", known, one) for k, entry, record in records
-    ]
+    records = _records(file, path, base)
+    experiments = [_experiment(r, f"{path}: [[experiment]] {r.k + 1}", known, one) for r in records]
     found = _sensor(file, path, base, records, experiments, known)
     experiments = [replace(e, bounds={**found.bounds.get(i, {}), **e.bounds}) for i, e in enumerate(experiments)]
     free = [free_of(one(name), table, path, known) for name, table in file.free.items() if one(name) not in found.names]
     for k, entry in enumerate(file.experiment):
         _check_own(entry, f"{path}: [[experiment]] {k + 1} bounds", free, found, one)
+    for name in found.names:
+        lower, upper = found.envelope(name)
+        own = file.free.get(name, FreeTable()).model_copy(update={"lower": lower, "upper": upper})
+        free.append(free_of(name, own, path, known))
     problem = Problem(
         scene=base.scene,
         params={name: float(value) for name, value in base.params.items()},
         experiments=tuple(experiments),
-        free=(*free, *(_proposed(name, found, file, path, known) for name in found.names)),
+        free=tuple(free),
         where=str(path),
         loss=file.loss,
         accuracy=file.accuracy or 0.0,
         tolerances=dict(base.tolerances),
-        filter=_filter(file, base),
+        filter=file.passed or ("unknown" if _measured(file, base) else "none"),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
-    doubts = _doubts(problem, file, [(entry, record) for _, entry, record in records], parts)
+    doubts = _doubts(problem, records)
     problem = replace(problem, doubts=doubts) if doubts else problem
-    every = ((r, found.notes.get(i, [])) for i, (_, _, r) in enumerate(records) if r)
+    every = ((r.record, found.notes.get(i, [])) for i, r in enumerate(records) if r.record)
     return problem, [replace(record, notes=(*record.notes, *own)) for record, own in every]
-
-
-def prepared(path: str | Path) -> list[Prepared]:
-    """What was understood of each record that a calibration file reads, for people to look at; raises as ``load``."""
-    return load_with_records(path)[1]
 
 
 def _content(path: Path) -> _File:
@@ -259,7 +248,7 @@ def free_of(name: str, table: FreeTable, path: Path, known: dict[str, Quantity])
 
 
 def _sensor(
-    file: _File, path: Path, base: scenefile.SceneFile, records: list[tuple[int, _Experiment, Prepared | None]],
+    file: _File, path: Path, base: scenefile.SceneFile, records: list[_Read],
     experiments: list[Experiment], known: dict[str, Quantity],
 ) -> Sensor:  # fmt: skip
     """Nuisances that are free within bounds which the records give: those asked for without bounds, and by default."""
@@ -268,12 +257,12 @@ def _sensor(
     searched = {f.name: (f.lower, f.upper) for f in (free_of(n, t, path, known) for n, t in bounded.items())}
     stated = {one(name) for name in file.free} | {n for e in experiments for n in e.fixed}
     asked = [n for n, t in file.free.items() if n in NUISANCES and t.lower is None and t.upper is None]
-    passed = file.filter.filter if isinstance(file.filter, _Filter) else None
+    passed = file.passed if isinstance(file.passed, Filter) else None
     asked += ["cutoff"] if passed and "cutoff" not in stated else []
-    measured = _measured(file, base)
     # What contacts do above the reading at rest does not know its zero.
     observed = [o for entry in file.experiment for o in entry.observe if not entry.events]
-    unasked = [n for n in dict.fromkeys(sensor.unasked(observed)) if n not in stated] if measured else []
+    own = sensor.unasked(observed) if _measured(file, base) else []
+    unasked = [n for n in dict.fromkeys(own) if n not in stated]
     if "force_offset" in stated and len(units_of(observed)) == 1:
         unasked = [n for n in unasked if n not in OFFSETS.values()]
     fitted = [e for e in experiments if not e.hold_out]
@@ -281,54 +270,36 @@ def _sensor(
     unknowns = sum(len(fitted) if t.each or n in NUISANCES else 1 for n, t in file.free.items())
     for name in (*asked, *unasked):
         proposals, doubts = {}, {}
-        for i, ((_, _, record), e) in enumerate(zip(records, experiments, strict=True)):
+        for i, (r, e) in enumerate(zip(records, experiments, strict=True)):
             params = {**{n: float(v) for n, v in base.params.items()}, **e.fixed}
-            given = (
-                sensor.proposed(name, record, scene, params, searched, passed)
-                if record
-                else "it has no history of readings"
-            )
-            if isinstance(given, str):
-                doubts[i] = given
-                continue
-            proposals[i] = given
-            if given.doubt:
-                doubts[i] = given.doubt
-        refused = {i: why for i, why in doubts.items() if i not in proposals and name not in experiments[i].bounds}
+            given: Any = "it has no history of readings"
+            if r.record:
+                given = sensor.proposed(name, r.record, scene, params, searched, passed)
+            if not isinstance(given, str):
+                proposals[i] = given
+            if doubt := given if isinstance(given, str) else given.doubt:
+                doubts[i] = doubt
+        refused = [i for i in doubts if i not in proposals and name not in experiments[i].bounds]
         if name in asked and refused:
-            i, why = next(iter(refused.items()))
-            unknown = f"no bounds, and none can be proposed for {experiments[i].name}: {why}"
+            unknown = f"no bounds, and none can be proposed for {experiments[refused[0]].name}: {doubts[refused[0]]}"
             raise InputError(f"{path}: [free.{name}]", unknown, "give lower and upper")
-        if name in unasked and not proposals:
+        if name in asked:
+            found.add(name, proposals, known)
             continue
-        if name in unasked and samples <= 2 * (unknowns + len(fitted)):
-            doubts = dict.fromkeys(proposals, f"{samples} samples are few for {unknowns + len(fitted)} free parameters")
-        if name in unasked and doubts:
-            for i, why in doubts.items():
-                found.say(i, f"{name} stays {format_si(0.0, known[name].unit)}: {why}")
-            continue
-        unknowns += len(fitted) if name in unasked else 0
-        found.add(name, proposals, known)
+        if proposals and samples <= 2 * (unknowns + len(fitted)):
+            few = f"{samples} samples are few for {unknowns + len(fitted)} free parameters"
+            doubts = dict.fromkeys(proposals, few)
+        for i, why in doubts.items() if proposals else ():
+            found.say(i, f"{name} stays {format_si(0.0, known[name].unit)}: {why}")
+        if proposals and not doubts:
+            unknowns += len(fitted)
+            found.add(name, proposals, known)
     return found
 
 
 def _measured(file: _File, base: scenefile.SceneFile) -> bool:
     """Whether records are taken as measured, by sensors that leave something open."""
     return file.sensor == "free" and base.scene.traits.history and not base.scene.traits.turning
-
-
-def _filter(file: _File, base: scenefile.SceneFile) -> Any:
-    """The filter of a ``Problem``."""
-    if isinstance(file.filter, _Filter):
-        return file.filter.filter
-    return file.filter or ("unknown" if _measured(file, base) else "none")
-
-
-def _proposed(name: str, found: Sensor, file: _File, path: Path, known: dict[str, Quantity]) -> Free:
-    """A nuisance that is free within the bounds of each record."""
-    lower, upper = found.envelope(name)
-    table = file.free.get(name, FreeTable()).model_copy(update={"lower": lower, "upper": upper})
-    return free_of(name, table, path, known)
 
 
 def options_of(scene: str, named: Collection[str]) -> dict[str, Any]:
@@ -353,16 +324,12 @@ def _scene(file: _File, path: Path) -> scenefile.SceneFile:
     if file.scene.endswith(".toml"):
         return scenefile.load(beside)
     options = options_of(file.scene, {name for entry in file.experiment for name in entry.given} | file.free.keys())
-    return (
-        scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
-        if options
-        else scenefile.load(file.scene)
-    )
+    if not options:
+        return scenefile.load(file.scene)
+    return scenefile.from_table({"scene": {"kind": file.scene, **options}}, None)
 
 
-def _doubts(
-    problem: Problem, file: _File, records: list[tuple[_Experiment, Prepared | None]], parts: list[Record | None]
-) -> tuple[Doubt, ...]:
+def _doubts(problem: Problem, records: list[_Read]) -> tuple[Doubt, ...]:
     """Why given masses and speeds of single impacts may be wrong, by their records (``impacts.plausible``)."""
     names, free = problem.scene.quantities, {f.name: f for f in problem.free}
     if "drop_height" in names:
@@ -373,23 +340,21 @@ def _doubts(
         return ()
     found, masses, bodies = [], [], {}
     speed = free.get("approach_speed")
-    for e, (entry, record), part in zip(problem.experiments, records, parts, strict=True):
+    for e, (_, entry, record, part, _) in zip(problem.experiments, records, strict=True):
         if record is None or part is None or entry.events:
             continue
         own = problem.params | e.fixed
         mass = plausible.effective(own["mass"], own.get("struck_mass"))
-        known = "mass" in e.tolerances
         masses += [(record, mass)] if "approach_speed" not in e.fixed else []
         usual = (speed.lower, speed.upper) if speed else (own["approach_speed"], own["approach_speed"])
-        bounds: tuple[float, float] = e.bounds.get("approach_speed", usual)
-        said, least, most = plausible.impulse(record, mass, bounds)
+        said, least, most = plausible.impulse(record, mass, e.bounds.get("approach_speed", usual))
         if said:
             # With one free body the mass that impulse and speed imply is its own.
             right = "mass, speed and gain are right as they are given"
             alone = _STRUCK not in own and not speed
             found.append(Doubt(said, "speed and gain are right", "mass", least, most) if alone else Doubt(said, right))
             continue
-        open_ = speed and not known and not entry.held and _STRUCK not in names
+        open_ = speed and "mass" not in e.tolerances and not entry.held and _STRUCK not in names
         open_ = open_ and set(entry.observe) == {"contact.normal"}
         if open_ and (said := plausible.other_body(record, part, entry.observe, mass)):
             bodies.setdefault(said, []).append(record.name)
@@ -401,33 +366,27 @@ def _doubts(
     return tuple(dict.fromkeys(found))
 
 
-def _dropped(problem: Problem, records: list[tuple[_Experiment, Prepared | None]]) -> tuple[Doubt, ...]:
+def _dropped(problem: Problem, records: list[_Read]) -> tuple[Doubt, ...]:
     """Why the law of a drop cannot lose what its records show, by their flights (``impacts.flights``)."""
     middle = {f.name: float(np.sqrt(f.lower * f.upper)) for f in problem.free if f.log}
     found = []
-    for e, (_, record) in zip(problem.experiments, records, strict=True):
-        reading = record.readings.get("contact.normal") if record else None
-        if record is None or reading is None:
-            continue
-        events = contacts("contact.normal", record.times, reading.values)
-        if said := contradicted(e.name, events, problem.scene.only_law(), {**problem.params, **e.fixed, **middle}):
-            found.append(Doubt(said, "the law's loss is right"))
+    for e, r in zip(problem.experiments, records, strict=True):
+        if r.record and (reading := r.record.readings.get("contact.normal")):
+            events = contacts("contact.normal", r.record.times, reading.values)
+            if said := contradicted(e.name, events, problem.scene.only_law(), {**problem.params, **e.fixed, **middle}):
+                found.append(Doubt(said, "the law's loss is right"))
     return tuple(dict.fromkeys(found))
 
 
-def _records(
-    file: _File, path: Path, base: scenefile.SceneFile
-) -> tuple[list[tuple[int, _Experiment, Prepared | None]], list[Record | None]]:
-    """Every record (None where an entry gives only features) with the number of its entry and the entry; and its rows."""
-    records, broken = [], Faults()
-    rows: list[Record | None] = []
+def _records(file: _File, path: Path, base: scenefile.SceneFile) -> list[_Read]:
+    """Every record; an entry that gives only features has none."""
+    records, broken, turning = [], Faults(), base.scene.traits.turning
     for k, entry in enumerate(file.experiment):
         where = f"{path}: [[experiment]] {k + 1}"
         if not entry.observe and not entry.features:
             raise InputError(f"{where} observe", "nothing is observed", 'give { "contact.normal" = "force [N]" }')
         if not entry.observe:
-            records.append((k, entry, None))
-            rows.append(None)
+            records.append(_Read(k, entry))
             continue
         for observes in entry.observe:  # Before its column is read in a unit that a wrong name does not have.
             channel(observes, base.scene, where=f"{where} observe '{observes}'")
@@ -435,47 +394,47 @@ def _records(
             missing = "file" if entry.file is None else "time"
             raise InputError(f"{where} {missing}", f"the key '{missing}' is missing", "it must be given to observe")
         wholes, parts = runs_of(path, entry, where)
-        whole = wholes[0]
         # Where nothing turns, every record is of impacts: apart, in contact, apart.
-        recipe = _recipe(entry, where, not base.scene.traits.turning, "force_offset" in file.free)
-        thin = "" if entry.events else "mean" if entry.correlation in (0, 0.0) else "every"
-        recipe = replace(recipe, exact=file.sensor == "exact", thin=thin if not base.scene.traits.turning else "")
+        thin = "" if entry.events or turning else "mean" if entry.correlation in (0, 0.0) else "every"
+        free = "force_offset" in file.free
+        recipe = replace(
+            _recipe(entry, where), impact=not turning, offset=free, exact=file.sensor == "exact", thin=thin
+        )
         if isinstance(entry.hold_out, list) and (unknown := set(entry.hold_out) - {label for label, _ in parts}):
             runs = ", ".join(label for label, _ in parts)
             raise InputError(f"{where} hold_out", f"there is no run '{min(unknown)}'", f"the runs are: {runs}")
-        faults, said = Faults([fault for one in wholes for fault in one.faults]), whole.found
+        faults, said = Faults([fault for whole in wholes for fault in whole.faults]), wholes[0].found
         for label, part in parts:
             name = label if entry.name is None else entry.name if len(parts) == 1 else f"{entry.name} {label}"
             # Results go by name, so that no two records may share one.
-            name += f" ({k + 1})" if name in (r.name for _, _, r in records if r) else ""
+            name += f" ({k + 1})" if name in (r.record.name for r in records if r.record) else ""
             with faults:
                 own = _by_columns(entry, part, base, where, label)
                 record = prepare(name, part, entry.time, entry.observe, recipe, where)
-                records.append((k, own, replace(record, notes=(said, *record.notes) if said else record.notes)))
-                rows.append(part)
+                record = replace(record, notes=(said, *record.notes) if said else record.notes)
+                records.append(_Read(k, entry, record, part, own))
                 said = ""  # Of a file, not of each of its runs.
         with broken:
-            faults.refuse(whole.name)
+            faults.refuse(wholes[0].name)
     broken.refuse(str(path))
-    return records, rows
+    return records
 
 
-def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str) -> _Experiment:
-    """An entry for one record, with the parameters that columns of its rows give.
+def _by_columns(
+    entry: _Experiment, part: Record, base: scenefile.SceneFile, where: str, label: str
+) -> dict[str, tuple[float, float | None]]:
+    """Parameters that columns of a record's rows give, SI, and how well they are known.
 
     The height h of a drop is the speed sqrt(2 g h) in a scene that has no height.
-
-    Raises:
-        InputError: for a parameter that there is not or that is given twice, and a column that changes within the record.
     """
-    found, known = {}, base.scene.quantities
+    found, known, one = {}, base.scene.quantities, base.scene.canonical
     for said, text in entry.columns.items():
-        name, here = base.scene.canonical(said), f"{where} columns.{said}"
+        name, here = one(said), f"{where} columns.{said}"
         falls = name == "drop_height" and name not in known and "approach_speed" in known
         if not falls and name not in known:
             raise InputError(here, f"the scene has no parameter '{said}'", ", ".join(known))
         target = "approach_speed" if falls else name
-        if target in {base.scene.canonical(n) for n in entry.parameters} | found.keys():
+        if target in {one(n) for n in entry.parameters} | found.keys():
             raise InputError(here, f"'{target}' is given twice", "give it once, as a value or by a column")
         unit = "m" if falls else known[name].unit
         header, _, tolerance = (part_.strip() for part_ in text.partition("+-"))
@@ -490,12 +449,12 @@ def _by_columns(entry: _Experiment, part: Record, base: scenefile.SceneFile, whe
             if not value > 0.0:
                 raise InputError(here, f"a height of {format_si(value, unit)}", "give one above 0")
             speed = float(np.sqrt(2.0 * GRAVITY * value))
-            value, known_to, unit = speed, None if known_to is None else 0.5 * known_to / value * speed, "m/s"
-        found[target] = f"{value!r} {unit}" + ("" if known_to is None else f" +- {known_to!r} {unit}")
-    return entry.model_copy(update={"parameters": {**entry.parameters, **found}}) if found else entry
+            value, known_to = speed, known_to and 0.5 * known_to / value * speed
+        found[target] = value, known_to
+    return found
 
 
-def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recipe:
+def _recipe(entry: _Experiment, where: str) -> Recipe:
     window = None
     if entry.window is not None:
         if len(entry.window) != 2:
@@ -507,7 +466,7 @@ def _recipe(entry: _Experiment, where: str, impact: bool, offset: bool) -> Recip
     for key, value in (("resample", rate), *(("saturation", limit) for limit in limits.values())):
         if value is not None and not 0 < value < np.inf:
             raise InputError(f"{where} {key}", f"{key} = {getattr(entry, key)}", "give a positive value")
-    return Recipe(rate, limits, entry.align is not None, window, impact, offset)
+    return Recipe(rate, limits, entry.align is not None, window)
 
 
 def _limits(entry: _Experiment, where: str) -> dict[str, float]:
@@ -526,47 +485,41 @@ def _limits(entry: _Experiment, where: str) -> dict[str, float]:
     return dict.fromkeys(entry.observe, quantity(entry.saturation, next(iter(units)), place))
 
 
-def _experiment(
-    entry: _Experiment, record: Prepared | None, where: str, known: dict[str, Quantity], one: Callable[[str], str]
-) -> Experiment:
-    fixed, tolerances = {}, {}
+def _experiment(read: _Read, where: str, known: dict[str, Quantity], one: Callable[[str], str]) -> Experiment:
+    _, entry, record, _, columned = read
+    own, channels = {}, []
     for name, value in ((one(name), value) for name, value in entry.given.items()):
         if name not in known:
             raise InputError(f"{where} parameters", f"the scene has no parameter '{name}'", ", ".join(known))
-        fixed[name], tolerance = toleranced(value, known[name].unit, f"{where} parameters.{name}")
-        if tolerance is not None:
-            tolerances[name] = tolerance
+        own[name] = toleranced(value, known[name].unit, f"{where} parameters.{name}")
+    own |= columned
     memory = stated.correlation(entry.correlation, f"{where} correlation")
-    channels = []
-    features, times = (
-        stated.features(entry.features, entry.feature_noise, where),
-        record.times if record else np.zeros(0),
-    )
+    features = stated.features(entry.features, entry.feature_noise, where)
     span = None if entry.span is None else quantity(entry.span, "s", f"{where} span")
     if entry.events and not record:
         raise InputError(f"{where} events", "nothing is observed", 'give observe = { "contact.normal" = "force [N]" }')
-    for observes, reading in record.readings.items() if record else ():
-        sigma, relative, jitter = stated.noise(entry.noise, observes, reading.values, f"{where} noise")
+    readings, times, averaged = (record.readings, record.times, record.averaged) if record else ({}, np.zeros(0), 1)
+    for observes, reading in readings.items():
         # What is stated is the noise of a sample as recorded.
-        shrunk = np.sqrt(record.averaged) if record else 1.0
-        sigma, relative, jitter = None if sigma is None else sigma / shrunk, relative / shrunk, jitter / shrunk
-        if entry.events:
-            if jitter:
-                raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")
-            features += trains.observations(observes, times, reading.values, sigma, relative)
+        noise = stated.noise(entry.noise, observes, reading.values, f"{where} noise").of_means(averaged)
+        if not entry.events:
+            said = instrument.stated(entry.instrument, observes, entry.observe, f"{where} instrument")
+            channels.append(Channel(observes, reading.values, noise.sigma, noise.relative, memory, noise.jitter, said))
             continue
-        said = instrument.stated(entry.instrument, observes, entry.observe, f"{where} instrument")
-        channels.append(Channel(observes, reading.values, sigma, relative, memory, jitter, said))
+        if noise.jitter:
+            raise InputError(f"{where} noise", "a clock that jitters", "state the noise of the reading for events")
+        features += trains.observations(observes, times, reading.values, noise.sigma, noise.relative)
+        span = float(times[-1]) if span is None else span
     return Experiment(
         name=record.name if record else entry.name or where.rpartition(": ")[2],
         times=times if channels else np.zeros(0),
         channels=tuple(channels),
         hold_out=_held_out(entry, record),
-        fixed=fixed,
+        fixed={name: value for name, (value, _) in own.items()},
         source=record.source if record else where,
         features=features,
-        span=float(times[-1]) if entry.events and span is None else span,
-        tolerances=tolerances,
+        span=span,
+        tolerances={name: tolerance for name, (_, tolerance) in own.items() if tolerance is not None},
         bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
     )
 

@@ -6,11 +6,13 @@ line. Nothing is assumed of the sampling: times are the record's own.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from calibration.forward.runs import stretches
 from calibration.noise.scatter import scatter
 
 # Samples from which on a level of rest is looked for, and the fewest that are one.
@@ -63,8 +65,7 @@ def quantity(observes: str) -> str:
 def rest(values: np.ndarray) -> float | None:
     """The reading at rest: the middle of the quarter of the samples that lie closest together.
 
-    The record must begin there and stay for some samples: an oscillating force that begins near a turning point, where
-    its samples lie close together, has no rest. None where that is none: a record that is all contact has no rest.
+    None where the record does not begin there and stay for some samples, as one that is all contact, or an oscillating force.
     """
     seen = values[np.isfinite(values)]
     span, count = float(np.ptp(seen)) if seen.size else 0.0, max(seen.size // 4, _LEVEL)
@@ -102,11 +103,7 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
-    """Every contact that a channel (T,) shows, in order; of a velocity or a position the first.
-
-    Args:
-        values: (T,), NaN where nothing was read.
-    """
+    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity or a position the first."""
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []
@@ -114,27 +111,27 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
     peak, step = float(rises.max()), float(np.median(np.diff(clock)))
     if not peak > _ROUNDING * float(np.abs(values[seen]).max()):
         return []
+
+    def event(first: int, last: int, peak: float, loose: float = 0.0) -> Event:
+        before = float(clock[first - 1]) if first else float(clock[0]) - step
+        ends = float(clock[first]), float(clock[last])
+        return Event(int(seen[first]), int(seen[last]), before, *ends, peak, step, loose)
+
     if quantity(observes) in ("velocity", "place"):
         # A position leaves its line further and further: what counts is how far it has when it turns.
         peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
         high = np.flatnonzero(rises[first:] > (1.0 - _DEPARTED) * peak)[0]
-        return [_event(clock, seen, first, first + int(high), peak, step)]
+        return [event(first, first + int(high), peak)]
     rises, high, width = steady(rises)
-    found, k = [], 0
-    while k < clock.size:
-        if rises[k] <= high:
-            k += 1
-            continue
-        last = k
-        # One low sample between two high ones is noise, not a flight.
-        while last + 1 < clock.size and rises[last + 1 : last + 2 + width].max() > 0.5 * high:
-            last += 1
-        last = k + int(np.flatnonzero(rises[k : last + 1] > 0.5 * high)[-1])
-        first, end = (k, last) if width == 1 else _grown(rises, k, last, high)
-        event = _event(clock, seen, first, end, float(rises[k : last + 1].max()), step)
-        found.append(event._replace(loose=(width - 1) * step))
-        k = last + 1
+    found, above = [], np.flatnonzero(rises > 0.5 * high)
+    # One low sample between two high ones is noise, not a flight.
+    for rows in np.split(above, np.flatnonzero(np.diff(above) > width + 1) + 1):
+        begun = rows[rises[rows] > high]
+        if begun.size:
+            first, last = int(begun[0]), int(rows[-1])
+            ends = (first, last) if width == 1 else _grown(rises, first, last, high)
+            found.append(event(*ends, float(rises[first : last + 1].max()), (width - 1) * step))
     return found
 
 
@@ -197,11 +194,11 @@ def alone(rises: np.ndarray) -> np.ndarray:
 
     wrong = lone(rises)
     others = np.where(wrong, 0.0, rises)
-    peak, high = float(others.max()), np.diff(np.r_[False, others > 0.5 * others.max(), False].astype(int))
-    longest = int(np.max(np.flatnonzero(high == -1) - np.flatnonzero(high == 1), initial=0))
-    if longest < _RESOLVED or peak < 2.0 * _SIGMAS * noise:
+    peak = float(others.max())
+    high = stretches(others > 0.5 * peak)
+    if max((end - begin for begin, end in high), default=0) < _RESOLVED or peak < 2.0 * _SIGMAS * noise:
         return np.zeros(rises.size, dtype=bool)
-    first = int(np.flatnonzero(others > 0.5 * peak)[0])
+    first = high[0][0]
     return (wrong & ((np.arange(rises.size) < first) | (rises > peak))) | (lone(-rises) & (rises < -0.5 * peak))
 
 
@@ -219,11 +216,12 @@ def _mean(rises: np.ndarray, width: int) -> np.ndarray:
     return np.convolve(rises, ones, "same") / np.convolve(np.ones(rises.size), ones, "same")
 
 
-def _event(clock: np.ndarray, seen: np.ndarray, first: int, last: int, peak: float, step: float) -> Event:
-    before = float(clock[first - 1]) if first else float(clock[0]) - step
-    return Event(int(seen[first]), int(seen[last]), before, float(clock[first]), float(clock[last]), peak, step)
-
-
-def telling(observed: list[str]) -> list[str]:
+def telling(observed: Iterable[str]) -> list[str]:
     """Channels in the order in which they tell a contact: a normal force, what pulses, a velocity, a position."""
     return sorted(observed, key=lambda o: ("normal", "pulse", "velocity", "place").index(quantity(o)))
+
+
+def told(times: np.ndarray, channels: Mapping[str, np.ndarray]) -> tuple[str, list[Event]]:
+    """The contacts of the first channel that tells any, and its name; "" and none where none does."""
+    found = ((o, contacts(o, times, channels[o])) for o in telling(channels))
+    return next((seen for seen in found if seen[1]), ("", []))

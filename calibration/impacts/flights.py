@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from bcfj_jax.contact.normal import AbstractLaw
+from bcfj_jax.contact.normal import AbstractLaw, MemoryFree
+from bcfj_jax.contact.restitution import delivered_restitution
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import format_si
 from calibration.impacts.events import Event
@@ -22,12 +21,11 @@ from calibration.impacts.events import Event
 _FEWEST, _SEEN = 4, 3.0
 # Exponents further apart than this, and twice the deviation, contradict each other.
 _APART = 0.4
-# A contact by the law lasts no longer, in times in which the approach speed crosses the elastic penetration.
-_LONGEST = 30.0
 # Of a contact between two flights: samples beside it that show its rest, over so many durations, and the least that are
 # enough; its window in durations on either side; flights are longer than so many.
 _BESIDE, _ENOUGH, _AROUND, _APART_BY = 10.0, 4, 1.0, 4.0
-# What a law has to read, and no more, for its loss to be foretold.
+
+# What K d^n (1 + a d') has to read.
 _READ = {"stiffness", "exponent", "damping"}
 
 
@@ -44,13 +42,10 @@ class Passage(NamedTuple):
     """A contact between two flights: what is known of it without a law, SI.
 
     Attributes:
-        begin: its first sample's time.
         speed: before it, v = g t/2 of a flight of the length t.
         kept: restitution, by the flights before and after.
-        impulse: of the force above its rest.
         mass: impulse over change of speed: 2 J/(g (t_1 + t_2)), t from the middle of a contact to that of the next, which
             holds the weight's impulse, too.
-        duration, peak: as it was read.
         clock, force: (k,) its window, the clock from half a sample before ``begin`` on, the force above its rest.
     """
 
@@ -88,12 +83,9 @@ def passages(clock: np.ndarray, force: np.ndarray, events: Sequence[Event], grav
         own = clock - (e.begin - 0.5 * e.step)
         read = force - np.polyval(np.polyfit(own[beside], force[beside], 1), own)
         impulse = float(np.trapezoid(read[inside], own[inside]))
-        found.append(
-            Passage(
-                e.begin, 0.5 * gravity * (first - e.duration), (second - e.duration) / (first - e.duration), impulse,
-                2.0 * impulse / (gravity * (first + second)), e.duration, float(read[inside].max()), own[inside], read[inside],
-            )
-        )  # fmt: skip
+        flights, mass = np.array([first, second]) - e.duration, 2.0 * impulse / (gravity * (first + second))
+        speed, kept, peak = 0.5 * gravity * flights[0], flights[1] / flights[0], float(read[inside].max())
+        found.append(Passage(e.begin, speed, kept, impulse, mass, e.duration, peak, own[inside], read[inside]))
     return found
 
 
@@ -116,51 +108,24 @@ def loss(events: Sequence[Event]) -> Loss | None:
     return Loss(kept, speeds, float(np.sum(weight * way * np.log(1.0 - kept)) / square), square**-0.5)
 
 
-def restitutions(law: AbstractLaw, c: Mapping[str, float], mass: float, speeds: np.ndarray) -> np.ndarray:
-    """Of contacts (k,) by a law that reads penetration and rate alone, K d^n at rest: m d'' = -F, from d' = v to d = 0."""
-    constants = {key: jnp.asarray(value) for key, value in c.items()}
-
-    def slope(_: float, y: np.ndarray) -> list[float]:
-        force = law.force(jnp.maximum(y[0], 0.0), jnp.asarray(y[1]), constants)
-        return [y[1], -float(force) / mass]
-
-    def parted(_: float, y: np.ndarray) -> float:
-        return y[0]
-
-    parted.terminal, parted.direction = True, -1.0  # pyright: ignore[reportFunctionMemberAccess]
-    left = []
-    for v in speeds:
-        n = c["exponent"]
-        crossed = (0.5 * (n + 1.0) * mass * v**2 / c["stiffness"]) ** (1.0 / (n + 1.0)) / v
-        ends = (0.0, _LONGEST * crossed)
-        found = solve_ivp(slope, ends, [0.0, v], events=parted, rtol=1e-6, atol=1e-6 * crossed * v, max_step=crossed)
-        left.append(-found.y[1, -1] / v if found.status == 1 else np.nan)
-    return np.array(left)
-
-
 def contradicted(name: str, events: Sequence[Event], law: AbstractLaw | None, c: Mapping[str, float]) -> str:
     """Why a law loses energy with the speed otherwise than a drop's flights do; "" where it does not, or nothing is known.
 
-    Args:
-        c: coefficients to be expected, and ``mass``.
+    ``c``: coefficients to be expected, and ``mass``.
     """
     seen = loss(events)
-    if (
-        seen is None
-        or law is None
-        or set(law.needs) != _READ
-        or not all(c.get(key, 0.0) > 0.0 for key in (*_READ, "mass"))
-    ):
+    if seen is None or not isinstance(law, MemoryFree) or {*law.needs} != _READ:
+        return ""
+    if not all(c.get(key, 0.0) > 0.0 for key in (*_READ, "mass")):
         return ""
     ends = np.array([seen.speeds.min(), seen.speeds.max()])
-    lost = 1.0 - restitutions(law, c, c["mass"], ends)
+    lost = 1.0 - np.asarray(delivered_restitution(c["damping"] * ends))
     if not np.all(lost > 0.0):
         return ""
     own = float(np.log(lost[1] / lost[0]) / np.log(ends[1] / ends[0]))
     if abs(own - seen.exponent) < _APART + 2.0 * seen.deviation:
         return ""
-    first, last = (f"{e:.3g} at {format_si(v, 'm/s', 3)}" for e, v in
-                   ((seen.kept[k], seen.speeds[k]) for k in (0, -1)))  # fmt: skip
+    first, last = (f"{seen.kept[k]:.3g} at {format_si(seen.speeds[k], 'm/s', 3)}" for k in (0, -1))
     return (
         f"{name}: loss depends on speed otherwise: by the flights between contacts a restitution is {first} and {last}, so that "
         f"1 - e grows as the speed^{seen.exponent:.2g}; by the law as speed^{own:.2g}. Free restitution in place of damping "

@@ -25,18 +25,14 @@ _PLATEAU = 4
 def check_clock(clock: np.ndarray, part: Record, time: str) -> None:
     """Refuse times (N,) that do not increase, with the row of the table; ``time`` is their column's header."""
     late = np.flatnonzero(np.diff(clock) <= 0)
-    if not late.size:
-        return
-    k = int(late[0]) + 1
-    same = clock[k] == clock[k - 1]
-    raise InputError(
-        part.place(k, time),
-        f"time {clock[k]:.9g} s {'stands twice' if same else f'follows {clock[k - 1]:.9g} s'}"
-        + others(part.lines[late + 1].tolist(), part.counted),
-        "times must increase: "
-        + ("give the clock more digits, or take the repeated rows out" if same else "sort the rows")
-        + ", or split the runs with rows = { column = [values] }",
-    )
+    if late.size:
+        k = int(late[0]) + 1
+        said, remedy = f"follows {clock[k - 1]:.9g} s", "sort the rows"
+        if clock[k] == clock[k - 1]:
+            said, remedy = "stands twice", "give the clock more digits, or take the repeated rows out"
+        found = f"time {clock[k]:.9g} s {said}{others(part.lines[late + 1].tolist(), part.counted)}"
+        remedy = f"times must increase: {remedy}, or split the runs with rows = {{ column = [values] }}"
+        raise InputError(part.place(k, time), found, remedy)
 
 
 def jumps(clock: np.ndarray) -> np.ndarray:
@@ -89,8 +85,8 @@ def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list
     level, count = _plateau(values[np.isfinite(values) & ~masked])
     if count:
         shown = format_si(level, unit_of(observes))
-        said = f"{observes}: reads {shown} {count} times in a row at its peak"
-        notes.append(f'{said}; if it clips there, give saturation = "{shown}"')
+        row = f"{observes}: reads {shown} {count} times in a row at its peak"
+        notes.append(f'{row}; if it clips there, give saturation = "{shown}"')
     return notes
 
 
@@ -122,8 +118,7 @@ def check_contact(times: np.ndarray, values: np.ndarray, zero: float, cut: bool,
     seen = np.isfinite(values)
     if not seen.any():
         return []
-    force, at = values[seen], times[seen]
-    force = force - zero
+    force, at = values[seen] - zero, times[seen]
     peak = int(np.argmax(force))
     inside = int(np.count_nonzero(force > TOUCHING * force[peak]))
     if inside < _FEW_IN_CONTACT:
@@ -134,7 +129,6 @@ def check_contact(times: np.ndarray, values: np.ndarray, zero: float, cut: bool,
         return []
     found = f"the force is largest at its {edge} sample ({format_si(force[peak], 'N')} at {format_si(at[peak], 's')})"
     if not cut:
-        raise InputError(
-            place, f"{found}: the record is shorter than a contact", "record from before the contact to after it"
-        )
+        short = f"{found}: the record is shorter than a contact"
+        raise InputError(place, short, "record from before the contact to after it")
     return [f"{found}; the window cuts the contact"]

@@ -1,8 +1,11 @@
-"""Lines of a proposed problem file, and what a user says beside the record."""
+"""What is proposed of a record: files, their lines, and what a user says beside the record."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple
 
 from bcfj_jax.data.textfile import Stated
@@ -13,6 +16,14 @@ from calibration.impacts.proposal import Hints, Understood
 FIXED = "fixed"
 
 
+class Draft(NamedTuple):
+    """Texts of files to be made, what is to be said of them, and whether nothing is left to fill in."""
+
+    files: dict[Path, str]
+    said: list[str]
+    whole: bool
+
+
 class Line(NamedTuple):
     """A line of the file, and what is said behind it."""
 
@@ -21,6 +32,9 @@ class Line(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.text:<60}  # {self.note}" if self.note else self.text
+
+
+NOISE = Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 %"')
 
 
 class Said(NamedTuple):
@@ -59,6 +73,17 @@ def toml(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+def joined(lines: Iterable[Line | str]) -> str:
+    """The text of a file."""
+    return "\n".join(map(str, lines)) + "\n"
+
+
+def box(name: str, bounds: Iterable[str], note: str = "", more: str = "") -> Line:
+    """A line of [free]: bounds as they are written."""
+    lower, upper = bounds
+    return Line(f"{name} = {{ lower = {lower}, upper = {upper}{more} }}", note)
+
+
 def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
     """Lines that say where a record is and how it is read."""
     every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
@@ -70,3 +95,15 @@ def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
         f"time = {toml(found.time)}",
         *(f"rows = {{ {toml(header)} = {toml(value)} }}" for header, value in found.rows.items()),
     ]
+
+
+def with_scene(path: Path, scene: str, lines: Iterable[Line | str], kind: str, missing: str = "") -> Draft:
+    """A problem file at ``path`` with a scene file of its own: what the record is, and what is to be done first."""
+    files = {scene_of(path): scene, path: joined(lines)}
+    said = [kind, f"wrote {scene_of(path)} and {path}", f"next: {missing}bcfj calibrate {quote(str(path))}"]
+    return Draft(files, said, not missing)
+
+
+def scene_of(path: Path) -> Path:
+    """Where the scene of a problem file goes."""
+    return path.with_name(f"{path.stem}_scene.toml")

@@ -32,11 +32,7 @@ class InMotion(InputError):
 
 
 def refuse_motion(table: Record) -> None:
-    """Refuse a record of places and attitudes, scalar first, whatever else it holds.
-
-    Raises:
-        InMotion: with the headers by coordinate.
-    """
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds."""
     found: dict[str, str] = {}
     for header in table.header:
         name = re.sub(r"^(?:pos(?:ition)?|place|cube|body)[ _.]", "", column(header)[0].strip().lower())

@@ -15,7 +15,7 @@ _NAMES = {
     "moment": re.compile(r"(?i)(?:moment[ _-]?|m)([xyz])[ _-]?\d*"),
     "pressure": re.compile(r"(?i)(?:cop|cofp|c|a)[ _-]?([xyz])[ _-]?\d*"),
 }
-_UNITS = {"moment": "N m", "pressure": "m"}
+_UNITS = {"pressure": "m", "moment": "N m"}
 
 
 def _axes(table: Record, kind: str) -> dict[str, str]:
@@ -51,10 +51,9 @@ def said(table: Record, header: str, force: np.ndarray) -> str:
 
 def _place(table: Record, header: str, force: np.ndarray) -> tuple[float, float] | None:
     """Where the force acts at its peak [m]: by the centre of pressure, or else by moments about the plate's origin."""
-    pressure, moments = _axes(table, "pressure"), _axes(table, "moment")
-    peak = int(np.nanargmax(np.abs(force)))
-    kind, axes = ("pressure", pressure) if {"x", "y"} <= pressure.keys() else ("moment", moments)
-    if not {"x", "y"} <= axes.keys():
+    peak, places = int(np.nanargmax(np.abs(force))), {kind: _axes(table, kind) for kind in _UNITS}
+    kind, axes = next(((kind, axes) for kind, axes in places.items() if {"x", "y"} <= axes.keys()), ("", {}))
+    if not axes:
         return None
     try:
         x, y = (float(table.numbers(axes[k], _UNITS[kind], table.name, True)[peak]) for k in "xy")

@@ -12,9 +12,10 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
-from bcfj_jax.io.units import GRAVITIES, accelerates, column, format_si, scale_of
+from bcfj_jax.io.units import format_si
 from calibration.impacts.events import contacts
 from calibration.impacts.preparation import Prepared
+from calibration.impacts.proposal import read_unit
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.
@@ -112,7 +113,7 @@ def other_body(record: Prepared, part: Record, observe: Mapping[str, str], mass:
     taken = {header.removeprefix("-").strip() for header in observe.values()}
     force = reading.raw - np.nanmedian(reading.raw)
     for header in part.header:
-        if header in taken or not _is_acceleration(header):
+        if not header or header in taken or read_unit(part, header) != "m/s^2":
             continue
         try:
             read = part.numbers(header, "m/s^2", part.name, blank=True)
@@ -135,13 +136,3 @@ def other_body(record: Prepared, part: Record, observe: Mapping[str, str], mass:
                 'body that is struck, or "fixed"), or say how well the mass is known, as in "4 kg +- 1 %", or give the speed'
             )
     return ""
-
-
-def _is_acceleration(header: str) -> bool:
-    name, unit = column(header)
-    if unit in GRAVITIES:
-        return accelerates(name)
-    try:
-        return bool(unit) and bool(scale_of(str(unit), "m/s^2", header))
-    except InputError:
-        return False

@@ -9,7 +9,7 @@ import numpy as np
 
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
-from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.mechanism.channels import quantity_of
 from calibration.forward.runs import stretches
 from calibration.impacts.inspection import TOUCHING
 from calibration.impacts.preparation import Prepared
@@ -33,9 +33,8 @@ def data(records: list[Prepared], path: Path) -> Picture | None:
 
 def reading_label(observes: str, prefix: str) -> str:
     """Text for the axis of a reading, in its unit."""
-    unit = unit_of(observes)
-    name = "force" if unit == "N" else observes.split(".")[1].replace("_", " ")
-    return label(name, unit, prefix)
+    name, unit = quantity_of(observes)
+    return label("force" if unit == "N" else name, unit, prefix)
 
 
 def _panel(axis: Axes, record: Prepared, observes: str) -> None:

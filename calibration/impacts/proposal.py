@@ -34,28 +34,13 @@ _KINDS = ("s", "N", "m/s^2", "m/s", "m")
 _NAMES = {
     "s": TIMES,
     "N": (
-        "force",
-        "load",
-        "f",
-        "fn",
-        "fz",
-        "fx",
-        "fy",
-        "kraft",
-        "normal",
-        "normalkraft",
-        "fuerza",
-        "standardkraft",
-        "prüfkraft",
-        "effort",
-        "forza",
-        "loadcell",
-        "last",
+        "force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
+        "prüfkraft", "effort", "forza", "loadcell", "last",
     ),
     "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
-}
+}  # fmt: skip
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
 _GIVEN = {
     "m": ("height", "drop height", "drop_height", "fall height", "fallhoehe", "fallhöhe", "hoehe", "höhe", "h", "hauteur"),
@@ -103,20 +88,17 @@ class Run:
 
     def speeds(self) -> tuple[float, float] | None:
         """Speeds just before and after the first contact [m/s], from a velocity or else from a position."""
-        e = self.events[0]
+        e, found = self.events[0], []
         span = max(0.75 * e.duration, 5.5 * e.step)
-        found = []
         for first, last in ((e.begin - span - e.step, e.begin - 0.1 * e.step), (e.end + e.step, e.end + span + e.step)):
             inside = (self.clock >= first) & (self.clock <= last)
-            for unit in ("m/s", "m"):
-                if unit not in self.readings:
-                    continue
-                seen = inside & np.isfinite(self.readings[unit])
-                if np.count_nonzero(seen) >= 3:
-                    t, x = self.clock[seen], self.readings[unit][seen]
-                    found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
-                    break
-        return (found[0], found[1]) if len(found) == 2 else None
+            seen = {u: inside & np.isfinite(self.readings[u]) for u in ("m/s", "m") if u in self.readings}
+            unit = next((u for u, rows in seen.items() if np.count_nonzero(rows) >= 3), None)
+            if unit is None:
+                return None
+            t, x = self.clock[seen[unit]], self.readings[unit][seen[unit]]
+            found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
+        return found[0], found[1]
 
 
 @dataclass(frozen=True)
@@ -160,11 +142,7 @@ class Hints(NamedTuple):
 
 
 def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B008
-    """What a table is, by its headers and by what its columns do.
-
-    Raises:
-        InputError: where there is no clock, no reading or no contact in it.
-    """
+    """What a table is, by its headers and by what its columns do."""
     where, faults = table.name, Faults(table.faults)
     if hints.observe is None:
         refuse_motion(table)
@@ -179,54 +157,59 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     if hints.rows:
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
+    count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
     headers = ", ".join(h for h in table.header if h)
-    if "s" not in found and (known := without_time(table.header, found, where)):
-        raise known
     if "s" not in found:
-        remedy = f'head one as "time [s]", or say which it is: --time "{_bare(table, 0)} [us]" of init calibration'
+        if known := without_time(table.header, found, where):
+            raise known
+        bare = column(table.header[0])[0]
+        remedy = f'head one as "time [s]", or say which it is: --time "{bare} [us]" of init calibration'
         faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
         faults.found.append(InputError(where, f"{kinds}: {headers}", _reading_remedy(table, found)))
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
-    raw = [_read(part, time, found, faults) for _, part in parts[:_MOST_RUNS]]
+    raw = [_read(part, time, found, faults) for _, part in parts]
     faults.refuse(where)
     found = {u: h for u, h in found.items() if max(np.isfinite(r[u]).sum() for _, r in raw) >= _FEWEST}
     if not found:
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
-    unit, records = next(u for u in _READ if u in found), []
-    kind = "contact.normal" if unit in ("N", "m/s^2") else _READ[unit]
-    for (label, _), (clock, readings) in zip(parts, raw, strict=False):
-        turned = {u: signs.get(u, 1.0) * v for u, v in readings.items()}
-        for u in {"N", "m/s^2"} & turned.keys():
-            pushes = turned[u] if u == "N" else -turned[u]
-            turned[u] = np.where(wrong("contact.normal", clock, pushes), np.nan, turned[u])
-        events = contacts(kind, clock, -turned[unit] if unit == "m/s^2" else turned[unit])
-        if not events:
+    unit = next(u for u in _READ if u in found)
+    records = []
+    for (label, _), (clock, readings) in zip(parts, raw, strict=True):
+        records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
+        if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
-        records.append(Run(label, clock, turned, events))
-    given, speeds = _speeds(table, [part for _, part in parts[:_MOST_RUNS]], run)
-    shown = {u: ("-" if signs[u] < 0 else "") + h for u, h in found.items()}
+    given, speeds = _speeds(table, [part for _, part in parts], run)
     rows = {**rows, **hints.rows}
-    known = {column(time)[0], time, run, given[0], *found.values(), *map(_bared, found.values()), *rows}
-    others = [h for h in table.header if h and h not in known and column(h)[0] not in known]
-    many = (run, len(parts) if run else 1)
+    known = {column(time)[0], time, run, given[0], *found.values(), *(column(h)[0] for h in found.values()), *rows}
     first = records[0]
-    plate = plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else ""
     return Understood(
-        table.path, table.inside, time, shown, others, many, records, rows, table.found, given, speeds, plate=plate
-    )  # fmt: skip
+        path=table.path,
+        table=table.inside,
+        time=time,
+        columns={u: ("-" if signs[u] < 0 else "") + h for u, h in found.items()},
+        others=[h for h in table.header if h and h not in known and column(h)[0] not in known],
+        runs=(run, count),
+        records=records,
+        rows=rows,
+        said=table.found,
+        given=given,
+        speeds=speeds,
+        plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
+    )
 
 
-def _bared(header: str) -> str:
-    return column(header)[0]
-
-
-def _bare(table: Record, k: int) -> str:
-    return column(table.header[min(k, len(table.header) - 1)])[0]
+def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str) -> Run:
+    """A run with its contacts, by the reading of a unit; wrong samples of what pulses are blanked."""
+    pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
+    for u, sign in pulses.items():
+        readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
+    kind = "contact.normal" if unit in pulses else _READ[unit]
+    return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
 
 
 def _reading_remedy(table: Record, found: dict[str, str]) -> str:
@@ -246,10 +229,7 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
 
 def _counts(table: Record, header: str) -> bool:
     """Whether a column counts the samples."""
-    try:
-        values = table.numbers(header, "1", table.name, True)
-    except InputError:
-        return False
+    values = _values(table, header, "1")
     return values.size > 1 and bool((np.diff(values) == 1.0).all())
 
 
@@ -263,7 +243,7 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         said = header if column(header)[1] is not None else hints.observe
         # Who names a column in g as a reading means gravities: a mass is none.
         gravities = column(said)[1] in GRAVITIES and not _named(said, "N")
-        unit = "m/s^2" if gravities else _unit(table, said) or next((u for u in _READ if _named(said, u)), None)
+        unit = "m/s^2" if gravities else read_unit(table, said) or next((u for u in _READ if _named(said, u)), None)
         if unit not in _READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
@@ -276,10 +256,7 @@ def _run_column(table: Record) -> str:
     """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
     if named := run_column(table):
         return named
-    try:
-        clock = table.numbers(table.clock, "s", table.name, True) if table.clock else np.zeros(0)
-    except InputError:  # Said where the clock is read.
-        clock = np.zeros(0)
+    clock = _values(table, table.clock, "s") if table.clock else np.zeros(0)
     if clock.size < 2 * _RUN_ROWS:
         return ""
     for h, cells in zip(table.header, table.columns, strict=True):
@@ -320,13 +297,10 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
         for header in table.header:
             if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
                 continue
-            if column(header)[1] is not None and _unit(table, header) != unit:
+            if column(header)[1] is not None and read_unit(table, header) != unit:
                 continue
-            try:
-                values = np.array([part.numbers(header, unit, table.name, False)[0] for part in parts])
-            except InputError:
-                continue
-            if (values > 0.0).all():
+            values = np.array([next(iter(_values(part, header, unit)), np.nan) for part in parts])
+            if ((values > 0.0) & (values < np.inf)).all():
                 speeds = values if unit == "m/s" else np.sqrt(2.0 * GRAVITY * values)
                 return (header, unit), tuple(speeds.tolist())
     return ("", ""), ()
@@ -340,12 +314,11 @@ def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     if timed.all():
         return {}, table
     for h, cells in zip(table.header, table.columns, strict=True):
-        if not h or _is_numeric(cells):
-            continue
-        texts = np.array([str(c) for c in cells])
-        whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
-        if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
-            return {h: whole[0]}, table.where(texts == whole[0])
+        if h and not _is_numeric(cells):
+            texts = np.array([str(c) for c in cells])
+            whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
+            if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
+                return {h: whole[0]}, table.where(texts == whole[0])
     return {}, table
 
 
@@ -372,13 +345,13 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
-    stated = {h: u for h in numeric if (u := _unit(table, h))}
+    stated = {h: u for h in numeric if (u := read_unit(table, h))}
 
     def later(header: str) -> tuple[bool, float]:
         unit = stated[header]
         return not _named(header, unit), -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
 
-    # A column named as what it is goes before another of its unit; a second force is a tangential one only by its name.
+    # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
         unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", _name(h))) else unit
@@ -390,12 +363,16 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     return found
 
 
-def _range(table: Record, header: str, unit: str) -> float:
-    """Largest less least reading of a column, SI; 0 where it has none."""
+def _values(table: Record, header: str, unit: str) -> np.ndarray:
+    """The readings of a column, SI; none where it cannot be read."""
     try:
-        values = table.numbers(header, unit, table.name, True)
+        return table.numbers(header, unit, table.name, True)
     except InputError:
-        return 0.0
+        return np.zeros(0)
+
+
+def _range(table: Record, header: str, unit: str) -> float:
+    values = _values(table, header, unit)
     return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
 
 
@@ -410,7 +387,7 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
-def _unit(table: Record, header: str) -> str | None:
+def read_unit(table: Record, header: str) -> str | None:
     """The SI unit of ``_KINDS`` that a header's unit converts to, or that of its sensor's sensitivity."""
     name, text = column(header)[0], table.unit(header)
     if text in _KINDS:
@@ -486,10 +463,9 @@ def sizes(found: Understood) -> Sizes:
     records, events = found.records, [r.events[0] for r in found.records]
     whole = _WHOLE.get(next(u for u in _READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
-    speeds = [s for r in records if (s := r.speeds()) is not None and s[0] > 0]
+    speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events
     pushed = [r.impulse() for r in has]
-    flown = [float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]
 
     def middle(values: list[float]) -> float:
         return float(np.median(values)) if values else float("nan")
@@ -504,23 +480,22 @@ def sizes(found: Understood) -> Sizes:
         samples=int(whole * np.median([e.last - e.first + 1 for e in events])),
         step=middle([e.step for e in events]),
         contacts=len(longest),
-        speed=ends([s[0] for s in speeds]) if speeds else None,
+        speed=ends(speeds) if speeds else None,
         mass=_mass(records, bool(speeds)),
         flights=[float(b.begin - a.end) for a, b in pairwise(longest)],
         impulses=ends(pushed),
-        after=ends(flown),
+        after=ends([float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]),
         loss=loss(longest),
     )
 
 
 def _mass(records: list[Run], moving: bool) -> float | None:
     """Mass by the force: of impulses over changes of speed, or of the acceleration; None where neither is read."""
-    if not all("N" in r.readings for r in records):
-        return None
-    if moving:
-        changes = [(r.impulse(), s[0] - s[1]) for r in records if (s := r.speeds()) is not None and s[0] > s[1]]
-        return float(np.median([j / c for j, c in changes])) if changes else None
-    if not all("m/s^2" in r.readings for r in records):
+    read = {u for u in ("N", "m/s^2") if all(u in r.readings for r in records)}
+    if "N" in read and moving:
+        changes = [r.impulse() / (s[0] - s[1]) for r in records if (s := r.speeds()) is not None and s[0] > s[1]]
+        return float(np.median(changes)) if changes else None
+    if len(read) < 2:
         return None
     pairs = [(r.readings["N"] - r.rest("N"), -(r.readings["m/s^2"] - r.rest("m/s^2"))) for r in records]
     f, a = (np.nan_to_num(np.concatenate(x)) for x in zip(*pairs, strict=True))

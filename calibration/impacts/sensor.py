@@ -1,15 +1,6 @@
 """What a record leaves open of its sensor: when its clock shows the first contact, and what it reads at rest.
 
-A measured record shares no clock with the model, and a sensor's zero drifts. Both are therefore free for measured files
-unless the problem file says ``sensor = "exact"``, each within bounds that the record itself gives:
-
-    time_offset       from a sample and a quarter of a contact before the first sample in contact to a sample after it
-    force_offset,     the mean of the samples before the first contact, and on either side five of their deviations or
-    acceleration_     2 % of the peak, whichever is more
-    offset
-    cutoff            of a filter that is said to be there: 0.3 to 100 over a contact's duration; the clock's bounds then
-                      allow for its delay
-    position_offset   the reading at the first contact less the model's place there; half of its range on either side
+The bounds that the record gives to each are in docs/howto/problem_file.md.
 """
 
 from __future__ import annotations
@@ -25,7 +16,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from calibration.filters import Filter
-from calibration.impacts.events import Event, contacts, quantity, telling
+from calibration.impacts.events import Event, quantity, told
 from calibration.impacts.preparation import Prepared
 from calibration.problem import OFFSETS, units_of
 
@@ -51,12 +42,7 @@ class Proposal(NamedTuple):
 
 @dataclass
 class Sensor:
-    """What was freed of the sensors of all records.
-
-    Attributes:
-        bounds: of each by the place of its record.
-        notes: of each record, in words, likewise.
-    """
+    """What was freed of the sensors of all records: bounds and notes by the place of the record."""
 
     names: list[str] = field(default_factory=list)
     bounds: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
@@ -88,19 +74,11 @@ def proposed(
     free: Mapping[str, tuple[float, float]],
     passed: Filter | None = None,
 ) -> Proposal | str:
-    """Bounds of one nuisance from one record, or why there are none.
-
-    Args:
-        free: what else is searched, with its bounds.
-        passed: the filter between sensor and record.
-    """
+    """Bounds of one nuisance from one record, or why there are none; ``free``: what else is searched, with its bounds."""
     if name not in ("time_offset", "cutoff") and name not in OFFSETS.values():
         return f"a record does not give a {name}"
-    for observes in telling(list(record.readings)):
-        found = contacts(observes, record.times, record.readings[observes].values)
-        if found:
-            break
-    else:
+    observes, found = told(record.times, {o: reading.values for o, reading in record.readings.items()})
+    if not found:
         return "it shows no contact"
     slow, fast = (share / found[0].duration for share in _CUTOFFS)
     if name == "cutoff":
@@ -129,9 +107,10 @@ def _clock(
         return f"the time of the first contact of scene '{scene.kind}' follows only from a simulation"
     lower = event.before - event.step - event.loose - _BEFORE[quantity(observes)] * event.duration - last
     upper = event.begin + event.step + event.loose + _AFTER * event.duration - first
-    if moving and not several:
-        return Proposal(lower, upper, f"{moving} is free and moves the contact as well")
-    return Proposal(lower, upper, "" if event.first else "the record begins in contact")
+    doubt = "" if event.first else "the record begins in contact"
+    return Proposal(
+        lower, upper, f"{moving} is free and moves the contact as well" if moving and not several else doubt
+    )
 
 
 def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]) -> Proposal | str:
@@ -140,25 +119,23 @@ def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]
     unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
     if not unit:
         return f"it has no channel that a {name} acts on"
-    bounds = []
+    lows, highs = [], []
     for observes in units[unit]:
         values = record.readings[observes].values
+        seen = np.isfinite(values)
         if quantity(observes) == "place":
-            seen = np.isfinite(values)
             at = float(np.interp(event.begin, record.times[seen], values[seen]))
-            there = params.get("clearance_contact", 0.0)
-            half = 0.5 * float(np.ptp(values[seen]))
-            bounds.append((at - there - half, at - there + half))
-            continue
-        apart = np.isfinite(values) & (record.times < event.begin - max(_CLEAR * event.duration, event.step))
-        if np.count_nonzero(apart) < _RESTING:
-            return f"{observes} has no {_RESTING} samples of rest before the first contact"
-        level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
-        half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
-        bounds.append((level - half, level + half))
-    apart = max(low for low, _ in bounds) > min(high for _, high in bounds)
-    doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file" if apart else ""
-    return Proposal(min(low for low, _ in bounds), max(high for _, high in bounds), doubt)
+            level, half = at - params.get("clearance_contact", 0.0), 0.5 * float(np.ptp(values[seen]))
+        else:
+            apart = seen & (record.times < event.begin - max(_CLEAR * event.duration, event.step))
+            if np.count_nonzero(apart) < _RESTING:
+                return f"{observes} has no {_RESTING} samples of rest before the first contact"
+            level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
+            half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
+        lows.append(level - half)
+        highs.append(level + half)
+    doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file"
+    return Proposal(min(lows), max(highs), doubt if max(lows) > min(highs) else "")
 
 
 def unasked(observed: Collection[str]) -> list[str]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from shlex import quote
+
 import numpy as np
 
 from bcfj_jax import InputError
-from calibration.impacts.proposal import Run
+from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
+from calibration.impacts.proposal import Run, Understood
 
 # A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
 _LONG, _LOST = 1.0, 0.1
@@ -22,11 +26,7 @@ _DRIVEN = (
 
 
 def refuse_pulling(run: Run, where: str) -> None:
-    """Refuse a force that pulls about as it pushes.
-
-    Raises:
-        InputError: with the way to a driven scene.
-    """
+    """Refuse a force that pulls about as it pushes."""
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
     if force.size < _FEW:
@@ -55,8 +55,29 @@ def is_slow(run: Run) -> bool:
     return event.duration > _LONG or speeds[1] > (1.0 - _LOST) * speeds[0]
 
 
-def driven(run: Run) -> tuple[str, str]:
-    """A slow test's scene, in which a body follows the measured places, and what of its contact is searched, as texts of TOML."""
+def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
+    """The problem file at ``path`` of a slow test, which names the record ``file``."""
+    if found.runs[0]:
+        many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
+        raise InputError(str(found.path), many, f'choose one: --rows "{found.runs[0]} = 1"')
+    scene, free = _driven(found.records[0])
+    lines = [
+        f"# A slow test, {found.path.name}: the body is driven, its mass does not count. Next: bcfj calibrate {quote(path.name)}",
+        *([f"# Read as {found.said}."] if found.said else []),
+        Line(f"scene = {toml(scene_of(path).name)}", "in which the body follows the measured displacement"),
+        "[[experiment]]",
+        *read_as(found, said, file),
+        f'observe = {{ "contact.normal" = {toml(found.columns["N"])} }}',
+        NOISE,
+        "[free]",
+        *free,
+    ]
+    kind = "force and displacement are those of a slow test, no impact; --scene impact takes one all the same"
+    return with_scene(path, scene, lines, kind)
+
+
+def _driven(run: Run) -> tuple[str, list[Line]]:
+    """A scene in which a body follows the measured places, and what of its contact is searched."""
     seen = np.flatnonzero(np.isfinite(run.readings["m"]))
     rows = seen[np.unique(np.linspace(0, seen.size - 1, min(_ROWS, seen.size)).astype(int))]
     clock, place = run.clock[rows], run.readings["m"][rows]
@@ -95,9 +116,9 @@ stiffness = {ends[0]:.3g}
 end = {clock[-1]:.6g}
 samples = {clock.size}
 """
-    shape = "restitution = { lower = 0.05, upper = 1.0 }" if back else "exponent = { lower = 1.0, upper = 2.5 }"
-    free = (
-        f"stiffness = {{ lower = {min(ends) / 30:.1g}, upper = {30 * max(ends):.1g} }}\n{shape}\n"
-        f'"contact.clearance" = {{ lower = 0.0, upper = {touch + 0.5 * depth:.3g} }}  # m; where the body touches'
-    )
-    return scene, free
+    shape = ("restitution", ("0.05", "1.0")) if back else ("exponent", ("1.0", "2.5"))
+    return scene, [
+        box("stiffness", (f"{min(ends) / 30:.1g}", f"{30 * max(ends):.1g}")),
+        box(*shape),
+        box('"contact.clearance"', ("0.0", f"{touch + 0.5 * depth:.3g}"), "m; where the body touches"),
+    ]

@@ -1,11 +1,8 @@
 """What a problem file states of noise and of measured features: texts become numbers in SI.
 
-noise = "2 %"                        of the channel's largest reading; "0.1 kN"; "estimate"
 noise = "0.1 kN + 2 % of reading"    variance 0.1^2 + (0.02 reading)^2
 noise = "2 N + 3 us of clock"        variance 2^2 + (3e-6 slope)^2: jitter of the sampling clock
 noise = "2 N + 5 N of steps"         variance 2^2 + 5^2/12: steps of a converter
-noise = { "contact.normal" = "2 %" } each channel its own
-features = { "contact.peak" = "5 kN" }, feature_noise = "2 %" of each, or as a table one for each
 """
 
 from __future__ import annotations
@@ -33,16 +30,14 @@ class Noise(NamedTuple):
     relative: float
     jitter: float
 
+    def of_means(self, count: int) -> Noise:
+        """That of the mean of several samples."""
+        shrunk = math.sqrt(count)
+        return Noise(None if self.sigma is None else self.sigma / shrunk, self.relative / shrunk, self.jitter / shrunk)
+
 
 def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Noise:
-    """The noise of one channel.
-
-    Args:
-        stated: a number, SI, a text, or a table of these by channel.
-
-    Raises:
-        InputError: for what states no noise above 0, or not this channel's.
-    """
+    """The noise of one channel: stated by a number, SI, a text, or a table of these by channel."""
     if isinstance(stated, dict):
         if observes not in stated:
             raise InputError(where, f"no noise of '{observes}'", f"{_RIGHT} for each channel")
@@ -53,19 +48,17 @@ def noise(stated: object, observes: str, values: np.ndarray, where: str) -> Nois
     if not largest > 0:
         raise InputError(where, "the record is zero throughout", "choose another column, or widen the window")
     sigmas, shares, jitters = [], [], []
+    unit = error_unit(observes)
+    kinds = {
+        "reading": (shares, "1", 1.0), "clock": (jitters, "s", 1.0), "steps": (sigmas, unit, 1.0 / math.sqrt(12.0)),
+        "%": (sigmas, "1", largest), "": (sigmas, unit, 1.0),
+    }  # fmt: skip
     for part in stated.split(" + ") if isinstance(stated, str) else [stated]:
         text = part.strip() if isinstance(part, str) else part
         of = _OF.fullmatch(text) if isinstance(text, str) else None
-        if of and of[2] == "reading":
-            shares.append(quantity(of[1], "1", where))
-        elif of and of[2] == "clock":
-            jitters.append(quantity(of[1], "s", where))
-        elif of:
-            sigmas.append(quantity(of[1], error_unit(observes), where) / math.sqrt(12.0))
-        elif isinstance(text, str) and text.endswith("%"):
-            sigmas.append(quantity(text, "1", where) * largest)
-        else:
-            sigmas.append(quantity(text, error_unit(observes), where))
+        kind = of[2] if of else "%" if isinstance(text, str) and text.endswith("%") else ""
+        parts, own, scale = kinds[kind]
+        parts.append(quantity(of[1] if of else text, own, where) * scale)
     least, said = min(sigmas + shares + jitters), f"noise = {clip(stated)}"
     if not (least > 0 and math.isfinite(sum(sigmas + shares + jitters))):
         raise InputError(where, f"{said} gives a deviation of {least:g}", _RIGHT)
@@ -86,11 +79,7 @@ def correlation(stated: object, where: str) -> float | None:
 
 
 def features(stated: dict[str, Any], deviation: object, where: str) -> tuple[Observation, ...]:
-    """Measured features by name, such as "contact.peak", with the noise that is stated of them.
-
-    Raises:
-        InputError: for an unknown feature, a value in another unit, or a feature without noise.
-    """
+    """Measured features by name, such as "contact.peak", with the noise that is stated of them."""
     found = []
     for name, value in stated.items():
         kind = name.rpartition(".")[2]

@@ -5,6 +5,8 @@ Every run starts from a state of its own, which is free within what its first ro
 
 from __future__ import annotations
 
+from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,9 +14,12 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.reading import read
 from bcfj_jax.data.record import Record
 from calibration.attitudes import rotation
-from calibration.impacts.otherwise import ATTITUDE, PLACES
+from calibration.impacts.lines import Draft, Line, Said, box, scene_of, toml, with_scene
+from calibration.impacts.otherwise import ATTITUDE, PLACES, InMotion
+from calibration.impacts.parting import matching
 from calibration.noise.scatter import scatter
 
 # Rows from which a first state is told, and the deviations of it that its bounds leave open.
@@ -35,11 +40,9 @@ class State(NamedTuple):
 
 
 def first(clock: np.ndarray, places: np.ndarray, attitudes: np.ndarray, axis: int) -> State:
-    """The state of the first row of a flight, by its first rows.
+    """The state of the first row of a flight, by its first rows: clock (N,), places (3, N), attitudes (4, N) scalar first.
 
-    Args:
-        clock, places, attitudes: (N,) [s], (3, N) [m], (4, N) scalar first, without gaps.
-        axis: upwards, 0 to 2.
+    ``axis``: upwards, 0 to 2.
     """
     rows = slice(0, min(_FIRST, clock.size))
     t, span = clock[rows] - clock[0], float(clock[rows][-1] - clock[0])
@@ -64,12 +67,8 @@ def first(clock: np.ndarray, places: np.ndarray, attitudes: np.ndarray, axis: in
     return State(values, halves)
 
 
-def read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Clock (N,), places (3, N) [m] and attitudes (4, N) of the rows that are whole.
-
-    Raises:
-        InputError: for fewer rows than a first state needs.
-    """
+def _read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Clock (N,), places (3, N) [m] and attitudes (4, N) of the rows that are whole."""
     clock = table.numbers(time, "s", table.name, False)
     found = np.array(
         [table.numbers(headers[k], "m" if k in PLACES else "1", table.name, True) for k in (*PLACES, *ATTITUDE)]
@@ -80,21 +79,14 @@ def read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray,
     return clock[whole], found[:3, whole], found[3:, whole]
 
 
-def upwards(clock: np.ndarray, places: np.ndarray) -> int:
-    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards.
-
-    Raises:
-        InputError: where none is.
-    """
+def _upwards(clock: np.ndarray, places: np.ndarray) -> int:
+    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards."""
     bends = [2.0 * float(np.polyfit(clock[:_FIRST], row[:_FIRST], 2)[0]) for row in places]
     nearest = int(np.argmin(np.abs(np.array(bends) + GRAVITY)))
     if abs(bends[nearest] + GRAVITY) > 0.5 * GRAVITY:
         shown = ", ".join(f"{b:.3g}" for b in bends)
-        raise InputError(
-            "record",
-            f"its first rows fall along no axis: {shown} m/s^2 along x, y, z",
-            "begin it in flight, up positive",
-        )
+        found = f"its first rows fall along no axis: {shown} m/s^2 along x, y, z"
+        raise InputError("record", found, "begin it in flight, up positive")
     return nearest
 
 
@@ -105,27 +97,74 @@ class Toss(NamedTuple):
     places: np.ndarray
     state: State
 
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Of its first state, by name."""
+        values, halves = self.state
+        return {name: (x - halves[name], x + halves[name]) for name, x in values.items()}
 
-def resting(tosses: list[Toss], axis: int) -> float | None:
+
+def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> Draft:
+    """The problem file at ``path`` of tossed bodies: a box's corners on a plane, and a first state of each run.
+
+    ``file``: the record as the problem file names it.
+    """
+    headers, time, runs, axes = moved.columns, moved.table.clock, [], set[int]()
+    paths = matching(record)
+    for one in paths:
+        clock, places, attitudes = _read(read(one, "record", said.table, said.stated), time, headers)
+        axes.add(_upwards(clock, places))
+        if clock[0] != 0.0 or len(axes) > 1:
+            wrong = (
+                f"its clock begins at {clock[0]:.6g} s" if clock[0] else "it falls along another axis than the first"
+            )
+            raise InputError(str(one), wrong, "let every toss begin at 0 s, and fall along one axis")
+        runs.append(Toss(clock, places, first(clock, places, attitudes, max(axes))))
+    half, mass = _resting(runs, max(axes)), said.number("mass", "kg")
+    # The component of the attitudes that stays in every run: the length of a quaternion says nothing.
+    fixed = max(ATTITUDE, key=lambda n: min(abs(t.state.values[n]) for t in runs))
+    names = {"place": PLACES, "attitude": ATTITUDE}
+    observed = ", ".join(f'"body.{what}.{n}" = {toml(headers[n])}' for what, keys in names.items() for n in keys)
+    lines: list[Line | str] = [
+        f"# A body in motion, {record.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(path.name)}",
+        Line(f"scene = {toml(scene_of(path).name)}", "a box on a plane: CHECK its size and inertia there"),
+        Line('sensor = "exact"', "each run has its own first state in place of a clock and zero"),
+    ]
+    for one, toss in zip(paths, runs, strict=True):
+        place = file if len(paths) == 1 else (Path(file).parent / one.name).as_posix()
+        bounds = ", ".join(
+            f'"body.{n}" = [{low:.6g}, {high:.6g}]' for n, (low, high) in toss.bounds.items() if n != fixed
+        )
+        lines += [
+            "[[experiment]]",
+            f"file = {toml(place)}",
+            *([f"table = {toml(said.table)}"] if said.table else []),
+            f"time = {toml(time)}",
+            f"observe = {{ {observed} }}",
+            'noise = "estimate"',
+            f'parameters = {{ "body.{fixed}" = {toss.state.values[fixed]:.6g} }}',
+            f"bounds = {{ {bounds} }}",
+        ]
+    lines += ["[free]", *_free(runs, half, mass, fixed)]
+    kind = f"places and attitudes are those of a tossed body: CHECK its size and inertia in {scene_of(path)}"
+    missing = "" if half else "write the sizes in place of the question marks, then "
+    return with_scene(path, _scene(runs, max(axes), half, mass), lines, kind, missing)
+
+
+def _resting(tosses: list[Toss], axis: int) -> float | None:
     """The height at which the body comes to rest [m], half the height of a box on a plane at 0; None where it does not."""
     ends = [t.places[:, -max(_FIRST, t.clock.size // 10) :] for t in tosses]
     still = [float(np.median(end[axis])) for end in ends if np.ptp(end, axis=1).max() < _STILL]
     return float(np.median(still)) if still and min(still) > 0.0 else None
 
 
-def held(tosses: list[Toss]) -> str:
-    """The component of the first attitudes that stays as it is in every run: the length of a quaternion says nothing."""
-    return max(ATTITUDE, key=lambda n: min(abs(t.state.values[n]) for t in tosses))
-
-
-def scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None) -> str:
+def _scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None) -> str:
     """The scene file: a box that flies, a plane, gravity."""
-    m = mass or 1.0
-    size, inertia = (f'"{1e3 * half:.4g} mm"', f"{full(half, mass):.3g}") if half else ('"? mm"', '"? kg m^2"')
+    m, up = mass or 1.0, PLACES[axis]
+    size, inertia = (f'"{1e3 * half:.4g} mm"', f"{_full(half, m):.3g}") if half else ('"? mm"', '"? kg m^2"')
     start = ", ".join(f"{n} = {v:.6g}" for n, v in tosses[0].state.values.items())
-    weight = m * GRAVITY
     known = "as given" if mass else "unknown from places: stiffness is for a mass of 1 kg"
-    up = PLACES[axis]
+    gap = '"box_on_plane"' if up == "z" else f'{{ kind = "box_on_plane", axis = "{up}" }}'
     return f"""# A body tossed on a plane; written by bcfj init calibration.
 [scene]
 kind = "mechanism"
@@ -136,7 +175,7 @@ start = {{ {start} }}  # of the first run; wx, wy, wz in the world's axes
 [[contact]]
 name = "corner"
 between = ["ground", "body"]
-gap = {_box(up)}  # eight corners
+gap = {gap}  # eight corners
 friction = "coulomb"
 [[load]]
 kind = "gravity"
@@ -148,7 +187,7 @@ half_length = {size}  # CHECK: half the height at which it rests
 half_width = {size}
 half_height = {size}
 gravity = {GRAVITY}
-stiffness = {weight / 1e-4:.3g}  # a tenth of a millimetre under its weight
+stiffness = {m * GRAVITY / 1e-4:.3g}  # a tenth of a millimetre under its weight
 exponent = 1.0
 damping = 5.0
 friction_dynamic = 0.3
@@ -159,46 +198,25 @@ samples = {max(t.clock.size for t in tosses)}
 """
 
 
-def full(half: float, mass: float | None) -> float:
+def _full(half: float, mass: float) -> float:
     """Moment of inertia of a full cube about every axis [kg m^2]; a hollow one has 5/3 of it."""
-    return 2.0 / 3.0 * (mass or 1.0) * half**2
+    return 2.0 / 3.0 * mass * half**2
 
 
-def free(tosses: list[Toss], half: float | None, mass: float | None) -> list[str]:
-    """Lines of what is searched: the contact, the inertia, and each run's first state within bounds that hold all."""
-    weight, fixed = (mass or 1.0) * GRAVITY, held(tosses)
+def _free(tosses: list[Toss], half: float | None, mass: float | None, fixed: str) -> list[Line]:
+    """What is searched: the contact, the inertia, and each run's first state within bounds that hold all."""
+    weight = (mass or 1.0) * GRAVITY
+    stiff = (f"{weight / 2e-3:.2g}", f"{weight / 1e-5:.2g}")
     lines = [
-        f"stiffness = {{ lower = {weight / 2e-3:.2g}, upper = {weight / 1e-5:.2g} }}  # N/m; 2 mm to 10 um under its weight",
-        "damping = { lower = 0.05, upper = 50.0 }  # s/m",
-        "friction_dynamic = { lower = 0.02, upper = 1.0 }",
+        box("stiffness", stiff, "N/m; 2 mm to 10 um under its weight"),
+        box("damping", ("0.05", "50.0"), "s/m"),
+        box("friction_dynamic", ("0.02", "1.0")),
     ]
     if half:
-        ends = (share * full(half, mass) for share in _INERTIAS)
-        lines.append(
-            "inertia = {{ lower = {:.3g}, upper = {:.3g} }}  # kg m^2; of a full to a hollow cube".format(*ends)
-        )
+        ends = (f"{share * _full(half, mass or 1.0):.3g}" for share in _INERTIAS)
+        lines.append(box("inertia", ends, "kg m^2; of a full to a hollow cube"))
     for n in tosses[0].state.values:
         if n != fixed:
-            low, high = (f(f2(t, n) for t in tosses) for f, f2 in ((min, _low), (max, _high)))
-            lines.append(f'"body.{n}" = {{ lower = {low:.6g}, upper = {high:.6g}, each = true }}')
+            low, high = min(t.bounds[n][0] for t in tosses), max(t.bounds[n][1] for t in tosses)
+            lines.append(box(f'"body.{n}"', (f"{low:.6g}", f"{high:.6g}"), more=", each = true"))
     return lines
-
-
-def own(toss: Toss, fixed: str) -> list[str]:
-    """Lines of one run: its first state's bounds, and the component of its attitude that stays."""
-    bounds = ", ".join(
-        f'"body.{n}" = [{_low(toss, n):.6g}, {_high(toss, n):.6g}]' for n in toss.state.values if n != fixed
-    )
-    return [f'parameters = {{ "body.{fixed}" = {toss.state.values[fixed]:.6g} }}', f"bounds = {{ {bounds} }}"]
-
-
-def _low(toss: Toss, name: str) -> float:
-    return toss.state.values[name] - toss.state.halves[name]
-
-
-def _high(toss: Toss, name: str) -> float:
-    return toss.state.values[name] + toss.state.halves[name]
-
-
-def _box(up: str) -> str:
-    return '"box_on_plane"' if up == "z" else f'{{ kind = "box_on_plane", axis = "{up}" }}'

@@ -1,23 +1,17 @@
 """A record of a train of impacts as features of its contacts: when each was, how long, its peak and its impulse.
 
-Where impacts move in time, a fit of force samples meets a spike: a contact that is predicted beside the measured one
-differs from it everywhere, and no small change of a parameter makes it less. Times, peaks and impulses of numbered
-contacts change smoothly and by much, from wherever a search starts.
-
+Times, peaks and impulses of numbered contacts change smoothly with the parameters, where samples of moving spikes do not.
 With rest r, samples F_i, trapezoidal weights w_i [s] and white noise of deviation s, over the samples of one contact and its
 margins (linear propagation of errors):
 
     J = sum w_i (F_i - r)                        s_J = s sqrt(sum w_i^2)
     c = sum w_i (F_i - r) t_i / J                s_c = s sqrt(sum w_i^2 (t_i - c)^2) / J
     w^2 = sum w_i (F_i - r) (t_i - c)^2 / J      s_w = s sqrt(sum w_i^2 ((t_i - c)^2 - w^2)^2) / (2 w J)
-    peak: top of the least-squares polynomial of degree 6 through the samples above ``_TOP`` of the highest, with its deviation.
-
-A quartic would read K d^1.5 too low by 3e-4, in every contact alike, which would bias a fit of ten contacts with little noise;
-degree 6 is off by 1e-5, for 1.2 times the deviation.
-
-Every sum has an error of its own besides, from samples that lie apart: a third of its difference to that over every second
-sample. These are the features ``impulse``, ``center``, ``width`` and ``peak`` (``names.EVENTS``). Begin and end are not
-among them: a force K d^n rises from 0 without a mark, and where it leaves the noise says little of where it began.
+    peak: top of the least-squares polynomial of degree 6 through the samples above ``_TOP`` of the highest, with its deviation
+(of degree 4 it would read K d^1.5 too low by 3e-4, of degree 6 by 1e-5). Every sum has an error of its own besides, from
+samples that lie apart: a third of its difference to that over every second sample. These are the features ``impulse``,
+``center``, ``width`` and ``peak`` (``names.EVENTS``). Begin and end are not among them: a force K d^n rises from 0 without
+a mark, and where it leaves the noise says little of where it began.
 """
 
 from __future__ import annotations
@@ -39,17 +33,10 @@ _TOP, _MANY, _MORE = 0.5, 8, 10
 def observations(
     observes: str, times: np.ndarray, values: np.ndarray, sigma: float | None = None, relative: float = 0.0
 ) -> tuple[Observation, ...]:
-    """Features of every contact that a record of a normal force shows, in order from number 1.
+    """Features of every contact that a record (T,) of a normal force, NaN where nothing was read, shows, from number 1.
 
-    The record must begin before the first contact of the run. A contact that its end cuts is left out.
-
-    Args:
-        times, values: (T,) [s], [N]; NaN where nothing was read.
-        sigma: deviation of the noise [N]; None: that of the samples apart from contacts.
-        relative: part of it that grows with the reading.
-
-    Raises:
-        InputError: for another reading, a record that shows no whole contact, and one with too few samples in it.
+    The record must begin before the first contact of the run. A contact that its end cuts is left out. The noise has a
+    deviation [N], None for that of the samples apart from contacts, and a part that grows with the reading.
     """
     place, _, kind = observes.rpartition(".")
     where = f"events of {observes}"
@@ -60,8 +47,8 @@ def observations(
     found = contacts(observes, t, f)
     if not found:
         raise InputError(where, "the record shows no contact", "take samples, without events")
-    level = _rest(t, f, found)
-    noise = level[1] if sigma is None else sigma
+    level, spread = _rest(t, f, found)
+    noise = spread if sigma is None else sigma
     rows: list[Observation] = []
     for number, event in enumerate(found, start=1):
         margin = max(_MARGIN * event.duration, 1.5 * event.step)
@@ -73,7 +60,7 @@ def observations(
         if event.last - event.first + 1 < _FEWEST:
             remedy = "sample faster, or take samples without events"
             raise InputError(where, f"contact {number} has {event.last - event.first + 1} samples", remedy)
-        own, above = t[first:last], f[first:last] - level[0]
+        own, above = t[first:last], f[first:last] - level
         scatter = np.hypot(noise, relative * np.abs(above))
         for name, (value, deviation) in {**_moments(own, above, scatter), "peak": _peak(own, above, scatter)}.items():
             rows.append(Observation(f"{place}.{name}_{number}", value, deviation))
@@ -88,8 +75,7 @@ def _rest(t: np.ndarray, f: np.ndarray, found: list[Any]) -> tuple[float, float]
     for event in found:
         apart &= (t < event.begin - event.duration) | (t > event.end + event.duration)
     if np.count_nonzero(apart) < _MANY:
-        level = rest(f)
-        return (0.0 if level is None else level), 0.0
+        return rest(f) or 0.0, 0.0
     return float(np.mean(f[apart])), float(np.std(f[apart], ddof=1))
 
 
@@ -112,10 +98,8 @@ def _moments(t: np.ndarray, f: np.ndarray, noise: np.ndarray) -> dict[str, tuple
     # Twice the step has four times the error; the noise's part in the difference is not counted twice.
     apart = np.sqrt(np.mean(np.square(np.array(coarse) - found), axis=0)) / 3.0
     apart = np.sqrt(np.maximum(apart**2 - (np.array(by_noise) / 3.0) ** 2, 0.0))
-    return {
-        name: (float(x), float(np.hypot(s, e)))
-        for name, x, s, e in zip(("impulse", "center", "width"), found, by_noise, apart, strict=True)
-    }
+    parts = zip(("impulse", "center", "width"), found, np.hypot(by_noise, apart), strict=True)
+    return {name: (float(x), float(s)) for name, x, s in parts}
 
 
 def _peak(t: np.ndarray, f: np.ndarray, noise: np.ndarray) -> tuple[float, float]:

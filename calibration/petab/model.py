@@ -68,17 +68,11 @@ class SceneModel(Model):
         """Every input."""
         return self._inputs
 
+    get_valid_parameters_for_parameter_table = get_valid_ids_for_condition_table = get_parameter_ids
+
     def has_entity_with_id(self, entity_id: str) -> bool:
         """Whether it is an input or an output."""
         return entity_id in self._inputs or entity_id in self._outputs
-
-    def get_valid_parameters_for_parameter_table(self) -> Iterable[str]:
-        """Every input."""
-        return self._inputs
-
-    def get_valid_ids_for_condition_table(self) -> Iterable[str]:
-        """Every input."""
-        return self._inputs
 
     def symbol_allowed_in_observable_formula(self, id_: str) -> bool:
         """Only outputs are."""

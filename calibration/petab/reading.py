@@ -31,6 +31,8 @@ from calibration.problem import (
     Problem,
 )
 
+_TABLES = ("Parameter", "Observable", "Condition", "Experiment", "Measurement", "Mapping")
+
 
 def load(path: str | Path, scene: str | Path | None = None) -> Problem:
     """The problem in a PEtab YAML file.
@@ -57,10 +59,9 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
         beside = path.parent / extension["held_out"]
         others, other_config = _read(v2, beside)
         experiments += _Reader(beside, others, _extension(other_config)).experiments(True)
-    params = {name: float(value) for name, value in base.params.items()}
     return Problem(
         scene=base.scene,
-        params=params | reader.fixed,
+        params={name: float(value) for name, value in base.params.items()} | reader.fixed,
         experiments=tuple(experiments),
         free=reader.free(),
         accuracy=float(extension.get("accuracy", 0.0)),
@@ -74,11 +75,7 @@ def load(path: str | Path, scene: str | Path | None = None) -> Problem:
 
 
 def _filter(said: Any, path: Path) -> Any:
-    """The filter between sensor and record, as our part of the YAML has it.
-
-    Raises:
-        InputError: for what is no filter.
-    """
+    """The filter between sensor and record, as our part of the YAML has it."""
     if said in ("none", "unknown"):
         return said
     if not isinstance(said, dict) or not said.keys() <= {*Filter._fields}:
@@ -93,21 +90,13 @@ def _read(v2: Any, path: Path) -> tuple[Any, Any]:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         config = v2.ProblemConfig(**content, base_path=path.parent, filepath=path)
-        kinds = {
-            "parameter": v2.ParameterTable,
-            "observable": v2.ObservableTable,
-            "condition": v2.ConditionTable,
-            "experiment": v2.ExperimentTable,
-            "measurement": v2.MeasurementTable,
-            "mapping": v2.MappingTable,
-        }
         with warnings.catch_warnings():
             # petab 0.8 calls pandas in ways that pandas 3.1 is to drop; that is between the two.
             warnings.simplefilter("ignore", DeprecationWarning)
-            tables = {
-                f"{kind}_tables": [table.from_tsv(file, path.parent) for file in getattr(config, f"{kind}_files")]
-                for kind, table in kinds.items()
-            }
+            tables = {}
+            for kind in _TABLES:
+                table, files = getattr(v2, f"{kind}Table"), getattr(config, f"{kind.lower()}_files")
+                tables[f"{kind.lower()}_tables"] = [table.from_tsv(file, path.parent) for file in files]
         problem = v2.Problem(**tables)
     # pydantic, pandas and YAML each have their own errors; to the user all of them are one thing.
     except Exception as error:
@@ -237,20 +226,19 @@ class _Reader:
             if len({m.time for m in measured}) < len(measured):
                 raise InputError(where, f"'{o}' was measured twice at one time", "average what was repeated")
             read[np.searchsorted(times, [m.time for m in measured])] = [m.measurement for m in measured]
-            memory = self.extension.get("correlation", {}).get(label, {}).get(reads[o], 0.0)
-            known = self.extension.get("instrument", {}).get(label, {}).get(reads[o], {})
-            said = {key: Limit(*value) for key, value in known.items()}
-            channels.append(
-                Channel(reads[o], read, sigma, relative, None if memory == "estimate" else memory, instrument=said)
-            )
+            memory, known = (self._own(key, label).get(reads[o]) for key in ("correlation", "instrument"))
+            memory = None if memory == "estimate" else memory or 0.0
+            said = {key: Limit(*value) for key, value in (known or {}).items()}
+            channels.append(Channel(reads[o], read, sigma, relative, memory, instrument=said))
         if len(spans) > 1:
             raise InputError(where, "features at several times", "give all the time that they were taken over")
         name, span = self.titles.get(label, label or "measurements"), next(iter(spans), None)
-        own = self._bounds(changes)
-        tolerances = self.extension.get("tolerances_of", {}).get(label, {})
-        return Experiment(
-            name, times, tuple(channels), hold_out, fixed, where, tuple(features), span, tolerances=tolerances, bounds=own
-        )  # fmt: skip
+        more = {"tolerances": self._own("tolerances_of", label), "bounds": self._bounds(changes)}
+        return Experiment(name, times, tuple(channels), hold_out, fixed, where, tuple(features), span, **more)
+
+    def _own(self, key: str, label: str) -> dict[str, Any]:
+        """What the extension says of one experiment."""
+        return self.extension.get(key, {}).get(label, {})
 
     def _reads(self, observable: str, fixed: dict[str, float]) -> str:
         """The channel or feature that an observable reads; a gain or offset in its formula goes to ``fixed``."""
@@ -261,17 +249,14 @@ class _Reader:
         names = {s: self.name(str(s)) for s in formula.free_symbols}
         outputs = [s for s, name in names.items() if is_reading(name) or kind_unit(name.rpartition(".")[2])]
         right = 'write gain * output + force_offset, with the output mapped to "contact.normal" or the like'
-        if len(outputs) != 1 or not formula.is_polynomial(outputs[0]):
+        linear = len(outputs) == 1 and formula.is_polynomial(outputs[0])
+        factors = formula.as_poly(outputs[0]).all_coeffs() if linear else []
+        parts = (("gain", 1.0, ("gain",)), ("force_offset", 0.0, tuple(OFFSETS.values())))
+        known = [f.is_number or str(f) in names for f, (_, _, names) in zip(factors, parts, strict=False)]
+        if len(factors) != 2 or not all(known):
             raise InputError(where, f"the formula '{formula}'", right)
-        factors = formula.as_poly(outputs[0]).all_coeffs()
-        if len(factors) != 2:
-            raise InputError(where, f"the formula '{formula}'", right)
-        for name, neutral, factor in (("gain", 1.0, factors[0]), ("force_offset", 0.0, factors[1])):
-            if str(factor) == name or (name == "force_offset" and str(factor) in OFFSETS.values()):
-                continue
-            if not factor.is_number:
-                raise InputError(where, f"the formula '{formula}'", right)
-            if float(factor) != neutral:
+        for factor, (name, neutral, _) in zip(factors, parts, strict=True):
+            if factor.is_number and float(factor) != neutral:
                 fixed[name] = float(factor)
         return self.name(str(outputs[0]))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,9 @@ from calibration.filters import Filter
 from calibration.problem import NEUTRAL, Experiment, Free, Problem, offsets_of, size
 
 FILES = {
-    "parameter_tables": "parameters.tsv",
-    "observable_tables": "observables.tsv",
-    "condition_tables": "conditions.tsv",
-    "experiment_tables": "experiments.tsv",
-    "measurement_tables": "measurements.tsv",
-    "mapping_tables": "mapping.tsv",
+    f"{kind}_tables": f"{kind}s.tsv" for kind in ("parameter", "observable", "condition", "experiment", "measurement")
 }
+FILES["mapping_tables"] = "mapping.tsv"
 YAML = "problem.yaml"
 
 
@@ -37,26 +32,19 @@ def export(problem: Problem, scene: dict[str, Any], folder: Path) -> Path:
     Raises:
         InputError: where PEtab is not installed, or its checks refuse the tables.
     """
-    v2 = library("petab.v2", str(folder), "petab")
     for e in problem.experiments:
         if any(c.jitter for c in e.channels):
             found = f"the noise of {e.name} depends on the slope of its readings"
             raise InputError(str(folder), found, "PEtab has no place for jitter: state the noise without it")
-    held_out = tuple(e for e in problem.experiments if e.hold_out)
+    held_out = any(e.hold_out for e in problem.experiments)
     if held_out:
-        _write(v2, problem, held_out, scene, folder / "held_out", {})
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
-    return _write(v2, problem, fitted, scene, folder, {"held_out": f"held_out/{YAML}"} if held_out else {})
+        _write(problem, True, scene, folder / "held_out", {})
+    return _write(problem, False, scene, folder, {"held_out": f"held_out/{YAML}"} if held_out else {})
 
 
-def _write(
-    v2: Any,
-    problem: Problem,
-    experiments: tuple[Experiment, ...],
-    scene: dict[str, Any],
-    folder: Path,
-    more: dict[str, Any],
-) -> Path:
+def _write(problem: Problem, held_out: bool, scene: dict[str, Any], folder: Path, more: dict[str, Any]) -> Path:
+    v2 = library("petab.v2", str(folder), "petab")
+    experiments = tuple(e for e in problem.experiments if e.hold_out == held_out)
     tables = _tables(v2, problem, experiments, scene)
     for name, file in FILES.items():
         for table in getattr(tables, name):
@@ -123,20 +111,18 @@ def _tables(v2: Any, problem: Problem, experiments: tuple[Experiment, ...], scen
     for name in dict.fromkeys([*free, *problem.params, *varied]):
         if identifier(name) != name:
             petab.add_mapping(identifier(name), name)
-    for observes in dict.fromkeys(c.observes for e in experiments for c in e.channels if c.sigma is None):
-        sizes = [size(observes, c.values) for e in experiments for c in e.channels if c.observes == observes]
-        largest = float(max(sizes))
+    every = [c for e in experiments for c in e.channels]
+    for observes in dict.fromkeys(c.observes for c in every if c.sigma is None):
+        largest = float(max(size(observes, c.values) for c in every if c.observes == observes))
         petab.add_parameter(f"deviation__{identifier(observes)}", True, 1e-2 * largest, 1e-6 * largest, largest)
     return petab
 
 
 def _measure(petab: Any, experiment: Experiment, label: str, identifier: Any) -> None:
     for channel in experiment.channels:
-        for time, value in zip(experiment.times, channel.values, strict=True):
-            if np.isfinite(value):
-                petab.add_measurement(
-                    identifier(channel.observes), experiment_id=label, time=float(time), measurement=float(value)
-                )
+        output, seen = identifier(channel.observes), np.isfinite(channel.values)
+        for time, value in zip(experiment.times[seen].tolist(), channel.values[seen].tolist(), strict=True):
+            petab.add_measurement(output, experiment_id=label, time=time, measurement=value)
     for seen in experiment.features:
         end = float(experiment.times[-1]) if experiment.span is None else experiment.span
         petab.add_measurement(identifier(seen.feature), experiment_id=label, time=end, measurement=seen.value)
@@ -146,10 +132,6 @@ def _add_free(petab: Any, problem: Problem, f: Free, label: str, own: tuple[floa
     lower, upper = own or (f.lower, f.upper)
     nominal = f.start if f.start is not None else {**NEUTRAL, **problem.params}.get(f.name, lower)
     petab.add_parameter(label, True, float(np.clip(nominal, lower, upper)), lower, upper)
-
-
-def _floats(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
 
 
 def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[str, Any]:
@@ -164,12 +146,12 @@ def _extension(problem: Problem, experiments: tuple[Experiment, ...]) -> dict[st
         "version": "1.0.0",
         "required": problem.loss != "linear" or bool(memory) or isinstance(problem.filter, Filter),
         "loss": problem.loss,
-        "accuracy": float(problem.accuracy),
+        "accuracy": problem.accuracy,
         "correlation": memory,
         "filter": passed,
-        "adequate": float(problem.adequate),
-        "tolerances": _floats(problem.tolerances),
-        "tolerances_of": {f"e{k}": own for k, e in enumerate(experiments, 1) if (own := _floats(e.tolerances))},
+        "adequate": problem.adequate,
+        "tolerances": dict(problem.tolerances),
+        "tolerances_of": {f"e{k}": dict(e.tolerances) for k, e in enumerate(experiments, 1) if e.tolerances},
         "instrument": {
             f"e{k}": {c.observes: {key: list(x) for key, x in c.instrument.items()} for c in e.channels}
             for k, e in enumerate(experiments, 1)

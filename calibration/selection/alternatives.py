@@ -1,21 +1,6 @@
 """Other models of the same data, and experiments that might be made: [[model]] and [[candidate]] of a calibration file.
 
-[[model]]                        each is the file's own scene and [free], but for what it says
-name = "two stages"
-scene = { elastic = "two_stage" }                 options of [scene] in place of the file's
-parameters = { bottoming_width = "0.5 mm" }       values; what [free] names and this gives is fixed
-[model.free.bottoming_stiffness]                  as [free.NAME]: in place of the file's, or more
-A parameter of [free] that a model's scene does not have is left out of that model.
-
-[[candidate]]                    an experiment that might be made
-name = "twice as fast"
-parameters = { approach_speed = "2 m/s" }         what it sets; where each experiment has its own
-                                                  to be found (each = true), about where it would be
-observe = { "contact.normal" = "1 %" }            what it reads and its noise: of the predicted peak, or a force
-end = "0.4 s"                                     from start (0 s by default) to end
-samples = 200
-runs = 3                                          as many of them
-instrument = { gain = "0.2 %" }                   what would be known of the sensors; with or without an experiment
+What may be in them: docs/calibration.md.
 """
 
 from __future__ import annotations
@@ -85,11 +70,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
 
     Args:
         problem, base: what it states without its models.
-        options: of every fit, as ``fit``: seed, starts, journal, tell.
-
-    Raises:
-        InputError: as ``fit``, ``models`` and ``candidates``, the last two before anything is fitted.
-        AllStartsFailed: as ``fit``.
+        options: of every fit, as ``fit``: seed, starts, journal, tell; raises as it does.
     """
     rivals = models(path, problem)
     # What is wrong with a candidate is better known before the fit than after it; the chosen model may lack one's key.
@@ -105,19 +86,10 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
 
 
 def models(path: Path, problem: Problem) -> list[Alternative]:
-    """The [[model]] tables of a calibration file; none where there are none.
-
-    Args:
-        problem: what it states without them; every model has its very experiments.
-
-    Raises:
-        InputError: for what is not right in a model, or a [free] parameter that no model has.
-    """
+    """The [[model]] tables of a calibration file, whose problem without them is given: every model has its experiments."""
     content = tables.read(path)
-    entries = [
-        tables.validated(_Model, table, str(path), f"model {k + 1}") for k, table in enumerate(content.get("model", []))
-    ]
-    found = [_model(entry, content, path, problem) for entry in entries]
+    entries = enumerate(content.get("model", []), 1)
+    found = [_model(tables.validated(_Model, x, str(path), f"model {k}"), content, path, problem) for k, x in entries]
     for name in content.get("free", {}):
         if found and not any(name in {**a.base.scene.quantities, **NUISANCES} for a in found):
             raise InputError(f"{path}: [free.{name}]", "no [[model]] has it", "take it out, or add a model with it")
@@ -125,18 +97,11 @@ def models(path: Path, problem: Problem) -> list[Alternative]:
 
 
 def candidates(path: Path, problem: Problem) -> list[Candidate]:
-    """The [[candidate]] tables of a calibration file; none where there are none.
-
-    Args:
-        problem: whose parameters they set; of a file with [[model]], the chosen one's.
-
-    Raises:
-        InputError: for what is not right in one.
-    """
+    """The [[candidate]] tables of a calibration file; of one with [[model]], the problem is the chosen one's."""
     found = []
-    for k, table in enumerate(tables.read(path).get("candidate", [])):
-        entry = tables.validated(_Candidate, table, str(path), f"candidate {k + 1}")
-        found.append(_candidate(entry, f"{path}: [[candidate]] {k + 1}", problem))
+    for k, table in enumerate(tables.read(path).get("candidate", []), 1):
+        entry = tables.validated(_Candidate, table, str(path), f"candidate {k}")
+        found.append(_candidate(entry, f"{path}: [[candidate]] {k}", problem))
     return found
 
 
@@ -183,10 +148,8 @@ def _candidate(entry: _Candidate, where: str, problem: Problem) -> Candidate:
         mixed = f"noise in % and in {' and '.join(units_of(entry.observe))}"
         raise InputError(f"{where} observe", mixed, "give one or the other for all channels")
     share = shares.pop()
-    noise = {
-        name: quantity(value, "1" if share else unit_of(name), f"{where} observe")
-        for name, value in entry.observe.items()
-    }
+    units = {name: "1" if share else unit_of(name) for name in entry.observe}
+    noise = {name: quantity(value, units[name], f"{where} observe") for name, value in entry.observe.items()}
     first, last = (quantity(v, "s", f"{where} {key}") for key, v in (("start", entry.start), ("end", entry.end)))
     if not first < last:
         raise InputError(f"{where} end", f"{last:g} s is not after the start, {first:g} s", "give a later end")

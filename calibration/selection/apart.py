@@ -16,13 +16,12 @@ import numpy as np
 
 from bcfj_jax import scenes
 from bcfj_jax.contact import laws
-from bcfj_jax.core.progress import stage
 from bcfj_jax.io.page import brief
 from calibration.fit import Conditional, Fit, Parameter
 from calibration.impacts.events import contacts
 from calibration.impacts.flights import Passage, passages
 from calibration.problem import Channel, Experiment, Free, Problem
-from calibration.selection.supposed import STANDS, attached, fitted
+from calibration.selection.supposed import STANDS, with_another
 from calibration.uncertainty.systematic import GAIN
 
 # Contacts that are fitted, at least and at most; samples of each; starts of the fit.
@@ -34,9 +33,13 @@ _KEPT = (0.05, 1.0)
 _SENSOR = ("cutoff", "bandwidth", "resonance", "resonance_damping", "gain_bend")
 # Kind of the intervals that flights and impulses give, and on what condition they hold.
 KIND = "flights"
+# Of the table of contacts: by attribute of a ``Passage`` its name and unit.
+_COLUMNS = {
+    "begin": ("at", "s"), "speed": ("speed", "m/s"), "kept": ("e", "1"), "impulse": ("impulse", "N s"),
+    "mass": ("mass", "kg"), "duration": ("duration", "s"), "peak": ("peak", "N"),
+}  # fmt: skip
 _FREELY = "bodies fall freely between contacts"
 _ALONE = "each contact loses what its flights say, as force and rate go"
-_ONE_BY_ONE = "contacts one by one"
 
 
 def with_contacts_apart(problem: Problem, found: Fit) -> Fit:
@@ -53,18 +56,8 @@ def with_contacts_apart(problem: Problem, found: Fit) -> Fit:
         return found
     known = _known(problem, every)
     found = replace(found, conditional=Conditional(_FREELY, known, None) if known else None)
-    with stage(_ONE_BY_ONE):
-        one = fitted(single_impacts(problem, seen), found.seed, _STARTS)
-    if one is None:
-        return found
     # Of an impact's own coordinates, such as each clock, nothing is said of the drop.
-    shared = {name: p for name, p in one.parameters.items() if name in found.parameters}
-    given = one.conditional
-    given = given and replace(
-        given, parameters={name: p for name, p in given.parameters.items() if name in found.parameters}
-    )
-    one = replace(one, parameters=shared, conditional=given)
-    return attached(found, one, [_FREELY, _ALONE], known, _ONE_BY_ONE)
+    return with_another(found, single_impacts(problem, seen), _STARTS, "contacts one by one", [_FREELY, _ALONE], known)
 
 
 def _passages(problem: Problem) -> list[tuple[Experiment, list[Passage]]]:
@@ -84,8 +77,7 @@ def _passages(problem: Problem) -> list[tuple[Experiment, list[Passage]]]:
 
 
 def _row(e: Experiment, one: Passage) -> dict[str, Any]:
-    keys = ("begin", "speed", "kept", "impulse", "mass", "duration", "peak")
-    return {"experiment": e.name, **{key: getattr(one, key) for key in keys}}
+    return {"experiment": e.name, **{key: getattr(one, key) for key in _COLUMNS}}
 
 
 def _known(problem: Problem, every: Sequence[Passage]) -> dict[str, Parameter]:
@@ -160,12 +152,6 @@ def rows(found: Fit) -> list[list[str]]:
     seen = found.check.get("flights", [])
     if not seen or found.verdict in STANDS:
         return []
-    table = [["record", "at", "speed", "e", "impulse", "mass", "duration", "peak"]]
-    for one in seen:
-        cells = [brief(one["begin"], "s"), brief(one["speed"], "m/s"), f"{one['kept']:.3g}"]
-        cells += [
-            brief(one[key], unit)
-            for key, unit in (("impulse", "N s"), ("mass", "kg"), ("duration", "s"), ("peak", "N"))
-        ]
-        table.append([one["experiment"], *cells])
-    return table
+    cells = [[brief(one[key], unit) for key, (_, unit) in _COLUMNS.items()] for one in seen]
+    head = ["record", *(name for name, _ in _COLUMNS.values())]
+    return [head, *([one["experiment"], *own] for one, own in zip(seen, cells, strict=True))]

@@ -33,8 +33,6 @@ log = logging.getLogger("calibration")
 DECISIVE = 10.0
 # Models are as cheap as the fastest up to this factor of time a prediction; the number of parameters decides then.
 AS_FAST = 3.0
-# Verdicts of models that are not kept.
-_REFUSED = ("misfit", "not_converged")
 
 
 class Likelihood(NamedTuple):
@@ -74,6 +72,16 @@ class Rival:
     held_out: float | None
     seconds: float
     kept: bool = False
+
+    @property
+    def bic(self) -> float:
+        """Of its likelihood; infinite where there is none."""
+        return self.likelihood.bic if self.likelihood else float("inf")
+
+    @property
+    def refused(self) -> bool:
+        """Whether its verdict is one of a model that is not kept."""
+        return self.fit.verdict in ("misfit", "not_converged")
 
 
 @dataclass(frozen=True)
@@ -164,38 +172,35 @@ def decided(rivals: Sequence[Rival]) -> Choice:
     verdict is neither ``misfit`` nor ``not_converged``, less those that BIC decisively refuses among them. The cheapest
     is the one of fewest numbers among those within ``AS_FAST`` of the fastest.
     """
-    passing = [r for r in rivals if r.fit.verdict not in _REFUSED]
-    lowest = min((_bic(r) for r in passing), default=float("inf"))
-    names = {r.name for r in passing if _bic(r) <= lowest + DECISIVE or not np.isfinite(lowest)}
+    passing = [r for r in rivals if not r.refused]
+    lowest = min((r.bic for r in passing), default=float("inf"))
+    names = {r.name for r in passing if r.bic <= lowest + DECISIVE or not np.isfinite(lowest)}
     by_held_out = all(r.held_out is not None for r in rivals)
     by_bic = all(r.likelihood is not None for r in rivals)
 
     def score(r: Rival) -> float:
         if by_held_out:
             return float(r.held_out or 0.0)
-        return _bic(r) if by_bic else float(r.fit.residual["rms_of_peak"])
+        return r.bic if by_bic else float(r.fit.residual["rms_of_peak"])
 
     ranked = tuple(replace(r, kept=r.name in names) for r in sorted(rivals, key=score))
     kept = [r for r in ranked if r.kept]
     by = "the held-out prediction" if by_held_out else "BIC" if by_bic else "the size of its residuals"
     if not kept:
         best = ranked[0]
-        reasons = [f"the data refuse every model; '{best.name}' is the best by {by}; its verdict is {best.fit.verdict}"]
-        return Choice(ranked, best.name, reasons + _differences(best, ranked))
-    fastest = min(r.seconds for r in kept)
-    quick = [r for r in kept if r.seconds <= AS_FAST * fastest]
+        why = f"the data refuse every model; '{best.name}' is the best by {by}; its verdict is {best.fit.verdict}"
+        return Choice(ranked, best.name, [why, *_differences(best, ranked)])
+    quick = [r for r in kept if r.seconds <= AS_FAST * min(r.seconds for r in kept)]
     best = min(quick, key=lambda r: (len(r.fit.labels), score(r)))
-    if len(kept) == 1:
-        reasons = [f"'{best.name}' is the only model that the data do not refuse"]
-    else:
-        others = ", ".join(f"'{r.name}'" for r in kept if r.name != best.name)
-        reasons = [f"'{best.name}' is the cheapest model that the data do not refuse; they do not ask for {others}"]
-    return Choice(ranked, best.name, reasons + _differences(best, ranked))
+    others = ", ".join(f"'{r.name}'" for r in kept if r.name != best.name)
+    why = f"'{best.name}' is the cheapest model that the data do not refuse; they do not ask for {others}"
+    why = why if others else f"'{best.name}' is the only model that the data do not refuse"
+    return Choice(ranked, best.name, [why, *_differences(best, ranked)])
 
 
 def table(choice: Choice) -> list[list[str]]:
     """The ranking, a row a model: for a terminal or a report."""
-    lowest = min((_bic(r) for r in choice.rivals), default=0.0)
+    lowest = min((r.bic for r in choice.rivals), default=0.0)
     lowest_aicc = min((r.likelihood.aicc for r in choice.rivals if r.likelihood), default=0.0)
     rows = [["model", "verdict", "held-out rms", "BIC - best", "AICc - best", "numbers found", "time a prediction", ""]]
     for r in choice.rivals:
@@ -220,26 +225,17 @@ def as_json(choice: Choice) -> dict[str, Any]:
                 "reasons": r.fit.reasons,
                 "kept": r.kept,
                 "held_out_rms_of_peak": r.held_out,
-                **_scores(r),
+                "bic": r.likelihood and r.likelihood.bic,
+                "aicc": r.likelihood and r.likelihood.aicc,
+                "minus_two_log_likelihood": r.likelihood and r.likelihood.deviance,
+                "numbers_found": r.likelihood.numbers if r.likelihood else len(r.fit.labels),
+                "samples": r.likelihood.samples if r.likelihood else r.fit.residual["samples"],
                 "prediction_s": r.seconds,
                 "parameters": briefly(r.fit.parameters),
             }
             for r in choice.rivals
         ],
     }
-
-
-def _scores(r: Rival) -> dict[str, Any]:
-    """Criteria, numbers found and samples; without a likelihood the latter two alone."""
-    found = r.likelihood
-    criteria = (found.bic, found.aicc, found.deviance) if found else (None, None, None)
-    counts = (found.numbers, found.samples) if found else (len(r.fit.labels), r.fit.residual["samples"])
-    names = ("bic", "aicc", "minus_two_log_likelihood", "numbers_found", "samples")
-    return dict(zip(names, criteria + counts, strict=True))
-
-
-def _bic(r: Rival) -> float:
-    return r.likelihood.bic if r.likelihood else float("inf")
 
 
 def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
@@ -255,8 +251,8 @@ def _differences(best: Rival, ranked: Sequence[Rival]) -> list[str]:
             more = r.likelihood.bic - best.likelihood.bic
             parts.append(f"its BIC is {abs(more):.3g} {'higher' if more > 0 else 'lower'}")
         if not r.kept:
-            bad = r.fit.verdict in _REFUSED
-            parts.append(f"its verdict is {r.fit.verdict}" if bad else "a model of lower BIC fits far better")
+            why = f"its verdict is {r.fit.verdict}" if r.refused else "a model of lower BIC fits far better"
+            parts.append(why)
         said.append(f"'{r.name}': {', '.join(parts)}")
     return said
 

@@ -41,12 +41,9 @@ SEEN = ("quantisation",)
 
 @dataclass(frozen=True)
 class Trial:
-    """A fit with one or two suspects' lines.
+    """A fit with one or two suspects' lines, of the laws that are fitted for one suspect with ``law``; None where it failed.
 
-    Attributes:
-        fit: None where it failed, or where there is nothing to fit.
-        gain: by how much BIC falls against the plain fit.
-        law: of the laws that are fitted for one suspect, which.
+    ``gain``: by how much BIC falls against the plain fit.
     """
 
     names: tuple[str, ...]
@@ -59,7 +56,7 @@ class Trial:
     @property
     def label(self) -> str:
         """The suspects, and the law that stands for them."""
-        return " and ".join(self.names) if not self.law else f"{' and '.join(self.names)}: {self.law}"
+        return " and ".join(self.names) + (f": {self.law}" if self.law else "")
 
     @property
     def confirmed(self) -> bool:
@@ -83,16 +80,13 @@ class Diagnosis:
     def named(self) -> list[str]:
         """The suspect that is named, and after it those that the fits cannot tell from it; none where none explains."""
         first = [f.name for f in self.found if f.named]
-        return [*dict.fromkeys(first + [t.names[0] for t in self.alone if self._as_good(t, first)])]
+        best = next((t.gain for t in self.alone if [t.names[0]] == first), np.inf)
+        return [*dict.fromkeys(first + [t.names[0] for t in self.alone if best - t.gain < DECISIVE])]
 
     @property
     def alone(self) -> list[Trial]:
         """Fits with one suspect that the data want, the best first."""
         return [t for t in self.trials if len(t.names) == 1 and t.confirmed]
-
-    def _as_good(self, trial: Trial, first: list[str]) -> bool:
-        own = [t for t in self.alone if [t.names[0]] == first]
-        return bool(own) and own[0].gain - trial.gain < DECISIVE
 
 
 def rank(problem: Problem, result: Fit) -> Diagnosis | None:
@@ -164,8 +158,7 @@ def _beside(problem: Problem, result: Fit, scene: Scene, first: Found, text: str
     if first.columns is None:
         return []
     others = _ranked(problem, result, scene, first)
-    both = [(f, joined(text, others.lines[f.name])) for f in others.found if f.named]
-    return [(f, lines_of) for f, lines_of in both if lines_of]
+    return [(f, both) for f in others.found if f.named and (both := joined(text, others.lines[f.name]))]
 
 
 def _confirmed(d: Diagnosis) -> Diagnosis:

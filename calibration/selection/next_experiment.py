@@ -93,10 +93,15 @@ def next_experiment(problem: Problem, fit: Fit, candidates: Sequence[Candidate])
     return [gain if gain.failure else gain._replace(quoted=_quoted(problem, fit, by_name[gain.name])) for gain in gains]
 
 
+def _known(problem: Problem, candidate: Candidate) -> dict[str, float]:
+    """What a candidate sets, but for what every experiment has to itself."""
+    each = {f.name for f in problem.free if f.per_experiment}
+    return {name: value for name, value in candidate.fixed.items() if name not in each}
+
+
 def _quoted(problem: Problem, fit: Fit, candidate: Candidate) -> dict[str, Half]:
-    each, free = {f.name for f in problem.free if f.per_experiment}, {f.name for f in problem.free}
-    known = {name: value for name, value in candidate.fixed.items() if name not in each}
-    if known.keys() & free:
+    known = _known(problem, candidate)
+    if known.keys() & {f.name for f in problem.free}:
         return {}
     planned = _planned(problem, candidate, known) if candidate.made else None
     return narrowed(problem, fit, planned, candidate.runs, candidate.instrument)
@@ -115,7 +120,9 @@ def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequenc
     shared = [i for i, axis in enumerate(model.coordinates) if axis.experiment is None]
     if not shared:
         raise InputError(problem.where, "no parameter is shared by the experiments", "free one without each = true")
-    before = _marginal(_information(model, point), shared)
+    slopes = residuals_and_jacobian(model, point)[1]
+    # Covariance of what is shared, the others unknown, with the information of the bounds.
+    before = np.linalg.inv(slopes.T @ slopes + _UNIFORM * np.eye(point.size))[np.ix_(shared, shared)]
     names = [model.coordinates[i].name for i in shared]
     gains = [_gain(problem, model, own, c, before, names) for c in candidates]
     return sorted(gains, key=lambda gain: -gain.information if not gain.failure else np.inf)
@@ -126,11 +133,11 @@ def table(gains: Sequence[Gain]) -> list[list[str]]:
     names = next((list(gain.shrink) for gain in gains if gain.shrink), [])
     rows = [["candidate", "information [nats]", "mean variance left", *(f"interval of {name}" for name in names)]]
     for gain in gains:
-        if gain.failure:
-            rows.append([gain.name, gain.failure, "", *("" for _ in names)])
-            continue
-        widths = [f"{gain.shrink[name]:.0%}" + (" *" if name == gain.best else "") for name in names]
-        rows.append([gain.name, f"{gain.information:.3g}", f"{gain.variance_left:.0%}", *widths])
+        cells = [gain.failure, *([""] * (1 + len(names)))]
+        if not gain.failure:
+            widths = [f"{gain.shrink[name]:.0%}" + (" *" if name == gain.best else "") for name in names]
+            cells = [f"{gain.information:.3g}", f"{gain.variance_left:.0%}", *widths]
+        rows.append([gain.name, *cells])
     return rows
 
 
@@ -161,13 +168,10 @@ def as_json(gains: Sequence[Gain]) -> list[dict[str, object]]:
 def _gain(
     problem: Problem, model: Model, values: np.ndarray, candidate: Candidate, before: np.ndarray, names: list[str]
 ) -> Gain:
-    if not candidate.made:
-        return Gain(candidate.name, 0.0, 1.0, dict.fromkeys(names, 1.0))
     # Of a parameter that every experiment has to itself the candidate's is unknown, about the value it would have.
-    each = {f.name for f in problem.free if f.per_experiment}
-    known = {name: value for name, value in candidate.fixed.items() if name not in each}
+    known = _known(problem, candidate)
     free = tuple(f for f in problem.free if f.name not in known)
-    if not any(not f.per_experiment for f in free):
+    if not candidate.made or all(f.per_experiment for f in free):
         return Gain(candidate.name, 0.0, 1.0, dict.fromkeys(names, 1.0))
     planned = _planned(problem, candidate, known)
     other = build(replace(problem, free=free), (planned,))
@@ -197,17 +201,6 @@ def _gain(
     information = 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(left)[1])
     shrink = {name: float(np.sqrt(ratio)) for name, ratio in zip(names, ratios, strict=True)}
     return Gain(candidate.name, information, float(np.mean(ratios)), shrink)
-
-
-def _information(model: Model, point: np.ndarray) -> np.ndarray:
-    """Fisher information of all coordinates, that of their bounds included."""
-    _, slopes = residuals_and_jacobian(model, point)
-    return slopes.T @ slopes + _UNIFORM * np.eye(point.size)
-
-
-def _marginal(information: np.ndarray, shared: list[int]) -> np.ndarray:
-    """Covariance of some coordinates, the others unknown."""
-    return np.linalg.inv(information)[np.ix_(shared, shared)]
 
 
 def _planned(problem: Problem, candidate: Candidate, known: dict[str, float]) -> Experiment:

@@ -177,11 +177,7 @@ def joined(first: str, second: str) -> str:
 
 
 def altered(problem: Problem, text: str, plain: Fit) -> Problem:
-    """A problem with a suspect's lines, starting at the plain fit's values.
-
-    Raises:
-        InputError: where the lines do not fit the problem.
-    """
+    """A problem with a suspect's lines, starting at the plain fit's values."""
     content = tomllib.loads(text.replace("[[model]]\n", "[model]\n"))
     model = content.get("model", {})
     scene, params = problem.scene, dict(problem.params)

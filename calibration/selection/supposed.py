@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,11 +22,40 @@ def with_doubts_right(problem: Problem, found: Fit, starts: int) -> Fit:
     doubts = [doubt for doubt in problem.doubts if doubt.name]
     if not doubts or found.verdict in STANDS:
         return found
-    with stage("with doubted values free"):
-        one = fitted(freed(problem, doubts), found.seed, starts)
-    if one is None:
+    conditions = [doubt.condition for doubt in doubts]
+    return with_another(found, freed(problem, doubts), starts, "with doubted values free", conditions)
+
+
+def with_another(
+    found: Fit, problem: Problem, starts: int, what: str, conditions: list[str],
+    known: dict[str, Parameter] | None = None,
+) -> Fit:  # fmt: skip
+    """A fit that gives no interval, with those of another problem's fit that holds on conditions: ``conditional``.
+
+    Unchanged where that fit fails or gives none. ``what``: it is, for its reasons. ``known``: estimates that need no fit; then
+    of others only what the fit itself has a name for.
+    """
+    try:
+        with stage(what):
+            one = fit(problem, seed=found.seed, starts=starts)
+    except (InputError, AllStartsFailed):
         return found
-    return attached(found, one, [doubt.condition for doubt in doubts], {}, "with doubted values free")
+    because, own, reference = [], one.parameters, one.reference
+    if one.conditional:
+        conditions = [*conditions, one.conditional.condition]
+        own, reference = {**own, **one.conditional.parameters}, one.conditional.reference
+        because = [text for text in one.data.because[:1] if not any(text in said for said in found.data.because)]
+    own = {name: p for name, p in own.items() if p.ci95 and (known is None or name in found.parameters.keys() - known)}
+    if not own:
+        return found
+    reasons = [f"{what}: {text}" for text in because]
+    return replace(
+        found,
+        conditional=Conditional(" and ".join(dict.fromkeys(conditions)), {**(known or {}), **own}, reference),
+        data=Answer(found.data.answer, [*reasons, *found.data.because]),
+        reasons=[*reasons, *found.reasons],
+        systematic=one.systematic,
+    )
 
 
 def freed(problem: Problem, doubts: list[Doubt]) -> Problem:
@@ -39,47 +67,10 @@ def freed(problem: Problem, doubts: list[Doubt]) -> Problem:
         low, high = min(doubt.lower for doubt in own), max(doubt.upper for doubt in own)
         free.append(Free(name, low, high, each=any(doubt.each for doubt in own)))
 
-    def others(own: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: x for name, x in own.items() if name not in names}
+    def without(one: Any, *keys: str) -> Any:
+        return replace(one, **{k: {n: x for n, x in getattr(one, k).items() if n not in names} for k in keys})
 
-    experiments = tuple(
-        replace(e, fixed=others(e.fixed), tolerances=others(e.tolerances), bounds=others(e.bounds))
-        for e in problem.experiments
-    )
-    tolerances = others(problem.tolerances)
+    experiments = tuple(without(e, "fixed", "tolerances", "bounds") for e in problem.experiments)
     left = tuple(doubt for doubt in problem.doubts if not doubt.name)
-    return replace(problem, free=tuple(free), experiments=experiments, tolerances=tolerances, doubts=left)
-
-
-def fitted(problem: Problem, seed: int, starts: int) -> Fit | None:
-    """A fit; None where there is none."""
-    try:
-        return fit(problem, seed=seed, starts=starts)
-    except (InputError, AllStartsFailed):
-        return None
-
-
-def attached(found: Fit, one: Fit, conditions: list[str], known: dict[str, Parameter], what: str) -> Fit:
-    """A fit that gives no interval, with those of another that holds on conditions: ``conditional``.
-
-    Args:
-        found: the fit.
-        one: the other.
-        conditions: on which it holds, before its own.
-        known: estimates that need no fit, with their intervals.
-        what: the other is, for its reasons.
-    """
-    because, own, reference = [], one.parameters, one.reference
-    if one.conditional:
-        conditions = [*conditions, one.conditional.condition]
-        own, reference = {**own, **one.conditional.parameters}, one.conditional.reference
-        because = [text for text in one.data.because[:1] if not any(text in said for said in found.data.because)]
-    own = {name: p for name, p in own.items() if p.ci95 and name not in known}
-    if not own:
-        return found
-    reasons = [f"{what}: {text}" for text in because]
-    conditional = Conditional(" and ".join(dict.fromkeys(conditions)), {**known, **own}, reference)
-    data = Answer(found.data.answer, [*reasons, *found.data.because])
-    return replace(
-        found, conditional=conditional, data=data, reasons=[*reasons, *found.reasons], systematic=one.systematic
-    )
+    rest = {n: x for n, x in problem.tolerances.items() if n not in names}
+    return replace(problem, free=tuple(free), experiments=experiments, tolerances=rest, doubts=left)

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, sosfilt
 
-from bcfj_jax import scenes
+from bcfj_jax import InputError, scenes
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.command import as_json, text
 from calibration.impacts.events import contacts
@@ -135,6 +135,10 @@ def test_the_contacts_become_impacts_that_lose_what_flights_say():
     assert single_impacts(stated, _passages(stated)).params["mass"] == 0.16
 
 
+def refused(*_, **__):
+    raise InputError("problem", "cannot be fitted", "give other data")
+
+
 @pytest.mark.full
 def test_a_fit_that_knows_nothing_says_what_its_contacts_do(monkeypatch):
     """Of a fit that failed, with that of its contacts."""
@@ -145,7 +149,7 @@ def test_a_fit_that_knows_nothing_says_what_its_contacts_do(monkeypatch):
     assert one.verdict in ("identified", "adequate") and low < drop.stiffness < high
     bare = {name: replace(one.parameters[name], ci95=None, intervals={}) for name in ("stiffness", "exponent")}
     failed = replace(one, verdict="not_converged", parameters={**bare, "mass": bare["stiffness"]}, conditional=None)
-    monkeypatch.setattr("calibration.selection.apart.fitted", lambda *_: one)
+    monkeypatch.setattr("calibration.selection.supposed.fit", lambda *_, **__: one)
     found = with_contacts_apart(problem, failed)
     assert found.verdict == "not_converged" and found.parameters == failed.parameters
     given = found.conditional.parameters
@@ -157,7 +161,7 @@ def test_a_fit_that_knows_nothing_says_what_its_contacts_do(monkeypatch):
     assert [row[0] for row in rows(found)] == ["record", *["ball"] * 4]
     assert len(as_json(found)["check"]["flights"]) == 4
     # Where the contacts cannot be fitted the mass is still known; a fit that stands is left alone.
-    monkeypatch.setattr("calibration.selection.apart.fitted", lambda *_: None)
+    monkeypatch.setattr("calibration.selection.supposed.fit", refused)
     alone = with_contacts_apart(problem, failed).conditional
     assert alone.condition == "bodies fall freely between contacts" and set(alone.parameters) == {"mass"}
     stands = with_contacts_apart(problem, one)
