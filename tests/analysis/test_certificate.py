@@ -13,9 +13,8 @@ from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives import certificate
-from bcfj_jax.analysis.derivatives.certificate import Seen, compare
+from bcfj_jax.analysis.derivatives.certificate import Growth, Seen, averaged, compare, difference, growth, norm
 from bcfj_jax.analysis.derivatives.differences import Beside, against
-from bcfj_jax.analysis.derivatives.norms import Growth, averaged, difference, growth, norm
 from bcfj_jax.analysis.derivatives.ranking import drivers, unknown
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"

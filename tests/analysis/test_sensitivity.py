@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
-from bcfj_jax.analysis.derivatives import checking
+from bcfj_jax.analysis.derivatives import differences
 from bcfj_jax.analysis.derivatives.command import FILES
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
@@ -275,8 +275,8 @@ def test_command_line(here):
 @pytest.mark.full
 def test_a_comparison_that_takes_too_long_is_left_behind(here, monkeypatch):
     """A compilation cannot be stopped: the call ends within its budget, says so, and writes what it has."""
-    over, real = threading.Event(), checking.forces
-    monkeypatch.setattr(checking, "forces", lambda *given: over.wait(60.0) and real(*given))
+    over, real = threading.Event(), differences.forces
+    monkeypatch.setattr(differences, "forces", lambda *given: over.wait(60.0) and real(*given))
     begin = time.monotonic()
     done = bcfj("impact", "--wrt", "stiffness, exponent,mass", "--budget", 0.5, "--out", "out")
     assert done.exit_code == 0 and time.monotonic() - begin < 50.0, done.stderr

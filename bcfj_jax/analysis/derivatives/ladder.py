@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from bcfj_jax.analysis.derivatives.norms import norm
+from bcfj_jax.analysis.derivatives.certificate import norm
 from bcfj_jax.analysis.derivatives.sensitivity import Bounding, BoundingKeys, Sensitivity, sensitivity
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import scalar

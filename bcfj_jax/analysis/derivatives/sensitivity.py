@@ -24,8 +24,8 @@ from bcfj_jax.analysis.derivatives.bounds import (
     target,
 )
 from bcfj_jax.analysis.derivatives.certificate import Certificate, Comparison
-from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
+from bcfj_jax.analysis.derivatives.differences import beside, certified, unasked, witnessed
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import complete, default_features, event
@@ -35,7 +35,6 @@ from bcfj_jax.analysis.derivatives.repeating import settled
 from bcfj_jax.analysis.derivatives.reverse import gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
-from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
