@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
+from bcfj_jax.analysis.derivatives.trains import of_curve
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
@@ -80,8 +81,7 @@ def histories(
     scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
-    from bcfj_jax.solve.integrate import integrate
+    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
 
     solution = integrate(scene, params, times, how, mode, "whole")
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
