@@ -96,7 +96,7 @@ class Sensitivity(NamedTuple):
     reasons: dict[str, str] = {}
     sampled: tuple[str, ...] = ()
 
-    _view = "bcfj_jax.analysis.derivatives.view"
+    _view = "bcfj_jax.analysis.derivatives.table"
     __repr__ = presented.text
     _repr_html_ = presented.html
     to_pandas = presented.to_pandas
