@@ -201,10 +201,11 @@ def solved_at(problem: Problem, how: Plan, asked: Sequence[Feature], tighter: fl
         filled_up = np.array([*block, *[(0, most)] * (places - len(block))])
         slopes, value, ended = read(flat(found, *filled_up.T))
         own = slice(len(block))
-        parts.append((jax.tree.map(lambda x, own=own: np.asarray(x)[own], (value, slopes)), ended))
-    value, slopes = jax.tree.map(lambda *x: np.concatenate(x), *(part for part, _ in parts))
-    code, stop, accepted, rejected, _ = parts[0][1]
-    by, missed = {name: Train(*(part[name] for part in slopes)) for name in wrt}, found.missed
+        one = jax.tree.map(lambda x, own=own: np.asarray(x)[own], value)
+        parts.append((one, jax.tree.map(lambda x, own=own: np.asarray(x)[:, own], slopes), ended))
+    value, slopes = (jax.tree.map(lambda *x, axis=k: np.concatenate(x, axis), *(p[k] for p in parts)) for k in (0, 1))
+    code, stop, accepted, rejected, _ = parts[0][2]
+    by, missed = {name: jax.tree.map(lambda x, k=k: x[k], slopes) for k, name in enumerate(wrt)}, found.missed
     return Solved(
         rows[:, 0], rows[:, 1], value, by, counts, int(code), float(stop), int(accepted), int(rejected), float(spent[0]),
         float(spent[1]), np.zeros_like(counts) if missed is None else np.asarray(missed),
@@ -221,7 +222,7 @@ def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan)
 
 
 def _solved(what: tuple[AbstractModel, tuple[str, ...], int], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
-    """Derivatives of the train by name, the train, how the run ended, and the contacts that it found."""
+    """Derivatives of the train, the train, how the run ended, and the contacts that it found."""
     scene, wrt, most = what
 
     def at(params: dict) -> tuple:
