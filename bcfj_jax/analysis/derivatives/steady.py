@@ -210,7 +210,8 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
             named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
             last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
-            of_kinds.by_name(slopes / sizes), named, {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
+            of_kinds.by_name(slopes / sizes), named,
+            {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
             last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
             sum(one.steps for one in solved), clock() - begin - compile_s, compile_s,
         )  # fmt: skip
