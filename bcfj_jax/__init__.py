@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from bcfj_jax.analysis import nonlinear as nonlinear
     from bcfj_jax.analysis.derivatives.contact_events import ContactEvents as ContactEvents
     from bcfj_jax.analysis.derivatives.contact_events import contact_events as contact_events
-    from bcfj_jax.analysis.derivatives.curvature import hessian_vector as hessian_vector
-    from bcfj_jax.analysis.derivatives.ladder import smoothing_ladder as smoothing_ladder
+    from bcfj_jax.analysis.derivatives.gradient import hessian_vector as hessian_vector
     from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity as Sensitivity
     from bcfj_jax.analysis.derivatives.sensitivity import sensitivity as sensitivity
+    from bcfj_jax.analysis.derivatives.sensitivity import smoothing_ladder as smoothing_ladder
     from bcfj_jax.analysis.designs.api import design as design
     from bcfj_jax.analysis.designs.space import Free as Free
     from bcfj_jax.analysis.studies.api import study as study
@@ -82,8 +82,8 @@ _PUBLIC = {
     "study": "analysis.studies.api",
     "design": "analysis.designs.api",
     "Free": "analysis.designs.space",
-    "smoothing_ladder": "analysis.derivatives.ladder",
-    "hessian_vector": "analysis.derivatives.curvature",
+    "smoothing_ladder": "analysis.derivatives.sensitivity",
+    "hessian_vector": "analysis.derivatives.gradient",
 }
 _MODULES = ("gaps", "loads", "laws", "restitution", "stiffness", "scenes", "nonlinear")
 

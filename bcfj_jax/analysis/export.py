@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -17,7 +18,6 @@ import numpy as np
 from jax import Array
 from scipy.optimize import brentq
 
-from bcfj_jax.analysis import peerfiles
 from bcfj_jax.contact import normal
 from bcfj_jax.contact.elastic import Coefficients, Linear, Power, Reference
 from bcfj_jax.contact.restitution import undamped_duration, undamped_penetration
@@ -65,6 +65,10 @@ class Spring(NamedTuple):
 
     stiffness: float
     exponent: float
+
+    def like(self, depth: float, exponent: float) -> Spring:
+        """With another exponent, of the same force at that depth [m]."""
+        return Spring(self.stiffness * depth ** (self.exponent - exponent), exponent)
 
 
 class Row(NamedTuple):
@@ -159,14 +163,6 @@ def drop(law: normal.AbstractLaw, values: Mapping[str, float], mass: float, spee
     return Outcome(float(seen.peak), float(seen.touching), max(-float(run.rate["contact"][-1]) / speed, 0.0))
 
 
-def _matched(trial: Callable[[float], Outcome], rebound: float, heavy: float) -> float:
-    """The damping from 0 to ``heavy`` whose drop rebounds as asked for."""
-    if rebound >= 1.0 - 1e-9:
-        return 0.0
-    found: Any = brentq(lambda c: trial(c).rebound - rebound, 0.0, heavy, xtol=1e-9 * heavy)
-    return float(found)
-
-
 @dataclass(frozen=True)
 class _Law:
     """A translated law: itself, coefficients, the tool's terms, rows."""
@@ -183,7 +179,7 @@ _EXACT_SPRING = Row("spring K d^n", "exact", "stiffness and exponent as they are
 def _damped(
     source: Source, spring: Spring, law: normal.AbstractLaw, before: Outcome, **more: float
 ) -> dict[str, float]:
-    """Coefficients of a law with a dashpot that rebounds from this drop as the source does."""
+    """Coefficients of a law with a dashpot, from 0 to ``_HEAVY``, that rebounds from this drop as the source does."""
     lasting = float(undamped_duration(*spring, source.mass, source.speed))
     # K d^n over v: the dashpot whose force at the approach speed is the spring's greatest.
     unit = spring.stiffness * source.depth**spring.exponent / source.speed
@@ -192,10 +188,11 @@ def _damped(
     def values(share: float) -> dict[str, float]:
         return {**spring._asdict(), "dashpot": share * unit, **more}
 
-    def trial(share: float) -> Outcome:
-        return drop(law, values(share), source.mass, source.speed, lasting)
+    def off(share: float) -> float:
+        return drop(law, values(share), source.mass, source.speed, lasting).rebound - before.rebound
 
-    return values(_matched(trial, before.rebound, _HEAVY))
+    found: Any = 0.0 if before.rebound >= 1.0 - 1e-9 else brentq(off, 0.0, _HEAVY, xtol=1e-9 * _HEAVY)
+    return values(float(found))
 
 
 def _loss_row(source: Source, form: str) -> Row:
@@ -214,7 +211,7 @@ def _linear(source: Source, before: Outcome) -> tuple[dict[str, float], tuple[Ro
     if source.spring.exponent == 1.0 and isinstance(source.law, (normal.KelvinVoigt, normal.Hertz)) and not pulls:
         values |= {"stiffness": source.spring.stiffness, "dashpot": source.values.get("dashpot", 0.0)}
         return values, (_EXACT_SPRING, Row("loss", "exact", "c d', pushing only"))
-    secant = source.spring.stiffness * source.depth ** (source.spring.exponent - 1.0)
+    secant = source.spring.like(source.depth, 1.0).stiffness
     remark = f"linear, matched to the drop's peak: {values['stiffness'] / secant:.3g} times the secant at {source.depth:.3g} m"
     return values, (Row("spring K d^n", "approximate", remark), _loss_row(source, "c d'"))
 
@@ -302,8 +299,7 @@ def _chrono(source: Source, before: Outcome) -> _Law:
         terms = {"kn": values["stiffness"], "gn": values["dashpot"] / source.mass, "hertz": 0.0}
         return _Law(normal.KelvinVoigt(), values, terms, rows)
     n = source.spring.exponent
-    spring = Spring(source.spring.stiffness * source.depth ** (n - 1.5), 1.5)
-    values = _damped(source, spring, ChronoHertz(), before)
+    values = _damped(source, source.spring.like(source.depth, 1.5), ChronoHertz(), before)
     remark = f"of exponent 1.5 and the same force at {source.depth:.3g} m, in place of {n:.4g}"
     rows = (_EXACT_SPRING if n == 1.5 else Row("spring K d^n", "approximate", remark), _loss_row(source, "G d^0.5 d'"))
     # The drop's sphere has a radius of 1 m, so that R kn = K.
@@ -312,9 +308,14 @@ def _chrono(source: Source, before: Outcome) -> _Law:
     )
 
 
-TOOLS: dict[str, Callable[[Source, Outcome], _Law]] = {
-    "mujoco": _mujoco, "adams": _adams, "exudyn": _exudyn, "modelica": _modelica, "chrono": _chrono
-}  # fmt: skip
+# By tool: what translates a contact, and the file that runs the drop there; its form is in the folder ``peers``.
+TOOLS: dict[str, tuple[Callable[[Source, Outcome], _Law], str]] = {
+    "mujoco": (_mujoco, "drop.xml"),
+    "adams": (_adams, "drop.adm"),
+    "exudyn": (_exudyn, "drop_exudyn.py"),
+    "modelica": (_modelica, "Drop.mo"),
+    "chrono": (_chrono, "drop_chrono.py"),
+}
 
 
 def source(what: str | Path, contact: str = "", mass: str | float = "", speed: str | float = "") -> Source:
@@ -370,7 +371,8 @@ def export(given: Source, tool: str) -> Export:
     lasting = float(undamped_duration(*given.spring, given.mass, given.speed))
     values = {**given.values, "approach_speed": given.speed}
     before = drop(given.law, values, given.mass, given.speed, lasting)
-    law = TOOLS[tool](given, before)
+    translate, name = TOOLS[tool]
+    law = translate(given, before)
     after = drop(law.law, law.values, given.mass, given.speed, lasting)
     rows = law.rows
     if given.friction:
@@ -378,8 +380,16 @@ def export(given: Source, tool: str) -> Export:
         rows += (Row("friction", "lost", f"the file has none; Coulomb's coefficient is {mu:.4g}"),)
     if given.values.get("smoothing", 0.0) != 0.0:
         rows += (Row("regularisation at touch", "lost", "the translated contact is sharp"),)
-    name, text = peerfiles.FILES[tool](law.terms, given.mass, given.speed, lasting)
-    return Export(tool, name, text, law.terms, rows, before, after)
+    form = resources.files("bcfj_jax.analysis").joinpath("peers", f"{name}.txt").read_text(encoding="utf-8")
+    told = {
+        "mass": given.mass,
+        "speed": given.speed,
+        "lasting": lasting,
+        "fine": lasting / 2000,
+        "coarse": lasting / 500,
+    }
+    told |= {"span": _SPAN * lasting, "model": "Hertz" if law.terms.get("hertz") else "Hooke"}
+    return Export(tool, name, form.format(**told, **law.terms), law.terms, rows, before, after)
 
 
 def tables(found: Export) -> tuple[list[list[str]], list[list[str]], list[list[str]]]:

@@ -355,10 +355,6 @@ class Kind(NamedTuple):
         return self.unit.endswith("s") or self.turn == "longer"
 
 
-def _largest(values: Any) -> Any:
-    return backend(values).max(values)
-
-
 def _least(values: Any) -> Any:
     return backend(values).min(values)
 
@@ -435,12 +431,12 @@ def _interval(x: Mapping[str, float], end: float) -> float:
 
 KINDS: dict[str, Kind] = {
     "peak": Kind(
-        "N", "greatest force, of the continuous curve", lambda s: crests.greatest(s.times, s.force, s.curve), 1, _largest,
+        "N", "greatest force, of the continuous curve", lambda s: crests.greatest(s.times, s.force, s.curve), 1, peak,
         rank=1, steps=lambda x, end: x["peak"], curve="peak", turn="same",
     ),
     "largest": Kind(
         "N", "greatest size of a reading of either sign",
-        lambda s: crests.greatest(s.times, s.force, s.curve, size=True), 1, _largest, curve="peak", turn="same",
+        lambda s: crests.greatest(s.times, s.force, s.curve, size=True), 1, peak, curve="peak", turn="same",
     ),
     "mean": Kind(
         "N", "time average of the force", lambda s: _impulse(s) / (s.times[-1] - s.times[0]), 2, rank=2,
@@ -489,7 +485,7 @@ KINDS: dict[str, Kind] = {
         turn="longer",
     ),
     "peak_pressure": Kind(
-        "Pa", "greatest Hertz pressure", lambda s: crests.greatest(s.times, s.force, s.curve), 1, _largest, curve="peak",
+        "Pa", "greatest Hertz pressure", lambda s: crests.greatest(s.times, s.force, s.curve), 1, peak, curve="peak",
         turn="same",
     ),
     "rolling_life": Kind(
@@ -532,7 +528,7 @@ EVENTS: dict[str, Event] = {
     "begin": Event("s", "when the penetration is first 0", lambda t: t.begin, ("begin",), late=True),
     "peak_time": Event("s", "when the force is greatest", lambda t: t.peak_time, summit=True, late=True),
     "end": Event("s", "when the penetration is 0 again", lambda t: t.end, ("end",), late=True),
-    "peak": Event("N", "greatest force", lambda t: t.peak, summit=True, members=_largest),
+    "peak": Event("N", "greatest force", lambda t: t.peak, summit=True, members=peak),
     "impulse": Event("N s", "integral of the force from begin to end", lambda t: t.impulse, _BOTH, integral=True),
     "center": Event("s", "mean time, weighed by the force", lambda t: t.center, _BOTH, integral=True, late=True),
     "width": Event("s", "deviation of the time, weighed by the force", lambda t: t.width, _BOTH, integral=True),

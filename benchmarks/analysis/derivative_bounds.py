@@ -28,10 +28,10 @@ import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives import certificate as verdicts
+from bcfj_jax.analysis.derivatives.certificate import averaged, norm
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, default_features
-from bcfj_jax.analysis.derivatives.norms import averaged, norm
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax import nonlinear, scenes, simulate
-from bcfj_jax.analysis.nonlinear.scene_exponent import advance
+from bcfj_jax.analysis.nonlinear.exponents import advance
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate, problem
 from bcfj_jax.solve.plan import Plan

@@ -13,10 +13,9 @@ from joints import plain_joint
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.derivatives import certificate
-from bcfj_jax.analysis.derivatives.certificate import Seen, compare
+from bcfj_jax.analysis.derivatives.certificate import Growth, Seen, averaged, compare, difference, growth, norm
 from bcfj_jax.analysis.derivatives.differences import Beside, against
-from bcfj_jax.analysis.derivatives.norms import Growth, averaged, difference, growth, norm
-from bcfj_jax.analysis.derivatives.ranking import drivers, unknown
+from bcfj_jax.analysis.derivatives.table import drivers, unknown
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 BOUNCE = bj.scenes.bounce(smoothing=False)
@@ -269,15 +268,15 @@ def test_no_influence_is_trusted():
     assert (check.verdict, check.remark, check.influence) == (TRUSTED, "no influence", 0.0)
     assert not np.any(far.derivative["stiffness"]["contact"])
     zero = "at all 51 samples the force of contact is 0, and a shorter contact needs more samples"
-    assert drivers(far, scene.parameters()) == []
+    assert drivers(far) == []
     assert unknown(far) == f"What drives contact.peak is not known: {zero}"
 
 
 def test_the_first_line_is_of_the_peak_that_moves_by_most_newtons():
     peaks = {"loaded.peak": 1e4, "grazed.peak": 10.0, "loaded.mean": 5e3, "grazed.mean": 1.0}
     slopes = {"gap": {"loaded.peak": 1e3, "grazed.peak": 5.0, "loaded.mean": 0.0, "grazed.mean": float("nan")}}
-    found = SimpleNamespace(steady=None, certificate=None, wrt=["gap"], features=peaks, feature_derivatives=slopes)
-    (line,) = drivers(cast(Any, found), {"gap": 1.0})
+    given = {"wrt": ["gap"], "values": {"gap": 1.0}, "features": peaks, "feature_derivatives": slopes}
+    (line,) = drivers(cast(Any, SimpleNamespace(steady=None, certificate=None, **given)))
     assert line == "gap drives loaded.peak: +0.1 % per %"
 
 

@@ -12,8 +12,8 @@ import pytest
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
 from bcfj_jax.analysis.crests import crest_with_error
+from bcfj_jax.analysis.derivatives.differences import witnessed
 from bcfj_jax.analysis.derivatives.jacobian import level
-from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan
 

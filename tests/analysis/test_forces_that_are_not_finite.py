@@ -43,14 +43,14 @@ def solved(monkeypatch, code=OK, **broken):
     """A solve at 4 times, 3 channels and 2 parameters; ``broken`` gives places of NaN in the values and slopes."""
     shapes = {"force": (4, 3, 3), "penetration": (4, 3), "rate": (4, 3), "state": (4, 2)}
     value = Histories(**{name: np.ones(shape) for name, shape in shapes.items()})
-    slopes = Histories(**{name: {p: np.ones(shape) for p in ("mass", "stiffness")} for name, shape in shapes.items()})
+    slopes = Histories(**{name: np.ones((2, *shape)) for name, shape in shapes.items()})
     for field, place in broken.items():
         of = value if field == "value" else slopes
         at, parameter = place
         if field == "value":
             of.force[at] = np.inf
         else:
-            getattr(of, field)[parameter][at] = np.nan
+            getattr(of, field)[("mass", "stiffness").index(parameter)][at] = np.nan
     answers(monkeypatch, jacobian, (slopes, (value, (np.asarray(code), np.asarray(9.0), 5, 1)), np.ones(2)))
     times = np.array([0.0, 0.1, 0.2, 0.3])
     found = jacobian.level(IMPACT.scene, IMPACT.params, times, ("mass", "stiffness"), HOW)

@@ -9,7 +9,7 @@ import pytest
 from joints import plain_joint
 
 from bcfj_jax import nonlinear, scenes
-from bcfj_jax.analysis.nonlinear import diagrams, modes
+from bcfj_jax.analysis.nonlinear import diagrams, portraits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.solve.simulation import Run
 
@@ -36,22 +36,22 @@ def test_modes_of_half_sines():
     """d = sin(2 pi t): contacts of half a second each second."""
     times = np.linspace(0.25, 3.1, 2000)
     depth, rate = np.sin(2.0 * np.pi * times), 2.0 * np.pi * np.cos(2.0 * np.pi * times)
-    for longest, code in ((0.6, modes.IMPACT), (0.4, modes.CONTINUOUS)):
+    for longest, code in ((0.6, portraits.IMPACT), (0.4, portraits.CONTINUOUS)):
         found = nonlinear.contact_modes(times, depth, rate, longest)
-        assert np.array_equal(found == modes.FREE, depth <= 0)
+        assert np.array_equal(found == portraits.FREE, depth <= 0)
         assert (found[(times > 1.001) & (times < 1.499)] == code).all()
         # Cut off by either end: nobody knows how long.
-        assert (found[times < 0.499] == modes.CONTINUOUS).all()
-        assert (found[times > 3.001] == modes.CONTINUOUS).all()
+        assert (found[times < 0.499] == portraits.CONTINUOUS).all()
+        assert (found[times > 3.001] == portraits.CONTINUOUS).all()
 
 
 def test_mode_of_a_contact_between_samples_and_after_a_failure():
     times = np.linspace(0.0, 1.0, 100)
     depth, rate = -np.abs(times - 0.4), np.where(times < 0.4, 1.0, -1.0)
     found = nonlinear.contact_modes(times, depth, rate, 0.1)
-    assert np.count_nonzero(found == modes.IMPACT) == 1 and abs(times[np.argmax(found)] - 0.4) < 0.02
+    assert np.count_nonzero(found == portraits.IMPACT) == 1 and abs(times[np.argmax(found)] - 0.4) < 0.02
     depth[60:] = np.nan
-    assert (nonlinear.contact_modes(times, depth, rate, 0.1)[60:] == modes.UNKNOWN).all()
+    assert (nonlinear.contact_modes(times, depth, rate, 0.1)[60:] == portraits.UNKNOWN).all()
     with pytest.raises(InputError, match="impact_time"):
         nonlinear.contact_modes(times, depth, rate, 0.0)
 

@@ -19,12 +19,12 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
-from bcfj_jax.analysis.derivatives import checking
+from bcfj_jax.analysis.derivatives import differences
 from bcfj_jax.analysis.derivatives.command import FILES
 from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature
-from bcfj_jax.analysis.derivatives.ranking import Ranking, ranked_rows, ranking
+from bcfj_jax.analysis.derivatives.table import Ranking, ranked_rows, ranking
 from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import delivered_restitution, undamped_duration
 
@@ -210,8 +210,8 @@ def test_second_derivatives_refuse():
     ],
 )  # fmt: skip
 def test_a_table_prints_no_number_better_than_it_is(elasticity, apart, text):
-    one = Ranking(["contact.peak"], ["mass"], np.array([[elasticity]]), np.array([[apart]]))
-    assert ranked_rows({"contact.peak": 1.0}, one)[1][2] == text
+    one = Ranking(["contact.peak"], ["mass"], np.array([[elasticity]]), np.array([[apart]]), np.ones(1))
+    assert ranked_rows(one)[1][2] == text
 
 
 def test_what_is_not_known_does_not_lead_the_table():
@@ -224,9 +224,10 @@ def test_what_is_not_known_does_not_lead_the_table():
         features=features,
         feature_derivatives=slopes,
         wrt=("gap",),
+        values={"gap": 1.0},
         certificate=SimpleNamespace(parameters={"gap": one}),
     )
-    ranked = ranking(cast(Any, found), {"gap": 1.0})
+    ranked = ranking(cast(Any, found))
     assert ranked.features == ["loaded.mean", "loaded.peak", "grazed.work", "none.mean"]
 
 
@@ -275,8 +276,8 @@ def test_command_line(here):
 @pytest.mark.full
 def test_a_comparison_that_takes_too_long_is_left_behind(here, monkeypatch):
     """A compilation cannot be stopped: the call ends within its budget, says so, and writes what it has."""
-    over, real = threading.Event(), checking.forces
-    monkeypatch.setattr(checking, "forces", lambda *given: over.wait(60.0) and real(*given))
+    over, real = threading.Event(), differences.forces
+    monkeypatch.setattr(differences, "forces", lambda *given: over.wait(60.0) and real(*given))
     begin = time.monotonic()
     done = bcfj("impact", "--wrt", "stiffness, exponent,mass", "--budget", 0.5, "--out", "out")
     assert done.exit_code == 0 and time.monotonic() - begin < 50.0, done.stderr

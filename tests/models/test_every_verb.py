@@ -20,8 +20,8 @@ import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Drive, InputError, Mechanism, Quantity, gaps, loads
 from bcfj_jax.analysis import features, nonlinear
 from bcfj_jax.analysis.derivatives import certificate
+from bcfj_jax.analysis.derivatives.certificate import Difference, Growth
 from bcfj_jax.analysis.derivatives.names import complete
-from bcfj_jax.analysis.derivatives.norms import Difference, Growth
 from bcfj_jax.analysis.designs import objective, space
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.analysis.studies import specification

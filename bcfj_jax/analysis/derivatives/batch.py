@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, by_shares, histories
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Solution
 from bcfj_jax.solve.plan import Plan, Points
@@ -130,7 +130,7 @@ def _at_once(count: int) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class _Sharing:
-    """How each of N runs is solved with its derivatives by shares of the named parameters, and read."""
+    """How each of N runs is solved with its derivatives by the named parameters, and read."""
 
     scene: AbstractModel
     wrt: Sequence[str]
@@ -138,39 +138,25 @@ class _Sharing:
     how: Plan
     whole: bool
 
-    @property
-    def still(self) -> Array:
-        """No share."""
-        return jnp.zeros(len(self.wrt))
-
-    def moved(self, params: dict, shares: Array) -> dict:
-        """Parameters of a run, with shares of theirs more."""
-        from bcfj_jax.solve.work_queue import shifted  # With diffrax, which a kept program needs not.
-
-        return {**params, **shifted(params, self.wrt, shares)}
-
-    def unit(self, params: dict) -> Array:
-        """What the shares are of, (P, 1, 1)."""
-        from bcfj_jax.solve.work_queue import sizes
-
-        return sizes(params, self.wrt)[:, None, None]
-
-    def kept(self, value: tuple, slopes: tuple, tangents: Array, unit: Array) -> tuple:
+    def kept(self, value: tuple, slopes: tuple, tangents: Array) -> tuple:
         """What is kept of some samples, and in which of them forces or derivatives are not finite.
 
-        As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is. Slopes (k, S, ...).
+        As ``jacobian.level``: a force that is 0 has a derivative of 0, whatever the state's is. Slopes (P, S, ...).
         """
         force, by = value[0], slopes[0]
         lost = ~jnp.isfinite(force).all(axis=(1, 2))
         steep = ~(jnp.isfinite(by).all(axis=(0, 2, 3)) & jnp.isfinite(tangents).all(axis=(0, 2)))
-        slopes = tuple(jnp.moveaxis(x / unit, 0, 1) for x in (by[..., 0], *slopes[1:]))
+        slopes = tuple(jnp.moveaxis(x, 0, 1) for x in (by[..., 0], *slopes[1:]))
         return (force if self.whole else force[..., :1], *value[1:]), slopes, lost, steep
 
     def look(self, one: tuple) -> tuple:
         """What a run's contacts read, and how that changes along the tangents; some samples at once."""
-        (params, end, rows), scene, grid = one, self.scene, self.grid
-        prepare = lambda shares: scene.prepare(self.moved(params, shares))  # noqa: E731
-        prepared, by_shares, unit = prepare(self.still), changes(prepare, self.still), self.unit(params)
+        from bcfj_jax.solve.work_queue import shifted, sizes  # With diffrax, which a kept program needs not.
+
+        (params, end, rows), scene, grid, wrt = one, self.scene, self.grid, self.wrt
+        prepare = lambda shares: scene.prepare({**params, **shifted(params, wrt, shares)})  # noqa: E731
+        still, unit = jnp.zeros(len(wrt)), sizes(params, wrt)
+        prepared, changing = prepare(still), changes(prepare, still)
 
         def some(at: Array) -> tuple:
             times, here = jnp.maximum((end * grid)[at], 0.0), rows[at]
@@ -180,8 +166,9 @@ class _Sharing:
                 return by_channel(scene, jax.vmap(scene.observe, (0, 0, None))(times, states, prepared))
 
             tangents = jnp.moveaxis(here[:, 1:], 1, 0)
-            value, slopes = along(read, (here[:, 0], prepared), (tangents, by_shares))
-            return self.kept(value, slopes, tangents, unit)
+            value, slopes = along(read, (here[:, 0], prepared), (tangents, changing))
+            by = tuple(x / unit.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes)
+            return self.kept(value, by, tangents)
 
         # The last sample again fills up.
         take = jnp.minimum(jnp.arange(-(-grid.size // _SAMPLES) * _SAMPLES), grid.size - 1).reshape(-1, _SAMPLES)
@@ -192,31 +179,22 @@ class _Sharing:
         """A run without a history, searched from another."""
         params, end = one
 
-        def at(shares: Array) -> tuple:
-            given, times = self.moved(params, shares), end * self.grid
-            solution, ahead = self.scene.instants(given, times, near)
-            value = by_channel(self.scene, readings(self.scene, given, times, solution.states))
-            return (value, solution.states), (value, solution, ahead)
+        def at(given: dict) -> tuple:
+            solution, ahead = self.scene.instants(given, end * self.grid, near)
+            value = by_channel(self.scene, readings(self.scene, given, end * self.grid, solution.states))
+            return (value, solution.states), (solution, ahead)
 
-        slopes, (value, solution, ahead) = jax.jacfwd(at, has_aux=True)(self.still)
-        by, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-        kept = self.kept(value, by, tangents, self.unit(params))
-        return ahead, (*kept, solution._replace(states=self.still))
+        (by, tangents), ((value, _), (solution, ahead)) = by_shares(at, params, self.wrt)
+        return ahead, (*self.kept(value, by, tangents), solution._replace(states=end))
 
     def landed(self, one: tuple) -> tuple:
         """A run that lands on its contacts, by itself."""
         params, end = one
-
-        def at(shares: Array) -> tuple:
-            found, (code, stop, *steps) = histories(self.scene, self.moved(params, shares), end * self.grid, self.how)
-            read = tuple(found[:3])
-            return (read, found.curve, found.state), (read, found.curve, Solution(self.still, code, stop, *steps))
-
-        slopes, (value, curve, solution) = jax.jacfwd(at, has_aux=True)(self.still)
-        by, along_curve, tangents = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), slopes)
-        unit = self.unit(params)
-        value, by, lost, steep = self.kept(value, by, tangents, unit)
-        return (*value, curve), (*by, along_curve / unit), lost, steep, solution
+        by, (value, ended) = by_shares(
+            lambda given: histories(self.scene, given, end * self.grid, self.how), params, self.wrt
+        )
+        kept, slopes, *bad = self.kept(tuple(value[:3]), tuple(by[:3]), by.state)
+        return (*kept, value.curve), (*slopes, by.curve), *bad, Solution(end, *ended)
 
 
 def jacobians(

@@ -21,10 +21,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives import certificate as verdicts
-from bcfj_jax.analysis.derivatives.certificate import Comparison
+from bcfj_jax.analysis.derivatives.certificate import INF, INFLUENCE, NAN, Comparison, apart
 from bcfj_jax.analysis.derivatives.jacobian import Level
-from bcfj_jax.analysis.derivatives.norms import Difference
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.trains import STIFF
 from bcfj_jax.core.progress import stage
@@ -36,7 +34,6 @@ from bcfj_jax.xla.threads import together
 SAFETY = 1.2
 # |C - T| over |R - T| above which solves are not seen to converge.
 _WELL = 0.5
-INF = float("inf")
 # By whether the model is stiff: solves that a bound takes; the ratio of their tolerances; the tightest that there is.
 NEEDED, APART = {False: 3, True: 2}, {False: 16.0, True: 40.0}
 _TIGHTEST = {False: 1e-14, True: 2.5e-13}
@@ -169,11 +166,9 @@ def climb(
 
 def _enough(problem: Problem, now: Climb) -> bool:
     """Whether the averages of all that has influence are within the limit, or nothing is gained by going on."""
-    times, values, every = problem.times, problem.values, bounded(problem, now)
-    strong = verdicts.influences(times, now.last, values) > verdicts.INFLUENCE
+    every, strong = bounded(problem, now), problem.influences(now.last) > INFLUENCE
     worst = max((c.average.relative for c, s in zip(every, strong, strict=True) if s), default=0.0)
-    lost = worst > 0.5 and any(map(verdicts.chaotic, verdicts.growths(times, now.last, values), every))
-    return worst <= target(problem.error) or lost
+    return worst <= target(problem.error) or (worst > 0.5 and problem.chaotic(now.last, every))
 
 
 def _ladder(tolerance: float, stiff: bool, levels: int) -> list[float]:
@@ -188,41 +183,31 @@ def _ladder(tolerance: float, stiff: bool, levels: int) -> list[float]:
 
 def bounded(problem: Problem, climb: Climb) -> list[Comparison]:
     """What bounds the error of R's histories, one comparison a parameter; infinite where R is alone."""
-    times, values, width, reported = problem.times, problem.values, problem.width, climb.last
     if climb.beside is None:
-        alone = verdicts.between(times, reported, reported, values, width)
         # Nothing is known of R beyond the time at which a solve beside it failed.
-        broken = min((r.end for r in climb.levels if not r.good), default=float("nan"))
-        return [_with(c, *(x._replace(relative=INF, broken=broken) for x in (c.pointwise, c.average))) for c in alone]
+        broken = min((r.end for r in climb.levels if not r.good), default=NAN)
+        alone = problem.between(climb.last, climb.last)
+        unknown = [[x._replace(relative=INF, broken=broken) for x in (c.pointwise, c.average)] for c in alone]
+        return [c._replace(pointwise=x, average=y) for c, (x, y) in zip(alone, unknown, strict=True)]
     between, tight = climb.beside
-    apart = verdicts.between(times, reported, tight, values, width)
-    own = verdicts.between(times, between, tight, values, width)
+    far, near, uneven = (
+        problem.between(climb.last, tight),
+        problem.between(between, tight),
+        climb.uneven(len(problem.names)),
+    )
     return [
-        _with(a, _bound(a.pointwise, b.pointwise, off), _bound(a.average, b.average, off))._replace(
+        a.with_relative(lambda x, own, off=off: SAFETY * x + own + off, b)._replace(
             unbounded=b.average.relative > _WELL * a.average.relative
         )
-        for a, b, off in zip(apart, own, climb.uneven(len(values)), strict=True)
+        for a, b, off in zip(far, near, uneven, strict=True)
     ]
-
-
-def _with(found: Comparison, pointwise: Difference, average: Difference) -> Comparison:
-    return found._replace(pointwise=pointwise, average=average)
-
-
-def safer(found: Comparison) -> Comparison:
-    """A comparison with central differences, 1.2 times what they find."""
-    return _with(found, *(x._replace(relative=SAFETY * x.relative) for x in (found.pointwise, found.average)))
-
-
-def _bound(apart: Difference, own: Difference, uneven: float) -> Difference:
-    return apart._replace(relative=SAFETY * apart.relative + own.relative + uneven)
 
 
 def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Bounds (F, P) of the derivatives of features (F,) by parameters (P,): relative, of R's, from R's, C's and T's."""
     reported, between, tight = slopes
-    apart, own = (verdicts.apart(x, tight, numbers, values) for x in (reported, between))
-    return SAFETY * apart + own
+    off, own = (apart(x, tight, numbers, values) for x in (reported, between))
+    return SAFETY * off + own
 
 
 def luckless(climb: Climb, histories: Sequence[Comparison]) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""The certificate: what each derivative was compared with, by how much it differs, and what it is good for.
+"""The certificate: how far derivatives are apart, what each was compared with, and what it is good for. NumPy.
+
+The derivative of histories by a parameter is (T, M): times, channels and components together. Norms are L2 over time and M,
+
+    ||D||^2 = sum_i w_i sum_m D_im^2,      w_i the trapezoidal weight of sample i.
 
 Two comparisons. *Levels*: the same derivative by far tighter solves, which bound its error (``bounds``).
 *Differences*: central differences of force histories that were computed without any derivative, by the solver meant
@@ -19,21 +23,10 @@ better than looser ones, nothing bounds an error above 3 %, and the remark says 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-
-from bcfj_jax.analysis.derivatives.jacobian import Level
-from bcfj_jax.analysis.derivatives.norms import (
-    CHAOTIC_GROWTH,
-    Difference,
-    Growth,
-    averaged,
-    difference,
-    growth,
-    norm,
-)  # fmt: skip
 
 TRUSTED, AVERAGED, NOT = "trusted", "averaged only", "not differentiable here"
 POINTWISE, BROKEN = 0.03, 0.10
@@ -43,11 +36,169 @@ KINKED = 0.01
 INFLUENCE = 0.01
 # Elasticity below which a feature's derivative counts as that much: 0.01 % per 1 %.
 LEAST = 0.01
-INF = float("inf")
+CHAOTIC_GROWTH = 1e6
+INF, NAN = float("inf"), float("nan")
+VAGUE = "central differences do not check it: they disagree with each other by half of themselves"
 # Of a history whose levels disagree; a feature's number may still agree.
 _LOOSE = "it depends on the tolerance"
-VAGUE = "central differences do not check it: they disagree with each other by half of themselves"
 _OPEN = f"{_LOOSE}, and its error cannot be bounded, since tighter solves do not agree better"
+_WINDOWS = 20
+# Of a state's tangent per 100 % of a parameter, in units of the states' natural sizes; a metre of travel has some 1e5 of them.
+_ROUNDING = 1e-9
+
+
+def flat(derivative: np.ndarray) -> np.ndarray:
+    """(P, T, C, 3) -> (P, T, 3 C)."""
+    return derivative.reshape(*derivative.shape[:2], -1)
+
+
+def weights(times: np.ndarray) -> np.ndarray:
+    """Trapezoidal weights (T,) [s]; one sample alone weighs 1."""
+    gaps = np.diff(times)
+    return 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps)) if len(times) > 1 else np.ones(len(times))
+
+
+def averaged(times: np.ndarray, values: np.ndarray, width: float) -> np.ndarray:
+    """Moving average (..., T, M) over [t - width/2, t + width/2], cut at the ends, linear between samples."""
+    if len(times) < 2 or width <= 0.0:
+        return values
+    gaps = np.diff(times)[:, None]
+    pieces = 0.5 * gaps * (values[..., 1:, :] + values[..., :-1, :])
+    total = np.concatenate([np.zeros_like(values[..., :1, :]), np.cumsum(pieces, axis=-2)], axis=-2)
+    low, high = (np.clip(times + way * width, times[0], times[-1]) for way in (-0.5, 0.5))
+
+    def integral(at: np.ndarray) -> np.ndarray:
+        k = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+        s = ((at - times[k]) / np.diff(times)[k])[:, None]
+        first, second = values[..., k, :], values[..., k + 1, :]
+        return total[..., k, :] + gaps[k] * s * (first + 0.5 * s * (second - first))
+
+    return (integral(high) - integral(low)) / (high - low)[:, None]
+
+
+def norm(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """||D|| over time and the last axis, (...,); without overflow."""
+    size = np.max(np.abs(values), axis=(-2, -1), initial=0.0)
+    safe = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        scaled = values / safe[..., None, None]
+        return safe * np.sqrt(np.einsum("...tm,t->...", scaled * scaled, weights(times)))
+
+
+class Difference(NamedTuple):
+    """One derivative (T, M) against another: relative L2, half of it by when [s], from when on above 10 % [s]."""
+
+    relative: float
+    where: float
+    broken: float
+
+
+def difference(times: np.ndarray, found: np.ndarray, other: np.ndarray, floor: float, limit: float) -> Difference:
+    """How far ``found`` (T, M) is from ``other``, relative to the larger of the two.
+
+    Args:
+        times, found, other: of one parameter.
+        floor: in N per unit; the running ratio's denominator is at least this times sqrt(horizon), so that what is
+            nearly nothing at the start breaks nothing down.
+        limit: the running ratio above which the derivative has broken down, if it stays above to the end.
+    """
+    w = weights(times)
+    # Not Python's max, which loses a NaN that comes second.
+    size = float(np.max([np.max(np.abs(x), initial=0.0) for x in (found, other)]))
+    if not np.isfinite(size):
+        bad = ~(np.isfinite(found) & np.isfinite(other)).all(axis=-1)
+        first = float(times[int(np.argmax(bad))])
+        return Difference(INF, first, first)
+    if size == 0.0:
+        return Difference(0.0, NAN, NAN)
+    a, b = found / size, other / size
+    wrong = np.cumsum(w * np.sum((a - b) ** 2, axis=-1))
+    right = np.maximum(np.cumsum(w * np.sum(a * a, axis=-1)), np.cumsum(w * np.sum(b * b, axis=-1)))
+    if wrong[-1] == 0.0:
+        return Difference(0.0, NAN, NAN)
+    least = min(1e-6 * right[-1], (floor / size) ** 2 * w.sum())
+    running = np.sqrt(wrong / np.maximum(right, max(least, 1e-300)))
+    where = float(times[int(np.searchsorted(wrong, 0.5 * wrong[-1]))])
+    good = np.flatnonzero(running <= limit)
+    broken = NAN if running[-1] <= limit else float(times[good[-1] + 1 if good.size else 0])
+    return Difference(float(np.sqrt(wrong[-1] / right[-1])), where, broken)
+
+
+class Comparison(NamedTuple):
+    """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon.
+
+    ``unbounded``: of levels, whether they show no limit; ``vague``: of central differences, whether their own error is
+    half of them or more, so that they check nothing.
+    """
+
+    what: str
+    pointwise: Difference
+    average: Difference
+    until: float = NAN
+    unbounded: bool = False
+    vague: bool = False
+
+    def with_relative(self, new: Callable[[float, float], float], other: Comparison | None = None) -> Comparison:
+        """With other relative differences: a function of its own and of those of another comparison."""
+        pairs = zip(self[1:3], (other or self)[1:3], strict=True)
+        pointwise, average = (mine._replace(relative=new(mine.relative, its.relative)) for mine, its in pairs)
+        return self._replace(pointwise=pointwise, average=average)
+
+
+def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, smallest: float, width: float) -> Comparison:
+    """Two derivatives (T, M) of one parameter."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = averaged(times, a, width), averaged(times, b, width)
+    return Comparison(what, difference(times, a, b, smallest, BROKEN), difference(times, *means, smallest, BROKEN))
+
+
+class Growth(NamedTuple):
+    """Of a tangent of the state: its norm's end over its beginning [-], and the exponent [1/s] that fits it."""
+
+    factor: float
+    exponent: float
+
+
+def growth(times: np.ndarray, state: np.ndarray) -> Growth:
+    """Growth of a state's tangent (T, n) per 100 % of its parameter, in units of the states' natural sizes.
+
+    The norm's greatest in each of up to 20 windows of the horizon; the exponent is the least-squares slope of its
+    logarithm, over the windows that are more than rounding without their first tenth, in which tangents grow from
+    nothing: the largest Lyapunov exponent of the direction this parameter excites, over this horizon.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.max(np.abs(state), axis=-1)
+    if not np.isfinite(size).all():
+        return Growth(INF, NAN)
+    parts = np.array_split(np.arange(len(times)), min(_WINDOWS, len(times)))
+    peaks, middle = (np.array([f(x[part]) for part in parts]) for f, x in ((np.max, size), (np.mean, times)))
+    alive = np.flatnonzero(peaks > _ROUNDING)
+    alive = alive[max(1, len(alive) // 10) :]
+    if len(times) < 4 or alive.size < 3:
+        return Growth(1.0, NAN)
+    logs = np.log(peaks[alive])
+    slope = float(np.polyfit(middle[alive], logs, 1)[0])
+    return Growth(float(np.exp(min(logs[-3:].max() - logs[0], 700.0))), slope)
+
+
+def chaotic(grown: Growth, found: Comparison) -> bool:
+    """Whether a derivative means nothing: it grows without bound and depends on the tolerance."""
+    return grown.factor > CHAOTIC_GROWTH and not grown.exponent <= 0 and not found.average.relative <= POINTWISE
+
+
+def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Relative difference of features' derivatives (F, P); 0 where both are 0, NaN where one is unknown.
+
+    A derivative below 0.01 % of the feature (F,) per 1 % of the parameter's value (P,) counts as that much.
+    """
+    least = LEAST * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
+    size = np.maximum(np.maximum(np.abs(first), np.abs(second)), least)
+    return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
+
+
+def of_feature(apart: float) -> str:
+    """Verdict of one feature's derivative, from its relative error at most."""
+    return TRUSTED if apart <= POINTWISE else AVERAGED if apart <= BROKEN else NOT
 
 
 class Check(NamedTuple):
@@ -108,79 +259,7 @@ class Certificate(NamedTuple):
     tolerances: tuple[float, ...]
     steps: tuple[int, ...]
     direction: dict[str, float] | None
-    reported: float = float("nan")
-
-
-class Comparison(NamedTuple):
-    """What was found for one parameter in one comparison; until when [s] it could be made, NaN for the whole horizon.
-
-    ``unbounded``: of levels, whether they show no limit; ``vague``: of central differences, whether their own error is
-    half of them or more, so that they check nothing.
-    """
-
-    what: str
-    pointwise: Difference
-    average: Difference
-    until: float = float("nan")
-    unbounded: bool = False
-    vague: bool = False
-
-
-def flat(derivative: np.ndarray) -> np.ndarray:
-    """(P, T, C, 3) -> (P, T, 3 C)."""
-    return derivative.reshape(*derivative.shape[:2], -1)
-
-
-def influences(times: np.ndarray, level: Level, values: np.ndarray) -> np.ndarray:
-    """Each parameter's ||p dF/dp|| over the largest (P,); a parameter that is 0 counts by 1 unit."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        sizes = norm(times, flat(level.derivative.force)) * np.where(values == 0, 1.0, np.abs(values))
-    largest = sizes.max(initial=0.0)
-    return sizes / largest if largest > 0 else sizes
-
-
-def between(times: np.ndarray, coarse: Level, fine: Level, values: np.ndarray, width: float) -> list[Comparison]:
-    """Comparisons of two levels, one a parameter."""
-    what = f"the same derivative at a tolerance of {coarse.tolerance:.3g} against {fine.tolerance:.3g}"
-    smallest = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
-    first, second = flat(coarse.derivative.force), flat(fine.derivative.force)
-    return [
-        compare(what, times, a, b, smallest / max(abs(p), 1e-30), width)
-        for a, b, p in zip(first, second, values, strict=True)
-    ]
-
-
-def compare(what: str, times: np.ndarray, a: np.ndarray, b: np.ndarray, smallest: float, width: float) -> Comparison:
-    """Two derivatives (T, M) of one parameter."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        means = averaged(times, a, width), averaged(times, b, width)
-    return Comparison(what, difference(times, a, b, smallest, BROKEN), difference(times, *means, smallest, BROKEN))
-
-
-def growths(times: np.ndarray, level: Level, values: np.ndarray) -> list[Growth]:
-    """Growth of the state's tangent, one a parameter."""
-    sizes = np.where(values == 0, 1.0, np.abs(values))
-    return [growth(times, size * state) for size, state in zip(sizes, level.derivative.state, strict=True)]
-
-
-def chaotic(grown: Growth, found: Comparison) -> bool:
-    """Whether a derivative means nothing: it grows without bound and depends on the tolerance."""
-    return grown.factor > CHAOTIC_GROWTH and not grown.exponent <= 0 and not found.average.relative <= POINTWISE
-
-
-def apart(first: np.ndarray, second: np.ndarray, numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Relative difference of features' derivatives (F, P); 0 where both are 0, NaN where one is unknown.
-
-    A derivative below 0.01 % of the feature (F,) per 1 % of the parameter's value (P,) counts as that much.
-    """
-    least = LEAST * np.abs(numbers)[:, None] / np.maximum(np.abs(values), 1e-30) * (values != 0)
-    size = np.maximum(np.maximum(np.abs(first), np.abs(second)), least)
-    return np.where(size > 0, np.abs(first - second) / np.where(size > 0, size, 1.0), size)
-
-
-def of_feature(apart: float) -> str:
-    """Verdict of one feature's derivative, from its relative error at most."""
-    return TRUSTED if apart <= POINTWISE else AVERAGED if apart <= BROKEN else NOT
+    reported: float = NAN
 
 
 class Seen(NamedTuple):
@@ -222,9 +301,9 @@ def check(comparisons: Sequence[Comparison], seen: Seen) -> Check:
     elif vague and grown.factor > CHAOTIC_GROWTH:
         remark = "tangents grow by more than a million, and no central difference confirms them"
     elif pointwise <= POINTWISE:
-        verdict, remark, breakdown = TRUSTED, "no influence" if seen.influence == 0.0 else "", float("nan")
+        verdict, remark, breakdown = TRUSTED, "no influence" if seen.influence == 0.0 else "", NAN
     elif worst.average.relative <= BROKEN and not levels.unbounded:
-        verdict, breakdown = AVERAGED, float("nan")
+        verdict, breakdown = AVERAGED, NAN
     elif worst is not levels and levels.average.relative <= POINTWISE:
         # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
         remark = "central differences find another derivative: the force has a kink or a jump here"
@@ -233,36 +312,31 @@ def check(comparisons: Sequence[Comparison], seen: Seen) -> Check:
     else:
         remark = f"{_OPEN if levels.unbounded else _LOOSE}: give a tighter accuracy or a larger smoothing"
         remark += "; its influence is weak" if seen.influence < INFLUENCE else ""
-    if verdict == NOT and not remark.startswith(_LOOSE):
-        numbers = dict.fromkeys(numbers, NOT)
-    return Check(
-        verdict, remark, (*(c.what for c in comparisons), *([seen.also] if seen.also else [])), pointwise,
-        worst.average.relative, features, grown.factor, grown.exponent, float(seen.influence), worst.pointwise.where,
-        breakdown, numbers, unchecked,
+    compared = (*(c.what for c in comparisons), *([seen.also] if seen.also else []))
+    found = Check(
+        verdict, remark, compared, pointwise, worst.average.relative, features, grown.factor, grown.exponent,
+        float(seen.influence), worst.pointwise.where, breakdown, numbers, unchecked,
     )  # fmt: skip
+    return found._replace(feature_verdicts=dict.fromkeys(numbers, NOT)) if found.lost else found
 
 
 def _that_count(comparisons: Sequence[Comparison], seen: Seen) -> tuple[list[Comparison], str, bool]:
     """Comparisons that check something, what was not checked, and whether central differences were too vague to."""
-    unchecked = seen.unchecked
     # A run beside that failed says nothing of this one.
     failed = [c for c in comparisons[1:] if not np.isfinite(c.average.relative)]
-    if failed:
-        unchecked = joined(unchecked, "central differences check nothing: a run beside this one failed")
     vague = seen.vague or any(c.vague for c in comparisons[1:])
-    if vague:
-        unchecked = joined(unchecked, VAGUE)
     counting = [c for c in comparisons if not c.vague and c not in failed]
+    nothing, beside = "central differences check nothing", "a run beside this one failed"
+    unchecked = joined(seen.unchecked, f"{nothing}: {beside}" if failed else "", VAGUE if vague else "")
     early = [c.until for c in counting if np.isfinite(c.until)]
     if early and "central differences" not in unchecked:
-        late = f"central differences check nothing after {min(early):.4g} s: a run beside this one failed there"
-        unchecked = joined(unchecked, late)
+        unchecked = joined(unchecked, f"{nothing} after {min(early):.4g} s: {beside} there")
     return counting, unchecked, vague
 
 
-def joined(said: str, more: str) -> str:
-    """Two reasons in a sentence."""
-    return "; ".join(filter(None, (said, more)))
+def joined(*said: str) -> str:
+    """Reasons in a sentence."""
+    return "; ".join(filter(None, said))
 
 
 def worst_verdict(checks: Mapping[str, Check]) -> str:

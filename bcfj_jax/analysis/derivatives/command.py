@@ -9,29 +9,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis import plausibility
-from bcfj_jax.analysis.derivatives import pictures
-from bcfj_jax.analysis.derivatives.certificate import BROKEN, TRUSTED
+from bcfj_jax.analysis.derivatives.certificate import TRUSTED
 from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
-from bcfj_jax.analysis.derivatives.ranking import (
-    Ranking,
+from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
+from bcfj_jax.analysis.derivatives.table import (
+    bands,
     certificate_rows,
     drivers,
+    in_steady,
     legend,
     ranked_rows,
     ranking,
     said,
-    steady_ranking,
+    tornado,
     unknown,
 )  # fmt: skip
-from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict, counted
-from bcfj_jax.io.scenefile import SceneFile, load, shown
+from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.xla.programs import keep_asked
 
@@ -52,6 +52,7 @@ _NOW = {
 }
 # Rows of the report's tables that are not folded.
 _MOST_ROWS = 12
+Tables = list[tuple[str, list[list[str]]]]
 
 
 class Wanted(NamedTuple):
@@ -64,41 +65,39 @@ class Wanted(NamedTuple):
 
 
 class _Told:
-    """What is written and shown of a result as it grows."""
+    """What is written and shown of a result as it grows; ``absurd``: what is not plausible of the run itself."""
 
     def __init__(
-        self, folder: Path, given: SceneFile, params: Params, absurd: Sequence[plausibility.Finding],
-        show: Callable[[str], None],
-    ) -> None:  # fmt: skip
-        self.folder, self.scene, self.params, self.absurd = folder, given.scene, params, absurd
+        self, folder: Path, scene: AbstractModel, absurd: Sequence[plausibility.Finding], show: Callable[[str], None]
+    ) -> None:
+        self.folder, self.scene, self.absurd = folder, scene, absurd
         self.doubts = [plausibility.headline(absurd)] if absurd else []
         self.growing = Growing(folder / "certificate.json", show)
         self.ends: list[float] = []
 
-    def write(self, found: Sensitivity, stage: str) -> list[Any]:
+    def write(self, found: Sensitivity, stage: str) -> Tables:
         """The files; tables as they are shown."""
         ends = [_end(found, name) for name in found.wrt]
         if ends != self.ends and found.derivative:
             write_histories(self.folder / "sensitivity.csv", self.scene, found)
             self.ends = ends
-        content = certificate_json(found, self.params, self.scene) | {"plausibility": plausibility.content(self.absurd)}
+        content = certificate_json(found, self.scene) | {"plausibility": plausibility.content(self.absurd)}
         self.growing.write(stage, content)
-        return _tables(found, self.params, UNCHECKED if stage == UNCHECKED else "")
+        return _tables(found, UNCHECKED if stage == UNCHECKED else "")
 
     def so_far(self, found: Sensitivity) -> str:
         """Write and show what is new; how far the result has come."""
         stage = BOUNDED if found.certificate else UNCHECKED if found.derivative else STEADY
-        tables = _texts(self.write(found, stage))
-        parts = [*self.doubts, *_driven(found, self.params), *tables]
-        self.growing.tell(parts, _NEXT[stage].format(said(found)))
+        tables = self.write(found, stage)
+        self.growing.tell([*self.doubts, *_driven(found), *_texts(tables)], _NEXT[stage].format(said(found)))
         return stage
 
-    def at_last(self, found: Sensitivity) -> tuple[str, list[Any]]:
+    def at_last(self, found: Sensitivity) -> tuple[str, Tables]:
         """The outcome in words, with tables that the comparison has changed; and all tables."""
         tables = self.write(found, COMPLETE)
         certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
         again = bool(self.growing.new(_texts(tables)))
-        drives, again = (_driven(found, self.params), tables) if again else ([], [])
+        drives, again = (_driven(found), tables) if again else ([], [])
         return "\n\n".join([*self.doubts, *drives, said(found), *_texts([*certificate, *again])]), tables
 
 
@@ -128,7 +127,7 @@ def run(
     outputs.write_origin(folder, resolved, f"{what}, every default, SI", known)
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.get_ready()
-    told = _Told(folder, given, params, plausibility.at(given.scene, params, given.times), show)
+    told = _Told(folder, given.scene, plausibility.at(given.scene, params, given.times), show)
     for doubt in told.doubts:
         say(f"warning: {doubt}")
 
@@ -146,41 +145,34 @@ def run(
     )
     text, tables = told.at_last(found)
     with stage("drawing"):
-        ranked = ranking(found, params)
-        tornado = pictures.tornado(ranked, folder / "tornado.png")
-        drawn = tornado, pictures.bands(found, params, folder / "histories.png")
-    report.write(
-        folder, page(f"Sensitivity of {stem}", found, params, tables, drawn, told.absurd), given.scene.model_form
-    )
+        drawn = tornado(ranking(found), folder / "tornado.png"), bands(found, folder / "histories.png")
+    report.write(folder, page(f"Sensitivity of {stem}", found, tables, drawn, told.absurd), given.scene.model_form)
     keep_asked()
     return f"{text}\n\nresults in {folder}", found.status == "ok"
 
 
 def page(
-    title: str, found: Sensitivity, params: Params, tables: Sequence[tuple[str, list[list[str]]]],
-    drawn: tuple[Picture, ...], absurd: Sequence[plausibility.Finding] = (),
-) -> Page:  # fmt: skip
+    title: str, found: Sensitivity, tables: Tables, drawn: tuple[Picture, ...], absurd: Sequence[plausibility.Finding]
+) -> Page:
     """The report: which parameter drives which feature, and how far the derivatives can be trusted.
 
     Args:
         title: its heading.
-        found, params: the derivatives, and the parameters' values.
+        found: the derivatives.
         tables: of features, as on the screen.
         drawn: the pictures.
         absurd: what is not plausible of the run itself.
     """
-    certificate, ranked = found.certificate, ranking(found, params)
     shown = [
         _strongest(head if k else "Percent change of features per percent change of parameters", rows, legend(found))
         for k, (head, rows) in enumerate(tables)
     ]
-    if certificate:
+    if found.certificate:
         note = "Pointwise and averaged: the relative error at most, over the whole run. "
         note += "Tangent growth: how much a small change grows over the run."
-        shown.append(Table("Certificate of the histories' derivatives", certificate_rows(certificate), note))
+        shown.append(Table("Certificate of the histories' derivatives", certificate_rows(found.certificate), note))
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
-    verdict = plausibility.judged(absurd, answer(found, ranked, drivers(found, params)))
-    return Page(title, verdict, drawn, tables=tuple(shown), folded=(solver,))
+    return Page(title, plausibility.judged(absurd, answer(found)), drawn, tables=tuple(shown), folded=(solver,))
 
 
 def _strongest(title: str, rows: list[list[str]], note: str) -> Table:
@@ -190,14 +182,15 @@ def _strongest(title: str, rows: list[list[str]], note: str) -> Table:
     return Table(title, rows[:most] if rest else rows, note, rest)
 
 
-def answer(found: Sensitivity, ranked: Ranking, sentences: Sequence[str]) -> Verdict:
-    """Which parameter drives which feature (``ranking.drivers``), and whether to trust it."""
+def answer(found: Sensitivity) -> Verdict:
+    """Which parameter drives which feature, and whether to trust it."""
     if found.status != "ok":
         return Verdict(BAD, "Failed", said(found))
+    sentences = drivers(found)
     sentence = f"{'; '.join(sentences) or unknown(found)}."
     if found.certificate is None:
         return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
-    known = np.isfinite(np.where(ranked.apart > BROKEN, np.nan, ranked.elasticity)).any() or bool(sentences)
+    known = np.isfinite(ranking(found).known).any() or bool(sentences)
     checks = found.certificate.parameters.values()
     verdicts, whole = {check.verdict for check in checks}, not any(check.unchecked for check in checks)
     kind = GOOD if verdicts == {TRUSTED} else FAIR if known else BAD
@@ -214,27 +207,25 @@ def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tup
     return names, [one.name for one in wanted]
 
 
-def _tables(found: Sensitivity, params: Any, mark: str) -> list[tuple[str, list[list[str]]]]:
+def _tables(found: Sensitivity, mark: str) -> Tables:
     """Of the run's features, with a mark in every row, and of those of steady motion."""
     tables = []
     if found.features:
         head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
-        tables.append((head, ranked_rows(found.features, ranking(found, params), found.sampled, mark)))
-    if found.steady is not None and not found.steady.reason:
+        tables.append((head, ranked_rows(ranking(found), found.sampled, mark)))
+    if found.steady is not None and in_steady(found):
         turn = format_si(found.steady.turn, "s", 4)
         head = f"Percent change per percent change of parameters in steady motion, over one turn of {turn}, whatever the start"
         pending = "" if found.steady.verdicts else UNCHECKED
-        tables.append((head, ranked_rows(found.steady.features, steady_ranking(found, params), mark=pending)))
+        tables.append((head, ranked_rows(ranking(found, of_steady=True), mark=pending)))
     return tables
 
 
-def _driven(found: Sensitivity, params: Any) -> list[str]:
-    if found.status != "ok":
-        return []
-    return ["\n".join(drivers(found, params) or [unknown(found)])]
+def _driven(found: Sensitivity) -> list[str]:
+    return ["\n".join(drivers(found) or [unknown(found)])] if found.status == "ok" else []
 
 
-def _texts(tables: Sequence[tuple[str, list[list[str]]]]) -> list[str]:
+def _texts(tables: Tables) -> list[str]:
     return [f"{head}\n{report.text(rows)}" for head, rows in tables]
 
 
@@ -260,10 +251,18 @@ def _end(found: Sensitivity, name: str) -> float:
     return broken if np.isfinite(broken) else float("inf")
 
 
-def certificate_json(found: Sensitivity, params: Any, scene: AbstractModel) -> dict[str, Any]:
+def certificate_json(found: Sensitivity, scene: AbstractModel) -> dict[str, Any]:
     """``certificate.json``: the verdicts, and features with their derivatives."""
-    certificate = found.certificate
-    features = {
+    certificate = found.certificate._asdict() if found.certificate else {}
+    checks = certificate.pop("parameters", {})
+    content: dict[str, Any] = {key: getattr(found, key) for key in ("status", "reason", "failure_time")}
+    content |= {"verdict": certificate.pop("verdict", None)}
+    content["parameters"] = {
+        name: {"value": found.values[name], "unit": scene.quantities[name].unit}
+        | (checks[name]._asdict() if name in checks else {})
+        for name in found.wrt
+    }
+    content["features"] = {
         name: {
             "value": value,
             "unit": feature_unit(name),
@@ -271,23 +270,6 @@ def certificate_json(found: Sensitivity, params: Any, scene: AbstractModel) -> d
         }
         for name, value in found.features.items()
     }
-    content: dict[str, Any] = {
-        "status": found.status,
-        "reason": found.reason,
-        "failure_time": found.failure_time,
-        "verdict": certificate.verdict if certificate else None,
-        "parameters": {},
-        "features": features,
-        "solver": found.stats,
-        "steady": None,
-    }
-    if found.steady is not None:
-        # Histories of the orbit are long, and for Python.
-        content["steady"] = {k: v for k, v in found.steady._asdict().items() if k not in ("force", "derivative")}
-    for name in found.wrt:
-        content["parameters"][name] = {"value": float(params[name]), "unit": scene.quantities[name].unit}
-        if certificate:
-            content["parameters"][name] |= certificate.parameters[name]._asdict()
-    if certificate:
-        content |= {key: value for key, value in certificate._asdict().items() if key not in ("parameters", "verdict")}
-    return content
+    # Histories of the orbit are long, and for Python.
+    steady = found.steady and {k: v for k, v in found.steady._asdict().items() if k not in ("force", "derivative")}
+    return content | {"solver": found.stats, "steady": steady} | certificate

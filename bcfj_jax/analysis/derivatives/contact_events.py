@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack, cast
 
 import jax
 import numpy as np
@@ -22,12 +22,13 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from bcfj_jax.analysis.derivatives.certificate import apart
 from bcfj_jax.analysis.derivatives.jacobian import by_shares, channel_names
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.problem import Problem
-from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, flat, instants, planned, train
-from bcfj_jax.analysis.features import EVENTS
+from bcfj_jax.analysis.derivatives.trains import PHASES, TILTED, Marks, Train, flat, instants, planned, train
+from bcfj_jax.analysis.features import EVENTS, Event
 from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.settings import taking
@@ -49,32 +50,6 @@ TIGHTER = 1.0 / 16.0
 BOUNDING = {False: (1.0 / 16.0, 1.0 / 256.0), True: (1.0 / 4.0, 1.0 / 40.0)}
 # An impulse of so uneven a force is not known.
 _UNEVEN = 1e-3
-
-
-class ContactTrain(NamedTuple):
-    """The contacts of one channel, or their derivatives by a parameter, per SI unit; NaN where there is none.
-
-    Attributes:
-        begin, peak_time, end: (K,) [s]; peak, impulse: (K,) of the normal force's size [N], [N s].
-        center, width: (K,) mean and deviation of the time, weighed by the force [s].
-        force: (K, N) normal force at the phases, on a clock that moves with the contact [N].
-        pointwise: (K, N) the same at fixed times.
-    """
-
-    begin: Float[np.ndarray, " K"]
-    peak_time: Float[np.ndarray, " K"]
-    end: Float[np.ndarray, " K"]
-    peak: Float[np.ndarray, " K"]
-    impulse: Float[np.ndarray, " K"]
-    center: Float[np.ndarray, " K"]
-    width: Float[np.ndarray, " K"]
-    force: Float[np.ndarray, "K N"]
-    pointwise: Float[np.ndarray, "K N"]
-
-    @property
-    def duration(self) -> Float[np.ndarray, " K"]:
-        """(K,) from begin to end [s]."""
-        return EVENTS["duration"].of(self)
 
 
 class ContactEvents(NamedTuple):
@@ -100,8 +75,8 @@ class ContactEvents(NamedTuple):
 
     wrt: tuple[str, ...]
     phases: Float[np.ndarray, " N"]
-    trains: dict[str, ContactTrain]
-    derivative: dict[str, dict[str, ContactTrain]]
+    trains: dict[str, Train]
+    derivative: dict[str, dict[str, Train]]
     apart: dict[str, dict[str, np.ndarray]]
     features: dict[str, float]
     feature_derivatives: dict[str, dict[str, float]]
@@ -119,8 +94,8 @@ class Solved(NamedTuple):
 
     channel: np.ndarray
     number: np.ndarray
-    value: Any
-    derivative: Any
+    value: Train
+    derivative: dict[str, Train]
     counts: np.ndarray
     code: int
     end: float
@@ -157,14 +132,12 @@ def contact_events(
     """
     scene, params, t = ready(scene, params, times)
     full, names = complete(scene, params, wrt) if len(wrt) else (dict(params), ())
-    asked = [
-        named(name, scene.members) for name in texts("features", features, 'name features, such as "contact.begin_1"')
-    ]
+    given = texts("features", features, 'name features, such as "contact.begin_1"')
+    asked = [named(name, scene.members) for name in given]
     for one in asked:
         if event(one.kind) is None:
-            raise InputError(
-                f"feature '{one.name}'", "is of no single contact", f"use one of {', '.join(EVENTS)} with a number"
-            )
+            right = f"use one of {', '.join(EVENTS)} with a number"
+            raise InputError(f"feature '{one.name}'", "is of no single contact", right)
     how = plan(scene, **settings)
     problem = Problem(scene, full, t, names, asked, max_steps=how.max_steps)
     return _presented(problem, *(solved_at(problem, how, asked, tighter) for tighter in (1.0, TIGHTER)))
@@ -183,13 +156,18 @@ def check_followed(scene: AbstractModel) -> None:
         raise InputError(where, "has no history of its own", "contacts' begins, peaks and ends need a motion")
 
 
+def _places_of(scene: AbstractModel, one: Feature) -> list[tuple[str, int, int]]:
+    """Name, number of the channel and number of the contact, from 0, of what a feature is of: every member's."""
+    channels, (_, number) = channel_names(scene.members), cast(tuple, event(one.kind))
+    return [(name, channels.index(name), number - 1) for name in members(one.contacts[0], scene.members)]
+
+
 def solved_at(problem: Problem, how: Plan, asked: Sequence[Feature], tighter: float = 1.0) -> Solved:
     """The contacts that features ask for (all for none), at a share of the plan's tolerance; see ``contact_events``."""
     scene, wrt = problem.scene, problem.names
     check_followed(scene)
-    how = planned(scene, how, tighter, _STIFF)
-    channels = channel_names(scene.members)
-    wanted = {(channels.index(m), event(f.kind)[1] - 1) for f in asked for m in members(f.contacts[0], scene.members)}  # pyright: ignore[reportOptionalSubscript]
+    how, stiff = planned(scene, how, tighter, _STIFF), scene.traits.stiff
+    wanted = {place[1:] for one in asked for place in _places_of(scene, one)}
     most = MOST if not wanted else 1 << max(3, max(k for _, k in wanted).bit_length())
     given, last, spent = dict(problem.params), np.asarray(float(problem.times[-1])), np.zeros(2)
 
@@ -200,40 +178,37 @@ def solved_at(problem: Problem, how: Plan, asked: Sequence[Feature], tighter: fl
         spent[:] += time.perf_counter() - begin, compile_s
         return result
 
-    def read(marks: Marks) -> Any:
-        return ask(
-            "contact events", _solved, ((scene, wrt, most if scene.traits.stiff else 1),), (given, marks, last, how)
-        )
+    def read(marks: Sequence[Any]) -> Any:
+        marks = Marks(*map(np.asarray, marks))  # pyright: ignore[reportArgumentType]
+        return ask("contact events", _solved, ((scene, wrt, most if stiff else 1),), (given, marks, last, how))
 
     # One program serves runs with about as many contacts.
     places = _places(len(wanted))
-    if scene.traits.stiff:
+    if stiff:
         # Steps with derivatives are others than those without: a run that reads nothing finds the contacts.
         places = min(places, _BLOCK) if wanted else _BLOCK
-        nowhere = np.full(places, np.nan)
-        found = read(Marks(np.zeros(places, int), *[nowhere] * 4))[2][-1]  # pyright: ignore[reportArgumentType]
+        found = read([np.zeros(places, int), *[np.full(places, np.nan)] * 4])[2][-1]
     else:
         found = ask("contacts", _found, (scene, most), (given, last, how))
     counts = np.asarray(found.count)
-    pairs = sorted(wanted) or [(c, k) for c in range(len(channels)) for k in range(min(int(counts[c]), MOST))]
+    pairs = sorted(wanted) or [(c, k) for c, count in enumerate(counts) for k in range(min(int(count), MOST))]
     if len(pairs) > _ALL:
         raise InputError("features", f"{len(pairs)} contacts", f"name those that are wanted, {_ALL} at most")
-    places = places if scene.traits.stiff else _places(len(pairs))
-    parts: list[tuple] = []
+    places = places if stiff else _places(len(pairs))
+    parts, rows = [], np.array(pairs, int).reshape(-1, 2)
     for k in range(0, max(len(pairs), 1), places):
-        block = pairs[k : k + places]
-        rows = np.array([*block, *[(0, most)] * (places - len(block))])
-        marks = Marks(*map(np.asarray, flat(found, rows[:, 0], rows[:, 1])))  # pyright: ignore[reportArgumentType]
-        slopes, value, (*ended, _) = read(marks)
-        parts.append((*jax.tree.map(np.asarray, (value, slopes)), ended, len(block)))
-    whole = lambda *x: np.concatenate([each[:n] for each, (*_, n) in zip(x, parts, strict=True)])  # noqa: E731
-    value, slopes = jax.tree.map(whole, *[part[:2] for part in parts])
-    derivative = {name: type(value)(*(part[name] for part in slopes)) for name in wrt}
-    code, stop, accepted, rejected = parts[0][2]
-    rows = np.array(pairs, int).reshape(-1, 2)
+        block = rows[k : k + places]
+        filled_up = np.array([*block, *[(0, most)] * (places - len(block))])
+        slopes, value, ended = read(flat(found, *filled_up.T))
+        own = slice(len(block))
+        one = jax.tree.map(lambda x, own=own: np.asarray(x)[own], value)
+        parts.append((one, jax.tree.map(lambda x, own=own: np.asarray(x)[:, own], slopes), ended))
+    value, slopes = (jax.tree.map(lambda *x, axis=k: np.concatenate(x, axis), *(p[k] for p in parts)) for k in (0, 1))
+    code, stop, accepted, rejected, _ = parts[0][2]
+    by, missed = {name: jax.tree.map(lambda x, k=k: x[k], slopes) for k, name in enumerate(wrt)}, found.missed
     return Solved(
-        rows[:, 0], rows[:, 1], value, derivative, counts, int(code), float(stop), int(accepted), int(rejected),
-        float(spent[0]), float(spent[1]), np.zeros_like(counts) if found.missed is None else np.asarray(found.missed),
+        rows[:, 0], rows[:, 1], value, by, counts, int(code), float(stop), int(accepted), int(rejected), float(spent[0]),
+        float(spent[1]), np.zeros_like(counts) if missed is None else np.asarray(missed),
     )  # fmt: skip
 
 
@@ -243,12 +218,11 @@ def _places(count: int) -> int:
 
 
 def _found(scene: AbstractModel, most: int, params: dict, end: Array, how: Plan) -> Any:
-    """The first ``most`` contacts of every channel."""
     return instants(scene, params, end, how, most)
 
 
 def _solved(what: tuple[AbstractModel, tuple[str, ...], int], params: dict, marks: Marks, end: Array, how: Plan) -> Any:
-    """Derivatives of the train by name, the train, how the run ended, and the contacts that it found."""
+    """Derivatives of the train, the train, how the run ended, and the contacts that it found."""
     scene, wrt, most = what
 
     def at(params: dict) -> tuple:
@@ -269,51 +243,45 @@ def filled(problem: Problem, how: Plan, values: np.ndarray, slopes: np.ndarray, 
     asked = [problem.wanted[i] for i in own]
     found = solved_at(problem, how, asked, tighter)
     values[own], slopes[own] = numbers(problem.scene, found, asked)
-    return {f.name: text for f in asked if (text := why(problem.scene, found, f))}
+    return _reasons(problem.scene, found, asked)
 
 
 def numbers(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> tuple[np.ndarray, np.ndarray]:
     """Features (F,) of contacts and their derivatives (F, P); the mean of members, of peaks the largest."""
-    channels = channel_names(scene.members)
     where = {pair: i for i, pair in enumerate(zip(found.channel.tolist(), found.number.tolist(), strict=True))}
     values, slopes = np.full(len(asked), np.nan), np.full((len(asked), len(found.derivative)), np.nan)
     for i, one in enumerate(asked):
-        kind, number = event(one.kind)  # pyright: ignore[reportGeneralTypeIssues]
-        rows = [where[channels.index(m), number - 1] for m in members(one.contacts[0], scene.members)]
-        of = EVENTS[kind].of
-        each = Dual(
-            of(found.value)[rows], np.reshape([of(d)[rows] for d in found.derivative.values()], (-1, len(rows)))
-        )
+        kind = EVENTS[cast(tuple, event(one.kind))[0]]
+        rows = [where[place[1:]] for place in _places_of(scene, one)]
+        by = np.reshape([kind.of(d)[rows] for d in found.derivative.values()], (-1, len(rows)))
         # One reason for a value and its derivatives.
         if not why(scene, found, one):
-            whole = EVENTS[kind].members(each)
+            whole = kind.members(Dual(kind.of(found.value)[rows], by))
             values[i], slopes[i] = whole.value, whole.slope
     return values, slopes
 
 
+def _reasons(scene: AbstractModel, found: Solved, asked: Sequence[Feature]) -> dict[str, str]:
+    return {f.name: text for f in asked if (text := why(scene, found, f))}
+
+
 def why(scene: AbstractModel, found: Solved, one: Feature) -> str:
     """Why a feature of a contact is NaN; "" where it is not."""
-    channels = channel_names(scene.members)
-    kind, number = event(one.kind)  # pyright: ignore[reportGeneralTypeIssues]
-    for member in members(one.contacts[0], scene.members):
-        channel = channels.index(member)
-        if text := _why(found, channel, number, kind, member):
-            return text
-    return ""
+    known = EVENTS[cast(tuple, event(one.kind))[0]]
+    return next(filter(None, (_why(found, known, *place) for place in _places_of(scene, one))), "")
 
 
-def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
-    if found.code != OK and not number <= found.counts[channel]:
-        return f"the run failed at {found.end:.6g} s"
-    if number > found.counts[channel]:
-        many = int(found.counts[channel])
-        return f"{name} has {many or 'no'} contact{'' if many == 1 else 's'} until the run's end"
-    row = int(np.flatnonzero((found.channel == channel) & (found.number == number - 1))[0])
-    v, known = found.value, EVENTS[kind]
+def _why(found: Solved, known: Event, name: str, channel: int, number: int) -> str:
+    many, failed = int(found.counts[channel]), f"the run failed at {found.end:.6g} s"
+    if number >= many:
+        until = f"{name} has {many or 'no'} contact{'' if many == 1 else 's'} until the run's end"
+        return until if found.code == OK else failed
+    row = int(np.flatnonzero((found.channel == channel) & (found.number == number))[0])
+    v = found.value
     if "begin" in known.needs and not np.isfinite(v.begin[row]):
         return "it was closed at the start"
     if "end" in known.needs and not np.isfinite(v.end[row]):
-        return "it lasts beyond the run's end" if found.code == OK else f"the run failed at {found.end:.6g} s"
+        return "it lasts beyond the run's end" if found.code == OK else failed
     if known.integral and not v.unsure[row] <= _UNEVEN:
         return f"its force is too uneven: the points that it is read at give its impulse to {v.unsure[row]:.1g}"
     if known.summit:
@@ -324,35 +292,33 @@ def _why(found: Solved, channel: int, number: int, kind: str, name: str) -> str:
 
 
 def _presented(problem: Problem, loose: Solved, tight: Solved) -> ContactEvents:
-    scene, params, wrt, asked = problem.scene, problem.params, problem.names, problem.wanted
+    scene, params, wrt = problem.scene, problem.params, problem.names
     channels = channel_names(scene.members)
-    wanted = list(asked) or [
+    wanted = list(problem.wanted) or [
         Feature(f"{channels[c]}.{kind}_{k + 1}", f"{kind}_{k + 1}", (channels[c],))
         for c, k in zip(tight.channel, tight.number, strict=True)
         for kind in EVENTS
     ]
     values, slopes = numbers(scene, tight, wanted)
-    reasons = {f.name: text for f in wanted if (text := why(scene, tight, f))}
-    used = sorted({channels[c] for c in tight.channel}, key=channels.index)
-    trains = {name: _train(tight, channels.index(name), tight.value) for name in used}
-    by = {p: {name: _train(tight, channels.index(name), tight.derivative[p]) for name in used} for p in wrt}
-    apart = {p: {name: _apart(loose, tight, channels.index(name), p, float(params[p])) for name in used} for p in wrt}
+    used = {channels[c]: int(c) for c in np.unique(tight.channel)}
+    apart = {p: {name: _apart(loose, tight, c, p, float(params[p])) for name, c in used.items()} for p in wrt}
+    by_channel = [dict(zip(channels, map(int, n), strict=True)) for n in (tight.counts, tight.missed)]
     failed = tight.code != OK
     return ContactEvents(
-        wrt, PHASES.copy(), trains, by, apart,
-        {f.name: float(x) for f, x in zip(wanted, values, strict=True)},
-        {p: {f.name: float(slopes[i, k]) for i, f in enumerate(wanted)} for k, p in enumerate(wrt)},
-        reasons, {name: int(n) for name, n in zip(channels, tight.counts, strict=True)},
-        "failed" if failed else "ok", reason(tight.code, problem.max_steps), tight.end if failed else float("nan"),
+        wrt, PHASES.copy(), {name: _train(tight, c, tight.value) for name, c in used.items()},
+        {p: {name: _train(tight, c, tight.derivative[p]) for name, c in used.items()} for p in wrt}, apart,
+        {f.name: float(x) for f, x in zip(wanted, values, strict=True)}, problem._replace(wanted=wanted).by_name(slopes),
+        _reasons(scene, tight, wanted), by_channel[0], "failed" if failed else "ok", reason(tight.code, problem.max_steps),
+        tight.end if failed else float("nan"),
         {
             "accepted": tight.accepted, "rejected": tight.rejected,
             "wall_s": loose.wall_s + tight.wall_s, "compile_s": loose.compile_s + tight.compile_s,
         },
-        {name: int(n) for name, n in zip(channels, tight.missed, strict=True)},
+        by_channel[1],
     )  # fmt: skip
 
 
-def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
+def _train(found: Solved, channel: int, of: Train) -> Train:
     """One channel's contacts in their order, from 1 to the last that was looked at."""
     own = np.flatnonzero((found.channel == channel) & (found.number < found.counts[channel]))
     most = int(found.number[own].max(initial=-1)) + 1
@@ -362,18 +328,13 @@ def _train(found: Solved, channel: int, of: Any) -> ContactTrain:
         table[found.number[own]] = values[own]
         return table
 
-    same = ContactTrain._fields[:-1]
-    return ContactTrain(*map(placed, (*(getattr(of, name) for name in same), of.fixed)))
+    return Train(*map(placed, of))
 
 
 def _apart(loose: Solved, tight: Solved, channel: int, parameter: str, value: float) -> np.ndarray:
     """How far derivatives (E, K) at two tolerances are apart."""
-    from bcfj_jax.analysis.derivatives.certificate import apart
-
-    first, second, numbers = (
-        _train(s, channel, d)
-        for s, d in ((loose, loose.derivative[parameter]), (tight, tight.derivative[parameter]), (tight, tight.value))
-    )
+    tables = (loose, loose.derivative[parameter]), (tight, tight.derivative[parameter]), (tight, tight.value)
+    first, second, numbers = (_train(found, channel, of) for found, of in tables)
     rows = []
     for known in EVENTS.values():
         a, b, n = map(known.of, (first, second, numbers))

@@ -7,7 +7,7 @@ traced, so that the same program climbs a certificate's levels.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
+from bcfj_jax.analysis.derivatives.trains import of_curve
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
@@ -80,8 +81,7 @@ def histories(
     scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
 ) -> tuple[Histories, tuple]:
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    from bcfj_jax.analysis.derivatives.curves import of_curve  # With diffrax, which a kept program does not need.
-    from bcfj_jax.solve.integrate import integrate
+    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
 
     solution = integrate(scene, params, times, how, mode, "whole")
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
@@ -108,10 +108,8 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()
-    slopes, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
+    derivative, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
     wall = time.perf_counter() - begin
-    # One dictionary by name in every field of the histories.
-    derivative = Histories(*(part and np.stack([part[name] for name in wrt]) for part in slopes))
     # A force that is 0 has a derivative of 0, whatever the state's is.
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
     if code == OK and not np.isfinite(value.force).all():
@@ -125,28 +123,28 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
 
 
 def _jacobian(scene: AbstractModel, wrt: tuple[str, ...], params: dict, times: Array, how: Plan) -> Any:
-    """Derivatives of the histories by name, (histories, how the run ended), and the states' natural sizes."""
+    """Derivatives of the histories, (histories, how the run ended), and the states' natural sizes."""
     return *by_shares(lambda p: histories(scene, p, times, how), params, wrt), scene.error_scale(params)
 
 
-def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: tuple[str, ...]) -> tuple[Any, tuple]:
-    """Derivatives by name of a named tuple per SI unit, and (the tuple, what stands beside it).
+def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: Sequence[str]) -> tuple[Any, tuple]:
+    """Derivatives (P, ...) of a pytree by the named parameters, per SI unit, and (it, what stands beside it). Pure.
 
     By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %.
 
     Args:
-        function: of all parameters; it returns the named tuple, and what is not differentiated.
+        function: of all parameters; it returns the pytree, and what is not differentiated.
         params: where.
         wrt: names.
     """
-    sizes = {name: jnp.where(params[name] == 0.0, 1.0, jnp.abs(params[name])) for name in wrt}
+    from bcfj_jax.solve.work_queue import shifted, sizes  # With diffrax, which a kept program does not need.
 
-    def at(shares: dict) -> tuple:
-        found, rest = function({**params, **{name: params[name] + sizes[name] * shares[name] for name in wrt}})
+    def at(shares: Array) -> tuple:
+        found, rest = function({**params, **shifted(params, wrt, shares)})
         return found, (found, rest)
 
-    slopes, rest = jax.jacfwd(at, has_aux=True)(dict.fromkeys(wrt, jnp.zeros(())))
-    return type(slopes)(*({name: part[name] / sizes[name] for name in wrt} for part in slopes)), rest
+    slopes, rest = jax.jacfwd(at, has_aux=True)(jnp.zeros(len(wrt)))
+    return jax.tree.map(lambda x: jnp.moveaxis(x / sizes(params, wrt), -1, 0), slopes), rest
 
 
 def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.analysis.derivatives.certificate import Comparison, Growth, chaotic, compare, flat, growth, norm
 from bcfj_jax.analysis.derivatives.jacobian import Level, level
 from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature
@@ -44,6 +45,11 @@ class Problem(NamedTuple):
         """(P,) of the parameters [SI]."""
         return np.array([float(self.params[name]) for name in self.names])
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """(P,) of the parameters [SI]; 1 unit of one that is 0."""
+        return np.where(self.values == 0, 1.0, np.abs(self.values))
+
     def solve(self, how: Plan) -> Level:
         """One solve with its derivatives."""
         times = self.times if self.fold is None else self.fold.times
@@ -63,3 +69,25 @@ class Problem(NamedTuple):
         """The parameters, with others (P,) in the places of those that are differentiated by."""
         new: Any = {n: np.asarray(x) for n, x in zip(self.names, values, strict=True)}
         return {**self.params, **new}
+
+    def influences(self, solved: Level) -> np.ndarray:
+        """Each parameter's ||p dF/dp|| over the largest (P,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            sizes = norm(self.times, flat(solved.derivative.force)) * self.sizes
+        largest = sizes.max(initial=0.0)
+        return sizes / largest if largest > 0 else sizes
+
+    def growths(self, solved: Level) -> list[Growth]:
+        """Growth of the state's tangent, one a parameter."""
+        return [growth(self.times, p * x) for p, x in zip(self.sizes, solved.derivative.state, strict=True)]
+
+    def chaotic(self, solved: Level, histories: Sequence[Comparison]) -> bool:
+        """Whether the derivative by one of the parameters means nothing."""
+        return any(map(chaotic, self.growths(solved), histories))
+
+    def between(self, coarse: Level, fine: Level) -> list[Comparison]:
+        """Comparisons of two levels, one a parameter."""
+        what = f"the same derivative at a tolerance of {coarse.tolerance:.3g} against {fine.tolerance:.3g}"
+        smallest = 1e-3 * float(np.sqrt(np.mean(np.sum(fine.value.force**2, axis=(1, 2)))))
+        rows = zip(self.values, flat(coarse.derivative.force), flat(fine.derivative.force), strict=True)
+        return [compare(what, self.times, a, b, smallest / max(abs(p), 1e-30), self.width) for p, a, b in rows]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple, Unpack
 
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import (
     Budget,
     Climb,
@@ -23,27 +23,27 @@ from bcfj_jax.analysis.derivatives.bounds import (
     luckless,
     target,
 )
-from bcfj_jax.analysis.derivatives.certificate import Certificate, Comparison
-from bcfj_jax.analysis.derivatives.checking import beside, certified, unasked
+from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Comparison, apart, norm
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
+from bcfj_jax.analysis.derivatives.differences import beside, certified, unasked, witnessed
+from bcfj_jax.analysis.derivatives.gradient import gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, Level
 from bcfj_jax.analysis.derivatives.measures import measure, sampling
 from bcfj_jax.analysis.derivatives.names import complete, default_features, event
 from bcfj_jax.analysis.derivatives.names import feature as named
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.repeating import settled
-from bcfj_jax.analysis.derivatives.reverse import gradient, reversed_certificate, reversible
 from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
-from bcfj_jax.analysis.derivatives.witnesses import witnessed
 from bcfj_jax.core import presented
 from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, scalar, whole
 from bcfj_jax.core.settings import taking
-from bcfj_jax.core.status import OK, reason
+from bcfj_jax.core.status import reason
 from bcfj_jax.io.stop import OutOfTime
-from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism import inputs
+from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, force_error, plan
 from bcfj_jax.solve.simulation import compiled, ready
@@ -51,6 +51,7 @@ from bcfj_jax.xla.threads import ahead, together
 
 MODES = ("auto", "forward", "reverse")
 DIFFERENCES = ("direction", "each", "none")
+KNOBS = ("smoothing", "friction_speed")
 _MANY = 50
 _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low=True)
 _BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
@@ -97,7 +98,7 @@ class Sensitivity(NamedTuple):
     reasons: dict[str, str] = {}
     sampled: tuple[str, ...] = ()
 
-    _view = "bcfj_jax.analysis.derivatives.view"
+    _view = "bcfj_jax.analysis.derivatives.table"
     __repr__ = presented.text
     _repr_html_ = presented.html
     to_pandas = presented.to_pandas
@@ -222,22 +223,16 @@ def _posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence
     return Problem(scene, full, t, names, wanted, force_error(asked.accuracy), width, asked.max_steps)
 
 
-def _nobody(found: Any) -> None:
-    """Whom nobody tells of what there is so far."""
-
-
 class _First:
     """What is told before anything is bounded: derivatives of steady motion, then those of the run's first solve.
 
-    Attributes:
-        turned: steady motion at the looser tolerance, and what gives the whole; None where no short run shows it.
-        solved: the run's first solve, as it was told.
+    ``turned``: steady motion at the looser tolerance, and what gives the whole; None where no short run shows it.
     """
 
-    def __init__(self, how: Plan, late: tuple[np.ndarray, float] | None, tell: Callable[[Sensitivity], None]):
-        self.how, self.late, self.tell = how, late, tell
+    def __init__(self, how: Plan, late: tuple[np.ndarray, float] | None, tell: Callable[[Sensitivity], None] | None):
+        self.how, self.late, self.tell = how, late, tell or (lambda found: None)
         self.turned: tuple[Steady, Callable[[], Steady]] | None = None
-        self.solved: tuple[Level, Sensitivity] | None = None
+        self.known: tuple[Level, Sensitivity] | None = None
 
     @property
     def steady(self) -> Steady | None:
@@ -246,40 +241,53 @@ class _First:
     def of_steady(self, problem: Problem) -> None:
         self.turned = first_of_steady(problem, *self.late) if self.late else None
         if self.steady:
-            self.tell(_of_steady_alone(problem, self.steady))
+            spent = {"wall_s": self.steady.wall_s, "compile_s": self.steady.compile_s, "levels": 0}
+            empty = {name: {} for name in problem.names}
+            values = dict(zip(problem.names, map(float, problem.values), strict=True))
+            self.tell(
+                Sensitivity(
+                    problem.times, problem.names, {}, {}, {}, empty, None, "ok", "", NAN, spent, self.steady, values
+                )
+            )
 
     def of_run(self, problem: Problem, level: Level) -> None:
         if level.good:
-            self.solved = level, _uncertified(problem, self.how, level)._replace(steady=self.steady)
-            self.tell(self.solved[1])
+            self.tell(self.of(problem, level))
 
-    def of(self, problem: Problem, last: Level) -> Sensitivity:
-        """What there is of a solve, computed once."""
-        known = self.solved is not None and self.solved[0] is last
-        found = self.solved[1] if self.solved and known else _uncertified(problem, self.how, last)
-        return found._replace(steady=self.steady)
+    def of(self, problem: Problem, level: Level) -> Sensitivity:
+        """Histories and features with their derivatives, as one solve has them; computed once."""
+        if self.known is None or self.known[0] is not level:
+            numbers, slopes = problem.measure(level)
+            # What is of single contacts comes from runs of its own.
+            single = filled(problem, self.how, numbers, slopes, TIGHTER)
+            self.known = level, _result(problem, [level], numbers, slopes)._replace(reasons=single)
+        return self.known[1]._replace(steady=self.steady)
 
 
 def _forward(problem: Problem, how: Plan, asked: Deriving) -> Sensitivity:
     """The run's derivatives, then their bounds, then central differences and steady motion; each is told of."""
     levels, differences, steady = asked.levels if asked.certify else 0, asked.differences, asked.steady
-    spend, tell = Budget(asked.budget), asked.tell or _nobody
-    scene, t = problem.scene, problem.times
+    spend, scene, t = Budget(asked.budget), problem.scene, problem.times
     with stage("running until the motion repeats itself"):
         short = settled(scene, problem.params, t, problem.names, how)
+    first = _First(how, short[1:] if short else None, asked.tell)
+
+    def climbed_of(problem: Problem, before: Callable[[], None] = lambda: None) -> Climb:
+        told = partial(first.of_run, problem) if levels else lambda level: None
+        return climb(problem, how, levels, spend, told, before)
+
     # A short run stands for the whole.
     problem = problem._replace(fold=short[0]) if short else problem
-    first = _First(how, short[1:] if short else None, tell)
     if steady and levels and short:
         # Compiled before the second solve begins beside it.
         prepared(scene, problem.params, problem.names, problem.max_steps)
-        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem), partial(first.of_steady, problem))
+        climbed = climbed_of(problem, partial(first.of_steady, problem))
     else:
-        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem) if levels else _nobody)
+        climbed = climbed_of(problem)
     if problem.fold and np.any(climbed.uneven(len(problem.names)) > _UNEVEN * target(problem.error)):
         # Derivatives forget their start later than the motion does.
         problem = problem._replace(fold=None)
-        climbed = climb(problem, how, levels, spend, partial(first.of_run, problem) if levels else _nobody)
+        climbed = climbed_of(problem)
     last = climbed.last
     found = first.of(problem, last)
     found = found._replace(stats=found.stats | _spent(climbed.levels))
@@ -302,7 +310,7 @@ def _forward(problem: Problem, how: Plan, asked: Deriving) -> Sensitivity:
             agree = spend.on(partial(_witnessed, problem, climbed.beside[0], slopes, agree))
     judge = partial(certified, problem, climbed, histories)
     if last.good and differences != "none":
-        tell(found._replace(certificate=judge(agree, unasked(problem))))
+        first.tell(found._replace(certificate=judge(agree, unasked(problem))))
 
     def compared() -> Any:
         alone = differences == "each"
@@ -318,58 +326,44 @@ def _stated(
     problem: Problem, how: Plan, climbed: Climb, found: Sensitivity, histories: Sequence[Comparison]
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Derivatives (F, P) of features and their bounds (F, P) from the solves; names of those known from samples alone."""
-    last = climbed.last
+    last, scene, values = climbed.last, problem.scene, problem.values
     slopes = np.array([[found.feature_derivatives[n][f.name] for n in problem.names] for f in problem.wanted])
-    agree = np.maximum(_feature_bounds(problem, how, climbed, slopes), luckless(climbed, histories))
-    between = sampling(
-        problem.times, last.value, last.derivative, problem.wanted, problem.scene.members, problem.values
-    )
-    starred = tuple(f.name for f, x in zip(problem.wanted, between, strict=True) if np.any(x))
-    return slopes, agree + between, starred
+    agree = np.full(slopes.shape, np.inf)
+    if climbed.beside is not None:
+        numbers, _ = problem.measure(last)
+        (_, between), (_, tight) = map(problem.measure, climbed.beside)
+        for slope, share in zip((between, tight), BOUNDING[scene.traits.stiff], strict=True):
+            filled(problem, how, numbers, slope, TIGHTER * share)
+        agree = feature_bounds([slopes, between, tight], numbers, values)
+    samples = sampling(problem.times, last.value, last.derivative, problem.wanted, scene.members, values)
+    starred = tuple(f.name for f, x in zip(problem.wanted, samples, strict=True) if np.any(x))
+    return slopes, np.maximum(agree, luckless(climbed, histories)) + samples, starred
 
 
-def _of_steady_alone(problem: Problem, turned: Steady) -> Sensitivity:
-    """What there is before the run's own derivatives."""
-    values = dict(zip(problem.names, map(float, problem.values), strict=True))
+def _result(problem: Problem, levels: Sequence[Level], numbers: np.ndarray, slopes: np.ndarray) -> Sensitivity:
+    """What the first of several solves gives, with features (F,) and their derivatives (F, P)."""
+    one, names = levels[0], problem.names
+
+    def apart(force: np.ndarray) -> dict[str, np.ndarray]:
+        """(T, C, 3) by contact, (T, 3) or (T, k, 3)."""
+        found, start = {}, 0
+        for name, members in problem.scene.members.items():
+            found[name] = force[:, start : start + members] if members else force[:, start]
+            start += members or 1
+        return found
+
     return Sensitivity(
-        problem.times, problem.names, {}, {}, {}, {n: {} for n in problem.names}, None, "ok", "", float("nan"),
-        {"wall_s": turned.wall_s, "compile_s": turned.compile_s, "levels": 0}, turned, values,
-    )  # fmt: skip
-
-
-def _uncertified(problem: Problem, how: Plan, last: Level) -> Sensitivity:
-    """Histories and features with their derivatives, as one solve has them."""
-    contacts, (numbers, slopes) = problem.scene.members, problem.measure(last)
-    # What is of single contacts comes from runs of its own.
-    single = filled(problem, how, numbers, slopes, TIGHTER)
-    failed = not last.good
-    return Sensitivity(
-        problem.times, problem.names, _by_contact(last.value.force, contacts),
-        {name: _by_contact(last.derivative.force[k], contacts) for k, name in enumerate(problem.names)},
+        problem.times, names, apart(one.value.force),
+        {name: apart(one.derivative.force[k]) for k, name in enumerate(names)} if one.derivative else {},
         {f.name: float(x) for f, x in zip(problem.wanted, numbers, strict=True)}, problem.by_name(slopes), None,
-        "failed" if failed else "ok", reason(last.code, problem.max_steps), last.end if failed else float("nan"),
-        {"accepted": last.accepted, "rejected": last.rejected, "tolerance": last.tolerance, **_spent([last])},
-        values=dict(zip(problem.names, map(float, problem.values), strict=True)), reasons=single,
+        "ok" if one.good else "failed", reason(one.code, problem.max_steps), NAN if one.good else one.end,
+        {"accepted": one.accepted, "rejected": one.rejected, "tolerance": one.tolerance, **_spent(levels)},
+        values=dict(zip(names, map(float, problem.values), strict=True)),
     )  # fmt: skip
 
 
 def _spent(levels: Sequence[Level]) -> dict[str, float]:
-    return {
-        "wall_s": sum(r.wall_s for r in levels),
-        "compile_s": sum(r.compile_s for r in levels),
-        "levels": len(levels),
-    }
-
-
-def _feature_bounds(problem: Problem, how: Plan, climbed: Climb, slopes: np.ndarray) -> np.ndarray:
-    """Bounds (F, P) of features' derivatives (F, P) from the solves."""
-    if climbed.beside is None:
-        return np.full(slopes.shape, np.inf)
-    numbers, _ = problem.measure(climbed.last)
-    (_, between), (_, tight) = map(problem.measure, climbed.beside)
-    for slope, share in zip((between, tight), BOUNDING[problem.scene.traits.stiff], strict=True):
-        filled(problem, how, numbers, slope, TIGHTER * share)
-    return feature_bounds([slopes, between, tight], numbers, problem.values)
+    return {**{key: sum(getattr(r, key) for r in levels) for key in ("wall_s", "compile_s")}, "levels": len(levels)}
 
 
 def _witnessed(problem: Problem, between: Level, slopes: np.ndarray, bounds: np.ndarray) -> np.ndarray:
@@ -402,33 +396,99 @@ def _off_steady(problem: Problem, last: Level, steady: Steady) -> np.ndarray:
     derivative = Histories(*(x[:, late] for x in last.derivative[:3]), state=None)
     numbers, slopes = measure(times[late], value, derivative, kept, problem.scene.members, True)
     own = np.array([[steady.feature_derivatives[n][f.name] for n in names] for f in kept])
-    found[known] = verdicts.apart(slopes, own, numbers, problem.values)
+    found[known] = apart(slopes, own, numbers, problem.values)
     return found
-
-
-def _by_contact(force: np.ndarray, contacts: Mapping[str, int]) -> dict[str, np.ndarray]:
-    """(T, C, 3) apart by contact, (T, 3) or (T, k, 3)."""
-    apart, start = {}, 0
-    for name, members in contacts.items():
-        apart[name] = force[:, start : start + members] if members else force[:, start]
-        start += members or 1
-    return apart
 
 
 def _reverse(problem: Problem, how: Plan, certify: bool) -> Sensitivity:
     """Features only; certified where tighter tolerances are solved beside the first, which is reported."""
-    scene, names, wanted = problem.scene, problem.names, problem.wanted
     # The others are a certificate's.
-    how = first_plan(scene, how, problem.error) if certify else how
-    ratios = _BACKWARD[scene.traits.stiff] ** -np.arange(3 if certify else 1)
+    how = first_plan(problem.scene, how, problem.error) if certify else how
+    ratios = _BACKWARD[problem.scene.traits.stiff] ** -np.arange(3 if certify else 1)
     solved = [gradient(problem, Plan(how.tolerance * x, problem.max_steps, how.tangents)) for x in ratios]
-    last, failed = solved[0], solved[0].code != OK
-    spent = {key: sum(s.stats[key] for s in solved) for key in ("wall_s", "compile_s")}
-    return Sensitivity(
-        problem.times, names, _by_contact(last.force, scene.members), {},
-        {f.name: float(x) for f, x in zip(wanted, last.numbers, strict=True)}, problem.by_name(last.slopes),
-        reversed_certificate(names, problem.values, wanted, solved) if certify else None,
-        "failed" if failed else "ok", reason(last.code, problem.max_steps), last.end if failed else float("nan"),
-        {**last.stats, **spent, "levels": len(solved)},
-        values=dict(zip(names, map(float, problem.values), strict=True)),
+    levels, numbers, slopes = zip(*solved, strict=True)
+    found = _result(problem, levels, numbers[0], slopes[0])
+    return found._replace(certificate=reversed_certificate(problem, levels, numbers[0], slopes)) if certify else found
+
+
+class Step(NamedTuple):
+    """One width of a ladder.
+
+    Attributes:
+        value: of the knob [m or m/s].
+        bias: relative L2 difference of all forces from those at the sharpest width [-].
+        peak_bias: largest relative difference of a contact's greatest force from the sharpest [-].
+        size: ||dF/dp|| per parameter [N s^(1/2) per SI unit].
+        pointwise, average, verdict: of the certificate, per parameter.
+        steps: attempted steps of the last solve.
+        status: "ok" or "failed".
+    """
+
+    value: float
+    bias: float
+    peak_bias: float
+    size: dict[str, float]
+    pointwise: dict[str, float]
+    average: dict[str, float]
+    verdict: dict[str, str]
+    steps: int
+    status: str
+
+
+@taking(Bounding)
+def smoothing_ladder(
+    scene: AbstractModel,
+    params: Params,
+    times: ArrayLike,
+    wrt: Sequence[str],
+    values: Sequence[float],
+    *,
+    knob: Literal["smoothing", "friction_speed"] = "smoothing",
+    **settings: Unpack[BoundingKeys],
+) -> list[Step]:
+    """Derivatives and their certificates at several widths, the sharpest first.
+
+    A wider regularisation of contact, or of friction, makes derivatives cheaper and better behaved, and biases the force: take
+    the sharpest width whose certificate is good enough. Certificates are those of tolerances alone.
+
+    Args:
+        scene, params, times, wrt, accuracy, average, levels, max_steps: as ``sensitivity``.
+        values: widths [m] or [m/s], in any order; shared by all contacts that have none of their own.
+        knob: what is widened.
+
+    Raises:
+        InputError: as ``sensitivity``; and for a knob the scene does not have, or a width out of range.
+    """
+    params = inputs.parameters(as_model(scene), params, traced=False)
+    if knob not in KNOBS:
+        raise InputError("knob", f"no knob {quoted(knob)}", nearest(knob, KNOBS))
+    if knob not in scene.quantities:
+        raise InputError("knob", f"scene '{scene.kind}' with these options has no {knob}", "switch it on in the scene")
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise InputError("values", quoted(values), f"give a list of values of {knob}")
+    widths = [scalar("values", scene.quantities[knob], value) for value in values]
+    if not widths:
+        raise InputError("values", "no width", f"give values of {knob}")
+    found: list[tuple[float, Sensitivity]] = []
+    for value in sorted(widths):
+        at = {**params, knob: jnp.asarray(value)}
+        found.append((value, sensitivity(scene, at, times, wrt, mode="forward", differences="none", **settings)))
+    return [_step(value, each, found[0][1]) for value, each in found]
+
+
+def _step(value: float, found: Sensitivity, sharpest: Sensitivity) -> Step:
+    assert found.certificate is not None
+    t, checks = found.times, found.certificate.parameters
+
+    def size(force: dict[str, np.ndarray]) -> float:
+        return float(norm(t, np.concatenate([f.reshape(len(f), -1) for f in force.values()], axis=1)))
+
+    off, own = size({name: f - sharpest.force[name] for name, f in found.force.items()}), size(sharpest.force)
+    tops, sharp = (np.array([np.max(np.abs(f)) for f in x.force.values()]) for x in (found, sharpest))
+    return Step(
+        value, off / own if own > 0 else NAN, float(np.max(np.abs(tops - sharp) / np.where(sharp > 0, sharp, 1.0))),
+        {name: size(found.derivative[name]) for name in found.wrt},
+        {name: check.pointwise for name, check in checks.items()}, {name: check.average for name, check in checks.items()},
+        {name: check.verdict for name, check in checks.items()},
+        int(found.stats["accepted"] + found.stats["rejected"]), found.status,
     )  # fmt: skip

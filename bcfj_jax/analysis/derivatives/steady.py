@@ -194,7 +194,7 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     scene, params, wrt = problem.scene, problem.params, problem.names
     if not scene.recurs(params):
         return None
-    begin, sizes = clock(), _sizes(params, wrt)
+    begin, sizes = clock(), problem.sizes
     kinds = [f for f in problem.wanted if f.kind in OF_TURN]
     if not kinds:
         nothing = _none("it has none of these features")
@@ -203,15 +203,15 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     orbits = _orbits(scene, params, state, time, wrt, solve)
 
     def found(solved: Sequence[_Orbit]) -> Steady:
-        last, named = solved[-1], {n: {} for n in wrt}
+        last, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
         numbers, slopes = _features(scene, params, last, kinds)
         if len(solved) > 1:
-            distance = apart(_features(scene, params, solved[0], kinds)[1], slopes, numbers, np.ones(len(wrt)))
-            named = {n: {f.name: float(distance[i, k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
-        per_unit = {n: {f.name: float(slopes[i, k] / sizes[k]) for i, f in enumerate(kinds)} for k, n in enumerate(wrt)}
+            loose = _features(scene, params, solved[0], kinds)[1]
+            named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
-            last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)}, per_unit,
-            named, {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
+            last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
+            of_kinds.by_name(slopes / sizes), named,
+            {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
             last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
             sum(one.steps for one in solved), clock() - begin - compile_s, compile_s,
         )  # fmt: skip

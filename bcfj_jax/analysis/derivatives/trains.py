@@ -34,7 +34,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.model import AbstractModel, Params, Solution
+from bcfj_jax.analysis.crests import Curve
+from bcfj_jax.mechanism.model import AbstractModel, Continuous, Params, Solution
 from bcfj_jax.solve.plan import Plan
 
 if TYPE_CHECKING:
@@ -71,31 +72,37 @@ class Marks(NamedTuple):
 
 
 class Train(NamedTuple):
-    """M contacts; NaN where a contact is none, or does not begin or end within the run.
+    """M contacts, or their derivatives by a parameter, per SI unit; NaN where a contact is none, or does not begin or end
+    within the run.
 
     Attributes:
         begin, peak_time, end: (M,) [s].
         peak, impulse: (M,) of the normal force's size [N, N s].
-        center, width: (M,) of the force over time [s].
+        center, width: (M,) mean and deviation of the time, weighed by the force [s].
         force: (M, NODES) normal force's size at the phases ``PHASES`` [N]; its derivatives are on the moving clock.
-        fixed: the same numbers, with the derivatives at fixed times.
+        pointwise: the same numbers, with the derivatives at fixed times.
         unsure: (M,) difference of the impulse to that by half of the points, as a share of it.
         bend: (M,) second derivative of the force at the peak [N/s^2].
         tilt: (M,) first derivative there [N/s]; not 0 at a peak that is none.
     """
 
-    begin: Array
-    peak_time: Array
-    end: Array
-    peak: Array
-    impulse: Array
-    center: Array
-    width: Array
-    force: Array
-    fixed: Array
-    unsure: Array
-    bend: Array
-    tilt: Array
+    begin: Any
+    peak_time: Any
+    end: Any
+    peak: Any
+    impulse: Any
+    center: Any
+    width: Any
+    force: Any
+    pointwise: Any
+    unsure: Any
+    bend: Any
+    tilt: Any
+
+    @property
+    def duration(self) -> Any:
+        """(M,) from begin to end [s]."""
+        return self.end - self.begin
 
 
 def _rule(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -373,3 +380,38 @@ def ahead(field, t: Array, y: Array, shift: Array) -> Array:
         return y + h * jax.lax.scan(stage, (none, none), (jnp.asarray(nodes), jnp.asarray(weights)))[0][1]
 
     return jax.lax.fori_loop(0, _PIECES, piece, y)
+
+
+def of_curve(model: AbstractModel, params: Params, whole: Continuous, first: Array, last: Array) -> Array:
+    """``crests.Curve`` of every channel (C, 4) between two times [s]: integrals of a run, and summits of its force.
+
+    A summit is sought over the two steps of the solver about the greatest force at a step's end, as in ``crests``; NaN where
+    the force is not smooth there, of the other sign, or beyond a time.
+    """
+    from bcfj_jax.solve.landing import bending, look  # With diffrax, which a kept program does not need.
+
+    prepared, fixed, corners = model.prepare(params), jax.lax.stop_gradient, bending(model)
+
+    def field(t: Array, y: Array) -> Array:
+        return model.vector_field(t, y, prepared)
+
+    def one(sign: Array, channel: Array, t: Array, y: Array, before: Array, after: Array) -> Array:
+        # Neither of the two steps crosses a surface; the top's derivative is that at fixed times.
+        middle, reach = fixed(t) + 0.5 * (after - before), 0.5 * (after + before)
+        times = middle + reach * np.outer(SHORTER, SUMMIT).ravel()
+        states = jax.vmap(lambda at: ahead(field, t, y, at - t))(times)
+        forces = jax.vmap(lambda t, y: look(model, t, y, prepared).force[channel])(times, states)
+        later, value, curve, slope, left = summit_of(sign * forces.reshape(SHORTER.size, -1), middle, reach)
+        good = (curve < 0) & (jnp.abs(slope) * reach <= TILTED * value) & (left < LEAVES)
+        if corners:
+            # The step ends at the corner, where the force is greatest.
+            force = lambda t, y: sign * look(model, t, y, prepared).force[channel]  # noqa: E731
+            size, slope = jax.jvp(force, (t, y), (jnp.ones_like(t), field(t, y)))
+            there = jnp.isin(channel, jnp.asarray(corners))
+            later, value = jnp.where(there, t, later), jnp.where(there, size, value)
+            good = jnp.where(there, jnp.abs(slope) * reach <= TILTED * size, good)
+        return jnp.where(fixed(good & (later >= first) & (later <= last)), sign * value, jnp.nan)
+
+    every = jax.vmap(jax.vmap(one, (None, 0, 0, 0, 0, 0)), (0, None, 0, 0, 0, 0))
+    peak, least = every(jnp.array([1.0, -1.0]), jnp.arange(whole.impulse.size), *whole[:4])
+    return jnp.stack(Curve(peak, whole.impulse, whole.work, least), axis=1)

@@ -9,7 +9,7 @@ that do not:
   grows and sees several equal peaks at once; a descent begins with it where ``norms`` says so.
 
 Where a run lands on its contacts, the summit of the continuous force takes the place of the crest, and is what is reported
-(``derivatives.curves``). What is reported otherwise is the greatest sample.
+(``derivatives.trains``). What is reported otherwise is the greatest sample.
 """
 
 from __future__ import annotations

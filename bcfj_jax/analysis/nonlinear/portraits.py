@@ -1,7 +1,11 @@
 """Portraits of a finished run: phase portraits, contact modes over time, ball loads around the joint.
 
-Every function writes a PNG and gives its path back. ``window``: (start, end) [s] of the run, None for all of it. Each
-raises ``InputError`` for a name that the run or the scene has not, and for a window outside the run.
+A contact with clearance is in free flight, in an impact, or in continuous contact (Flores and Ambrósio, Computers and
+Structures 82, 2004), distinguished by the surfaces' overlap: free where there is none, an impact where the overlap lasts no
+longer than ``impact_time``, else continuous.
+
+Every picture is written as a PNG, whose path is given back. ``window``: (start, end) [s] of the run, None for all of it.
+Drawing raises ``InputError`` for a name that the run or the scene has not, and for a window outside the run.
 """
 
 from __future__ import annotations
@@ -11,18 +15,55 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.analysis.histories import Window, within
-from bcfj_jax.analysis.nonlinear.modes import MODES, contact_modes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.io import plots
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.simulation import Run
 
+UNKNOWN, FREE, IMPACT, CONTINUOUS = range(-1, 3)
+MODES = ("free", "impact", "continuous")
 _SHADES = {"free": "#e2e2e2", "impact": "#c4501b", "continuous": "#1f5fa8"}
 # A curve's place and rate by its name.
 _Curves = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+def contact_modes(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike, impact_time: float) -> np.ndarray:
+    """Codes that count ``MODES`` of one contact's history, (T,); -1 where it is NaN.
+
+    A contact that is cut off by either end of the history is continuous: how long it lasts is not known. One
+    between two samples marks the sample before it.
+
+    Args:
+        times, penetration, rate: (T,) [s], [m] (negative: gap), [m/s], as in a ``Run``.
+        impact_time: the longest contact that counts as an impact [s]; some times pi sqrt(m/k) of the pair.
+
+    Raises:
+        InputError: for an impact time that is not positive.
+    """
+    if not impact_time > 0.0:
+        raise InputError("impact_time", f"{impact_time:g} s", "give more than 0")
+    t, d, v = (np.asarray(x, dtype=float) for x in (times, penetration, rate))
+    good = np.isfinite(d) & np.isfinite(v)
+    found = np.full(t.shape, UNKNOWN, dtype=np.int8)
+    # A failed run is NaN from somewhere on.
+    stop = int(np.argmin(good)) if not good.all() else t.size
+    found[:stop] = FREE
+    if stop < 2:
+        return found
+    for start, end in contact_times(t[:stop], d[:stop], v[:stop]):
+        first = max(int(np.searchsorted(t[:stop], start)), 0)
+        last = stop if np.isnan(end) else int(np.searchsorted(t[:stop], end))
+        whole = start > t[0] and not np.isnan(end)
+        code = IMPACT if whole and end - start <= impact_time else CONTINUOUS
+        if first == last:
+            first = max(first - 1, 0)
+        found[first:last] = code
+    return found
 
 
 def _known(name: str, names: Collection[str], what: str) -> None:
@@ -84,7 +125,7 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
     """What every contact is doing over time: free, in an impact, in continuous contact; a row each member.
 
     The share of the time in either mode stands beside each row. White: the run failed. ``impact_time``: the longest
-    contact that counts as an impact [s], see ``modes.contact_modes``.
+    contact that counts as an impact [s], see ``contact_modes``.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch

@@ -1,9 +1,10 @@
-"""Second derivatives of a feature along a direction, for the small scenes."""
+"""Derivatives of features through JAX itself: backward by many parameters, and twice along a direction."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import jax
 import jax.numpy as jnp
@@ -12,19 +13,93 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives.jacobian import channel_names, histories
+from bcfj_jax.analysis.derivatives import certificate as verdicts
+from bcfj_jax.analysis.derivatives.bounds import feature_bounds
+from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Check
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, channel_names, histories
 from bcfj_jax.analysis.derivatives.measures import seen
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, smooth
 from bcfj_jax.analysis.derivatives.names import feature as named
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.core.errors import InputError, texts
 from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.core.settings import taking
+from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
 from bcfj_jax.xla.programs import program
+
+
+def reversible(wanted: Sequence[Feature]) -> list[Feature]:
+    """Features that JAX differentiates backward.
+
+    Raises:
+        InputError: where there is none.
+    """
+    good = [f for f in wanted if smooth(f.kind)]
+    if not good:
+        right = "periods, delays, times of a start and single contacts are differentiated with mode='forward'"
+        raise InputError("features", ", ".join(f.name for f in wanted), right)
+    return good
+
+
+def gradient(problem: Problem, how: Plan) -> tuple[Level, np.ndarray, np.ndarray]:
+    """A solve, without derivatives of histories; features (F,) and their derivatives (F, P) by all of the names, per SI unit.
+
+    One backward solve a feature. Times are compiled in.
+    """
+    arguments: tuple[dict[str, Array], Plan] = (dict(problem.params), how)
+    static = (problem.scene, problem.times.tobytes(), problem.names, tuple(problem.wanted))
+    solve, compile_s = program("gradient", _gradient, static, arguments)
+    begin = time.perf_counter()
+    slopes, (numbers, force, (code, end, accepted, rejected)) = solve(*arguments)
+    wall = time.perf_counter() - begin
+    matrix = np.stack([slopes[name] for name in problem.names], axis=1)
+    if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
+        code, end = STEEP, problem.times[-1]
+    none: Any = None
+    solved = Level(
+        float(how.tolerance), Histories(force, None, None, None), none, int(code), float(end), int(accepted),
+        int(rejected), wall, compile_s, None,
+    )  # fmt: skip
+    return solved, numbers, matrix
+
+
+def _gradient(
+    scene: AbstractModel, times: bytes, wrt: tuple[str, ...], wanted: tuple[Feature, ...], params: dict, how: Plan
+) -> Any:
+    """Derivatives of the features by name, and (features, forces, how the run ended)."""
+    t = np.frombuffer(times)
+
+    def at(theta: dict):
+        found, end = histories(scene, {**params, **theta}, jnp.asarray(t), how, "reverse")
+        numbers = feature_vector(t, found, wanted, scene.members, {})
+        return numbers, (numbers, found.force, end)
+
+    return jax.jacrev(at, has_aux=True)({name: params[name] for name in wrt})
+
+
+def reversed_certificate(
+    problem: Problem, solved: Sequence[Level], numbers: np.ndarray, slopes: Sequence[np.ndarray]
+) -> Certificate:
+    """Bounds of gradients (F, P) that were solved at three tolerances far apart, of features (F,)."""
+    found, first = feature_bounds(slopes, numbers, problem.values), solved[0]
+    what = (
+        f"the same derivatives of features at a tolerance of {first.tolerance:.3g} against {solved[-1].tolerance:.3g}"
+    )
+    broken = next((s.end for s in solved if not s.good), NAN)
+    checks, table = {}, problem.by_name(found)
+    for k, name in enumerate(problem.names):
+        verdict = verdicts.TRUSTED if float(np.max(found[:, k])) <= verdicts.POINTWISE else verdicts.NOT
+        remark = "" if np.any(slopes[0][:, k]) else "no influence"
+        remark = remark if all(s.good for s in solved) else "the run failed"
+        checks[name] = Check(verdict, remark, (what,), NAN, NAN, table[name], NAN, NAN, NAN, NAN, broken)
+    tolerances, steps = (tuple(getattr(s, key) for s in solved) for key in ("tolerance", "steps"))
+    worst = verdicts.worst_verdict(checks)
+    return Certificate(worst, checks, 0.0, verdicts.POINTWISE, tolerances, steps, None, first.tolerance)
 
 
 @taking(Solving, accuracy="reference")
