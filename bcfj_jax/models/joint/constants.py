@@ -12,8 +12,7 @@ from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
 from bcfj_jax.models.joint.coefficients import coefficients
-from bcfj_jax.models.joint.contacts import Groove
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
+from bcfj_jax.models.joint.contacts import ContactLaws, Groove, LawPair
 from bcfj_jax.models.joint.scene import BODIES, GROOVES, Joint
 
 # What the balls touch, in the order of every array over bodies, which has as many as the scene. The cage stands twice:
@@ -25,14 +24,16 @@ class Constants(eqx.Module):
     """Numbers of one run, in the shapes in which they are used.
 
     Attributes:
-        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
-        bisector: normal of the bisecting plane.
         ball_laws: one for all contacts of a ball (m, 1), where laws and numbers of faces agree: quicker than two.
         window_clearance: a scalar; (balls, 1, 1) of unequal balls.
         cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends; clearances of
             unequal balls (balls, 2, 1).
+        body_maps: of ``body_maps``.
+        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
+        bisector: normal of the bisecting plane.
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
-        programmes: what programmes of drive and loads read; empty for the usual ones.
+        drive_stiffness, drive_damping: 0 of a prescribed drive.
+        programmes: what drive and loads read.
         beside: what readings of it multiply (``mechanism.observed``).
     """
 
@@ -54,21 +55,10 @@ class Constants(eqx.Module):
     bisector: Array
     ball_inverse_mass: Array
     coupling_inverse_mass: Array
-    drive_speed: Array
     drive_stiffness: Array
     drive_damping: Array
-    load_torque: Array
-    load_ramp: Array
-    axial_load: Array
     programmes: dict[str, Array]
     beside: dict[str, Array] = eqx.field(default_factory=dict)
-
-
-def _programmes(scene: Joint, p: Params) -> dict[str, Array]:
-    """The parameters that the programmes of drive and loads read; none where these are the usual ones."""
-    if scene.programmes.usual:
-        return {}
-    return {name: p[name] for name in ("drive_speed", "load_torque", "axial_load", *scene.programmes.names)}
 
 
 def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
@@ -76,14 +66,6 @@ def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
     contact = scene.contact(name)
     smoothing = scene.coefficient(params, name, "smoothing") if scene.smoothing else None
     return ContactLaws(contact.law, contact.friction, coefficients(scene, params, name), smoothing)
-
-
-def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
-    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
-    several = [laws_of(scene, params, name) for name in names]
-    if len(several) == 1:
-        return several[0]
-    return _as_one(several) or LawPair(*several, axis=-2)
 
 
 def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
@@ -96,16 +78,10 @@ def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
     return ContactLaws(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
 
 
-def _bands(scene: Joint, p: Params) -> Bands:
-    clearance = jnp.stack([p[f"clearance_{name}"] for name in scene.pilots])
-    lever = {"seat_cage": -p["seat_radius"], "head_cage": p["head_radius"]}
-    return Bands(
-        sine=jnp.sin(p["pilot_band"]),
-        cosine=jnp.cos(p["pilot_band"]),
-        width=WIDTH * clearance + LEAST,
-        clearance=clearance,
-        lever=jnp.stack([lever[name] for name in scene.pilots]),
-    )
+def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
+    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
+    several = [laws_of(scene, params, name) for name in names]
+    return several[0] if len(several) == 1 else _as_one(several) or LawPair(*several)
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
@@ -142,8 +118,8 @@ def _groove(scene: Joint, p: Params) -> Groove:
 def _of_balls(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and clearances of the balls' contacts."""
     found: dict[str, Any] = {"groove_laws": _side_by_side(scene, p, GROOVES)}
-    found |= {"window_laws": None, "ball_laws": None, "window_clearance": jnp.zeros(())}
-    found |= {"cage_laws": None, "cage_clearance": jnp.zeros(())}
+    found |= dict.fromkeys(("window_laws", "ball_laws", "cage_laws"))
+    found |= dict.fromkeys(("window_clearance", "cage_clearance"), jnp.zeros(()))
     if scene.has("cage_ball"):
         window = scene.clearance(p, "cage_ball")
         found["window_laws"] = laws_of(scene, p, "cage_ball")
@@ -160,14 +136,17 @@ def _of_pilots(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and sizes of the pilots."""
     if not scene.pilots:
         return {"pilot_laws": None, "pilot_clearance": jnp.zeros(0), "pilot_hollow": jnp.zeros(0), "bands": None}
-    clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
-    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", 0.0)}
+    each = {name: p[f"clearance_{name}"] for name in scene.pilots}
+    clearance, bands = jnp.stack(list(each.values())), None
+    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + each.get("head_cage", 0.0)}
+    if scene.banded:
+        lever = {"seat_cage": -p["seat_radius"], "head_cage": p["head_radius"]}
+        band, levers = p["pilot_band"], jnp.stack([lever[name] for name in scene.pilots])
+        bands = Bands(jnp.sin(band), jnp.cos(band), WIDTH * clearance + LEAST, clearance, levers)
     return {
-        "pilot_laws": _side_by_side(scene, p, scene.pilots),
-        "pilot_clearance": jnp.stack(list(clearance.values())),
-        "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]),
-        "bands": _bands(scene, p) if scene.banded else None,
-    }
+        "pilot_laws": _side_by_side(scene, p, scene.pilots), "pilot_clearance": clearance,
+        "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]), "bands": bands,
+    }  # fmt: skip
 
 
 def _inverse_masses(scene: Joint, p: Params) -> tuple[Array, Array]:
@@ -181,7 +160,7 @@ def _inverse_masses(scene: Joint, p: Params) -> tuple[Array, Array]:
     if scene.cage == "free":
         parts |= {"cage": three / p["cage_mass"], "cage_turn": three / p["cage_inertia"]}
     parts["seat_turn"] = 1.0 / p["seat_inertia"][None] if scene.drive == "flexible" else jnp.zeros(1)
-    return ball, jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
+    return ball, scene.coupled(parts)
 
 
 def constants(scene: Joint, params: Params) -> Constants:
@@ -199,13 +178,9 @@ def constants(scene: Joint, params: Params) -> Constants:
         bisector=geometry.bisector(angle),
         ball_inverse_mass=ball,
         coupling_inverse_mass=coupling,
-        drive_speed=p["drive_speed"],
         drive_stiffness=p["drive_stiffness"] if flexible else zero,
         drive_damping=p["drive_damping"] if flexible else zero,
-        load_torque=p["load_torque"],
-        load_ramp=p.get("load_ramp", zero),
-        axial_load=p["axial_load"],
-        programmes=_programmes(scene, p),
+        programmes={n: p[n] for n in ("drive_speed", "load_torque", "axial_load", *scene.programmes.names)},
         **_of_balls(scene, p),
         **_of_pilots(scene, p),
     )

@@ -11,23 +11,97 @@ contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m
 
     force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
-W is the outer body's angular velocity, so that a bristle turns with it, and tau = 1e-5 s: nothing is remembered
-from one touch to the next. Friction that lags keeps a number w of each face, the slip speed of late, which decides D, too
-(``Memory.lag``). Everything is frame-indifferent: force in the axes of its arguments.
-Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
-without spin is a particle, so that force, moment and power balance exactly in either case.
+as in ``contact.wrench``, whose formulas these are for arrays of contacts: W is the outer body's angular velocity. Friction
+that lags keeps a number w of each face, the slip speed of late (``Memory.lag``). A contact acts at the ball's centre
+unless the ball spins (w given): a ball without spin is a particle, so that force, moment and power balance exactly.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from functools import partialmethod
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps.balls import sector
-from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
+from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_force
+from bcfj_jax.contact.normal import regularised_energy
+from bcfj_jax.contact.wrench import RELAX, separated
 from bcfj_jax.xla.kept import kept
+
+
+class ContactLaws(eqx.Module):
+    """One law and one friction law, or none, over any broadcast shape of contacts.
+
+    Attributes:
+        coefficients: by the laws' names; scalars, or arrays that broadcast against the contacts.
+        smoothing: half-width of the contact regularisation [m]; None for none.
+    """
+
+    law: AbstractLaw
+    friction: AbstractFriction | None
+    coefficients: Mapping[str, Array]
+    smoothing: Array | None
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        """Normal force [N] >= 0 from penetration [m] and its rate [m/s]."""
+        return regularised_force(self.law, penetration, rate, self.coefficients, self.smoothing)
+
+    def mobility(self, slip_squared: Array) -> Array:
+        """mu(|v|)/|v| [s/m], zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(slip_squared)
+        return self.friction.mobility(slip_squared, self.coefficients)
+
+    def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
+        """k [1/s], s [1/m], m [s/m] of ``LuGre.bond``, all zero without friction: the traction is  -N (s z + m v)."""
+        if self.friction is None:
+            none = jnp.zeros_like(slip_squared)
+            return none, none, none
+        return self.friction.bond(slip_squared, self.coefficients)
+
+    def lag(self, slip_squared: Array, late: Array) -> tuple[Array, Array]:
+        """w' [m/s^2] and mobility [s/m] of ``Memory.lag``, zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(late), jnp.zeros_like(late)
+        return self.friction.lag(slip_squared, late, self.coefficients)
+
+    def apart(self, penetration: Array) -> Array:
+        """``contact.wrench.separated``."""
+        return separated(penetration, {} if self.smoothing is None else {"smoothing": self.smoothing})
+
+    def energy(self, penetration: Array) -> Array:
+        """Elastic energy E(d) [J]: integral of the law's force at rest from 0 to r(d), the regularised penetration."""
+        still = jnp.zeros_like(penetration)
+        return regularised_energy(self.law, penetration, still, self.coefficients, {}, self.smoothing)[0]
+
+
+class LawPair(NamedTuple):
+    """Two unlike ``ContactLaws``, which answer together: the first for index 0 of axis -2, the second for index 1."""
+
+    first: ContactLaws
+    second: ContactLaws
+
+    @property
+    def friction(self) -> AbstractFriction | None:
+        """A friction law where either has one."""
+        return self.first.friction or self.second.friction
+
+    def _each(self, answer: Callable[..., Any], *given: Array) -> Any:
+        halves = [[jnp.take(x, jnp.array([i]), -2) for x in given] for i in (0, 1)]
+        parts = [answer(laws, *half) for laws, half in zip(self, halves, strict=True)]
+        return jax.tree.map(lambda *x: jnp.concatenate(x, -2), *parts)
+
+    normal = partialmethod(_each, ContactLaws.normal)
+    mobility = partialmethod(_each, ContactLaws.mobility)
+    bond = partialmethod(_each, ContactLaws.bond)
+    lag = partialmethod(_each, ContactLaws.lag)
+    apart = partialmethod(_each, ContactLaws.apart)
+    energy = partialmethod(_each, ContactLaws.energy)
 
 
 class Geometry(NamedTuple):
@@ -54,7 +128,7 @@ class ContactForce(NamedTuple):
         drag: (..., 3) the part of ``force`` that is friction.
         normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
         bending: (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
-        rubbed: (..., f) power that friction takes [W]; None without a state of friction.
+        rubbed: (..., f) power that friction takes [W]; None without friction.
     """
 
     force: Array
@@ -192,15 +266,13 @@ def act(
         elif bristles.shape[-1] == 1:
             bending, mobility = (x[..., None] for x in laws.lag(slip_squared, bristles[..., 0]))
             drags = -normal[..., None] * mobility * slide
-            rubbed = -dot(drags, slide)
         else:
             forget, stick, mobility = (x[..., None] for x in laws.bond(slip_squared))
             bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
             drags = -normal[..., None] * (stick * bent + mobility * slide)
             apart = laws.apart(at.penetration)[..., None]
             bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
-            rubbed = -dot(drags, slide)
-        drag = jnp.sum(drags, -2)
+        drag, rubbed = jnp.sum(drags, -2), -dot(drags, slide)
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     slip = jnp.sqrt(slip_squared)

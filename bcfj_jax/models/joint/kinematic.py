@@ -14,7 +14,7 @@ from bcfj_jax.core.numerics import positive, smooth_rise
 from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.constants import laws_of
-from bcfj_jax.models.joint.law_pair import ContactLaws
+from bcfj_jax.models.joint.contacts import ContactLaws
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
 

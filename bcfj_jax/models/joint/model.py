@@ -35,14 +35,7 @@ from bcfj_jax.mechanism.model import (
     Variant,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import (
-    drawing,
-    engineering,
-    moments,
-    summary,
-    system,
-    variants,
-)
+from bcfj_jax.models.joint import drawing, engineering, summary, system, variants
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.build import structure
@@ -68,7 +61,7 @@ from bcfj_jax.models.joint.options import (
 from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, GUIDES, OF_A_BALL, Joint
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
 from bcfj_jax.models.joint.start import nominal
 
 # What the levels without inertia leave out.
@@ -77,11 +70,12 @@ _PHYSICS = {
     "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
     "dynamic": "",
 }
-_TABLE, _MOMENTS = "resultants.csv", "moments.csv"
 
 
 class JointModel(Joint):
     """The ball-cage flexible joint as a model; made by ``joint``."""
+
+    # What it is.
 
     @property
     def traits(self) -> ModelTraits:
@@ -93,64 +87,11 @@ class JointModel(Joint):
 
     @property
     def title(self) -> str:
-        """Its fidelity, and that it is a joint."""
         return f"{self.fidelity} joint"
 
     @property
     def members(self) -> dict[str, int]:
-        """Balls of the contacts that each ball has."""
         return {contact.name: self.balls if contact.name in OF_A_BALL else 0 for contact in self.contacts}
-
-    def prepare(self, params: Params) -> Any:
-        """``constants``; the parameters themselves for closed-form load sharing."""
-        return dict(params) if self.fidelity == "kinematic" else constants(self, params)
-
-    def initial_state(self, params: Params) -> Array:
-        """``start.nominal`` with the seat at 0."""
-        return nominal(self, params, jnp.zeros(()))
-
-    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """``system.field``."""
-        return system.field(t, y, (self, prepared))
-
-    def structure(self) -> AbstractStructure:
-        """Balls one by one, then the rest."""
-        return Arrowhead()
-
-    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """``scales.scales``."""
-        return scales(self, params, jnp.asarray(end))
-
-    def first_step(self, params: Params, scales: Array) -> ArrayLike:
-        """A microsecond."""
-        del params, scales
-        return 1e-6
-
-    def tolerance(self, force_error: float) -> float:
-        """``scales.tolerance``."""
-        return tolerance(self, force_error)
-
-    def origin(self, count: int) -> Any:
-        """``batched_newton.origin``."""
-        return origin(self, count) if self.fidelity == "quasistatic" else ()
-
-    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
-        """Closed form, or equilibria, which a run ends at where the first was not found."""
-        none = jnp.asarray(0)
-        if self.fidelity == "kinematic":
-            states = kinematic_states(self, params, times)
-            return Solution(states, jnp.asarray(OK), times[-1], none, none), ()
-        found = quasistatic(self, params, times, near, rates)
-        good = jnp.all(found.converged)
-        code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
-        return Solution(found.states, code, end, jnp.sum(found.iterations), none), found.places
-
-    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
-        """``observe.observe``, or what its fidelity has in its place."""
-        if self.fidelity == "kinematic":
-            return jax.tree.map(lambda x: x[0], kinematic_readings(self, prepared, jnp.asarray(t)[None]))
-        look = observe_at_rest if self.fidelity == "quasistatic" else observe
-        return look(self, prepared, y)
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -159,62 +100,7 @@ class JointModel(Joint):
 
     @property
     def body_members(self) -> dict[str, int]:
-        """Balls."""
         return {"ball": self.balls}
-
-    def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
-        """``observe.motions``."""
-        return motions(self, prepared, t, y)
-
-    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
-        """``drawing.drawing``: the joint has sizes of its own."""
-        del size, travel
-        return drawing.drawing(self, params)
-
-    def carriers(self) -> dict[str, str]:
-        """``drawing.carriers``."""
-        return drawing.carriers(self)
-
-    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
-        """``drawing.scenery``."""
-        return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
-
-    def level(self, fidelity: str) -> AbstractModel:
-        """``fidelity.resolved``."""
-        return resolved(self, fidelity)
-
-    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
-        """``energy.power`` and ``energy.stored``."""
-        if not self.in_motion:
-            remedy = "give fidelity = 'dynamic': the other models have no inertia"
-            raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
-        flow = power(self, prepared, t, y)._asdict()
-        given = {name: flow.pop(name) for name in ("drive", "hold")}
-        return Flows(given, flow, stored(self, prepared, t, y)._asdict())
-
-    def check(self, params: Params, where: str = "") -> None:
-        """``checks.check_joint``."""
-        check_joint(self, params, where or "scene 'joint'")
-
-    def suspects(self, params: Params) -> np.ndarray:
-        """``checks.suspects``."""
-        return suspects(self, params)
-
-    def period(self, params: Params) -> tuple[float, float]:
-        """Of the seat, and of one ball's pitch.
-
-        Raises:
-            InputError: for a fidelity that has no history, and for a drive that stands still.
-        """
-        if self.fidelity != "dynamic":
-            raise InputError(
-                "scene 'joint' fidelity", f"'{self.fidelity}' has no dynamics", "give fidelity = 'dynamic'"
-            )
-        speed = abs(float(params["drive_speed"]))
-        if not speed > 0.0:
-            raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
-        turn = 2.0 * math.pi / speed
-        return turn, turn * self.pitches / self.balls
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """All but cage_turn, which is an axis with a spin and no such pair."""
@@ -227,15 +113,124 @@ class JointModel(Joint):
         for name, piece in self.slices.items():
             if piece is None or name == "cage_turn":
                 continue
-            for k in range(piece.stop - piece.start):
-                own = f"{name}.{'xyz'[k]}" if piece.stop - piece.start > 1 else name
-                found[own] = (3 * balls + piece.start + k, places + self.twist * balls + piece.start + k)
+            for k in range(piece.start, piece.stop):
+                own = name if piece.stop == piece.start + 1 else f"{name}.{'xyz'[k - piece.start]}"
+                found[own] = (3 * balls + k, places + self.twist * balls + k)
         return found
 
     @property
     def drive_coordinate(self) -> str:
-        """The seat's turn."""
         return "seat_turn"
+
+    # Its equations, and what solvers ask.
+
+    def prepare(self, params: Params) -> Any:
+        """``constants``; the parameters themselves for closed-form load sharing."""
+        return dict(params) if self.fidelity == "kinematic" else constants(self, params)
+
+    def initial_state(self, params: Params) -> Array:
+        return nominal(self, params, jnp.zeros(()))
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        return system.field(t, y, (self, prepared))
+
+    def structure(self) -> AbstractStructure:
+        return Arrowhead()
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        return scales(self, params, jnp.asarray(end))
+
+    def first_step(self, params: Params, scales: Array) -> ArrayLike:
+        """A microsecond."""
+        del params, scales
+        return 1e-6
+
+    def tolerance(self, force_error: float) -> float:
+        return tolerance(self, force_error)
+
+    def origin(self, count: int) -> Any:
+        return origin(self, count) if self.fidelity == "quasistatic" else ()
+
+    def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
+        """Closed form, or equilibria, which a run ends at where the first was not found."""
+        none = jnp.asarray(0)
+        if self.fidelity == "kinematic":
+            return Solution(kinematic_states(self, params, times), jnp.asarray(OK), times[-1], none, none), ()
+        found = quasistatic(self, params, times, near, rates)
+        good = jnp.all(found.converged)
+        code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
+        return Solution(found.states, code, end, jnp.sum(found.iterations), none), found.places
+
+    # What instruments read.
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """``observe.observe``, or what its fidelity has in its place."""
+        if self.fidelity == "kinematic":
+            return jax.tree.map(lambda x: x[0], kinematic_readings(self, prepared, jnp.asarray(t)[None]))
+        look = observe_at_rest if self.fidelity == "quasistatic" else observe
+        return look(self, prepared, y)
+
+    def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
+        return motions(self, prepared, t, y)
+
+    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        if not self.in_motion:
+            remedy = "give fidelity = 'dynamic': the other models have no inertia"
+            raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
+        flow = power(self, prepared, t, y)._asdict()
+        given = {name: flow.pop(name) for name in ("drive", "hold")}
+        return Flows(given, flow, stored(self, prepared, t, y)._asdict())
+
+    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
+        """The joint has sizes of its own."""
+        del size, travel
+        return drawing.drawing(self, params)
+
+    def carriers(self) -> dict[str, str]:
+        return drawing.carriers(self)
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
+
+    # What is refused, and what is known beside.
+
+    def check(self, params: Params, where: str = "") -> None:
+        check_joint(self, params, where or "scene 'joint'")
+
+    def suspects(self, params: Params) -> np.ndarray:
+        return suspects(self, params)
+
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """``scales.envelope_place``; and whether anything but the defaults was tried."""
+        del times
+        tried = dataclasses.replace(self, fidelity="dynamic") == joint()
+        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
+
+    def warnings(self, params: Params, run: Any) -> list[str]:
+        return engineering.warnings(self, params, run)
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """By its own radii and modulus (``coefficients.patch``)."""
+        del modulus
+        return patch(self, params, contact)[0].peak_pressure(1.0)
+
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
+        del contact, deepest
+        return Bodies(float(params["ball_radius"]))
+
+    # Motion that repeats itself.
+
+    def period(self, params: Params) -> tuple[float, float]:
+        """Of the seat, and of one ball's pitch; InputError without a history, and for a drive that stands still."""
+        if self.fidelity != "dynamic":
+            found = f"'{self.fidelity}' has no dynamics"
+            raise InputError("scene 'joint' fidelity", found, "give fidelity = 'dynamic'")
+        speed = abs(float(params["drive_speed"]))
+        if not speed > 0.0:
+            raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
+        turn = 2.0 * math.pi / speed
+        return turn, turn * self.pitches / self.balls
 
     def recurs(self, params: Params) -> bool:
         """A joint in motion whose seat turns."""
@@ -247,7 +242,6 @@ class JointModel(Joint):
         return 2.0 * jnp.pi * self.pitches / (self.balls * jnp.abs(params["drive_speed"]))
 
     def pitch_before(self, params: Params, state: Array) -> Array:
-        """``periodic.pitch_before``."""
         return pitch_before(self, params, state)
 
     def turned(self, params: Params) -> int:
@@ -268,37 +262,20 @@ class JointModel(Joint):
             tangent = tangent.at[at].add(-axis * (axis @ tangent[at]) / (axis @ axis))
         return tangent
 
-    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
-        """``scales.envelope_place``; and whether anything but the defaults was tried."""
-        del times
-        tried = dataclasses.replace(self, fidelity="dynamic") == joint()
-        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
-
-    def warnings(self, params: Params, run: Any) -> list[str]:
-        """``engineering.warnings``."""
-        return engineering.warnings(self, params, run)
-
-    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
-        """By its own radii and modulus (``coefficients.patch``)."""
-        del modulus
-        return patch(self, params, contact)[0].peak_pressure(1.0)
-
-    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
-        del contact, deepest
-        return Bodies(float(params["ball_radius"]))
-
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
         return risen(self, params, 1)
 
     @property
     def settled_when(self) -> str:
-        """As ``settled_from``."""
         return "the load has risen and the drive has turned on by one ball"
 
+    # Its levels.
+
+    def level(self, fidelity: str) -> AbstractModel:
+        return resolved(self, fidelity)
+
     def full(self) -> AbstractModel:
-        """Its motion."""
         return resolved(self, "dynamic")
 
     def choice_options(self) -> dict[str, Any]:
@@ -313,67 +290,32 @@ class JointModel(Joint):
         return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
 
     def variants(self, params: Params) -> tuple[Variant, ...]:
-        """``variants.variants``."""
         return variants.variants(self, params)
 
     @property
     def model_form(self) -> str:
         """What was measured of the default joint; of a joint without a motion what it leaves out."""
-        if not self.in_motion:
-            return "this level has neither friction nor inertia"
-        return variants.model_form()
+        return variants.model_form() if self.in_motion else "this level has neither friction nor inertia"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
-        """``fidelity.adaptive``."""
         return adaptive(self, params, times, budget, run)
+
+    # A run as a whole.
 
     @property
     def tables(self) -> tuple[str, ...]:
         """Resultants and moments, of a joint that moves."""
-        return (_TABLE, _MOMENTS) if self.in_motion else ()
+        return (summary.RESULTANTS, summary.MOMENTS) if self.in_motion else ()
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """Pressure, patch and power of contacts; of motion transmission, energy, the cage's equilibrium, resultants."""
-        scene = resolved(self, run.choice.fidelity) if run.choice else self
-        if not scene.in_motion:
-            return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
-        found = summary.whole(scene, params, run.times, run.trajectory)
-        assert found.moments is not None
-        columns = {
-            f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]
-            for contact in self.contacts
-            for k, axis in enumerate("xyz")
-        }
-        entries = summary.of_the_whole(run.times, found)
-        read = engineering.of_the_contacts(scene, params, run, found.rubbed)
-        read |= {"quantities": moments.quantities(scene, run.times, found.moments), "quantities_note": moments.NOTE}
-        tables = {_TABLE: columns, _MOMENTS: moments.table(scene, found.moments)}
-        return entries | {"engineering": read}, tables
+        return summary.of_the_run(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
-        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only.
-
-        The joint's plane holds both axes.
-        """
-        scene = resolved(self, run.choice.fidelity) if run.choice else self
-        if not scene.in_motion or run.trajectory is None:
-            return {}
-        coupling = run.trajectory[:, 3 * scene.balls :][:, : scene.coupling]
-        place = {"seat": 0.0, "head": 0.0, "cage": 0.0}
-        place |= {body: coupling[:, at] for body in ("head", "cage") if (at := scene.slices.get(body)) is not None}
-        angle, found = float(params["joint_angle"]), {}
-        for name in scene.pilots:
-            outer, inner = GUIDES[name]
-            apart = np.broadcast_to(place[inner] - place[outer], (len(run.times), 3))
-            # The head's axis leans to +x.
-            tilt = angle if "head" in (outer, inner) else 0.0
-            x = math.cos(tilt) * apart[:, 0] - math.sin(tilt) * apart[:, 2]
-            z = math.sin(tilt) * apart[:, 0] + math.cos(tilt) * apart[:, 2]
-            axes = ("in the joint's plane", "across the joint's plane")
-            found[name] = Orbit(x, apart[:, 1], float(params[f"clearance_{name}"]), f"{inner} in {outer}", axes, z)
-        return found
+        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only."""
+        return summary.orbits(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
 
 
 def joint(
@@ -414,7 +356,7 @@ def joint(
     return JointModel(**structure(options))
 
 
-@keyed
+@keyed(JointOptions)
 def joint_of_keys(**given: Any) -> JointModel:
     """The ball-cage flexible joint from the keys of [scene] of a scene file."""
     return JointModel(**structure(with_keys(JointOptions(), given, "scene 'joint'")))

@@ -19,11 +19,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
 from bcfj_jax.models.joint.observe import observe
+from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.xla.kept import kept
@@ -126,7 +126,7 @@ def posed(scene: Joint, params: Params, times: Array) -> Problem:
         c,
         jnp.transpose(places.reshape(-1, n, 3), (2, 1, 0)),
         seat,
-        jax.vmap(lambda t: system.load_torque(c, t))(times),
+        jax.vmap(lambda t: torque_at(scene.programmes, t, jnp.zeros(()), c.programmes))(times),
         GROUND * (jnp.abs(p["load_torque"]) / (n * p["pitch_radius"]) + jnp.abs(p["axial_load"])) + 1e-3,
         p["pitch_radius"],
     )
@@ -190,11 +190,11 @@ def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
     """Flat states from places and their rates; the cage turns about its axis at the drive's speed."""
     n, count = scene.balls, value.shape[0]
     tilt = scene.slices["cage_turn"]
-    spin = jnp.broadcast_to(c.drive_speed * c.bisector, (count, 3))
+    spin = jnp.broadcast_to(c.programmes["drive_speed"] * c.bisector, (count, 3))
     if tilt is not None:
         at = slice(3 * n + tilt.start, 3 * n + tilt.stop)
         axis = value[:, at]
-        spin = jnp.cross(axis, rate[:, at]) + c.drive_speed * axis
+        spin = jnp.cross(axis, rate[:, at]) + c.programmes["drive_speed"] * axis
         rate = rate.at[:, at].set(spin)
     balls = rate[:, : 3 * n].reshape(count, n, 3)
     if scene.spin:

@@ -8,7 +8,7 @@ from jax import Array
 
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import Flat, Joint
 
 
 def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
@@ -25,17 +25,11 @@ def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
 
     speed = scene.programmes.start_speed(p)
     places, velocities = jax.jvp(centres, (seat_turn,), (speed,))
-    axis = geometry.bisector(p["joint_angle"])
-    at = {"head": jnp.zeros(3), "head_turn": seat_turn[None], "cage": jnp.zeros(3), "cage_turn": axis}
-    at["seat_turn"] = seat_turn[None]
-    rate = {"head": jnp.zeros(3), "head_turn": speed[None], "cage": jnp.zeros(3), "cage_turn": speed * axis}
-    rate["seat_turn"] = speed[None]
-    names = [name for name, piece in scene.slices.items() if piece is not None]
+    axis, none, turn = geometry.bisector(p["joint_angle"]), jnp.zeros(3), seat_turn[None]
+    at = {"head": none, "head_turn": turn, "cage": none, "cage_turn": axis, "seat_turn": turn}
+    rate = {"head": none, "head_turn": speed[None], "cage": none, "cage_turn": speed * axis, "seat_turn": speed[None]}
     if scene.spin:
         velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
-    ends = 0 if scene.azimuth is None else 1
-    others = [jnp.zeros(scene.states - ends - scene.moving)] if scene.bristles else []
-    others += [seat_turn[None]] if ends else []
-    return jnp.concatenate(
-        [places.ravel(), *(at[name] for name in names), velocities.ravel(), *(rate[name] for name in names), *others]
-    )
+    others = jnp.zeros(scene.states - scene.moving)
+    others = others if scene.azimuth is None else others.at[-1].set(seat_turn)
+    return Flat(places, scene.coupled(at), velocities, scene.coupled(rate), others).whole()

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.models.joint import attitude, deflection, geometry, periodic, system
+from bcfj_jax.models.joint import attitude, checks, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import quasistatic
@@ -194,7 +194,7 @@ def test_balls_swing_in_their_windows_as_the_check_says():
     swing = np.sum(places * around, -1)
     swing = np.asarray(swing)
     need = 0.5 * float(np.max(swing.max(1) - swing.min(1)))
-    assert deflection.swing(5.0, pitch, offset, beta) == within(need, 1e-3)
+    assert checks.swing(5.0, pitch, offset, beta) == within(need, 1e-3)
     # The check asks for it; and something must be left between windows.
     scene.check(scene.parameters(clearance_cage_window_end=1.01 * need))
     with pytest.raises(InputError, match=r"clearance_cage_window_end.*joint_angle of at most"):
