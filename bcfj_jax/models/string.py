@@ -118,6 +118,7 @@ class StringModel(AbstractModel):
 
     @property
     def contacts(self) -> tuple[Any, ...]:
+        """The joint's."""
         return self.joint.contacts
 
     @property
@@ -127,6 +128,7 @@ class StringModel(AbstractModel):
 
     @property
     def title(self) -> str:
+        """How many joints."""
         return f"string of {self.count} joint{'s' if self.count > 1 else ''}, {self.joint.fidelity}"
 
     @property
@@ -143,6 +145,7 @@ class StringModel(AbstractModel):
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
+        """As ``quantities``."""
         own = tuple((name, value) for name, (value, _) in DEFAULTS.items())
         return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
 
@@ -159,6 +162,7 @@ class StringModel(AbstractModel):
         return told | {name: jnp.broadcast_to(value, (self.count,)) for name, value in shared.items()}
 
     def prepare(self, params: Params) -> Any:
+        """Of all joints."""
         return jax.vmap(self.joint.prepare)(self.joints(params))
 
     def initial_state(self, params: Params) -> Array:
@@ -171,9 +175,11 @@ class StringModel(AbstractModel):
         return jnp.zeros_like(y)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """Of all joints."""
         return jax.vmap(lambda p: self.joint.error_scale(p, end))(self.joints(params)).reshape(-1)
 
     def tolerance(self, force_error: float) -> float:
+        """The joint's."""
         return self.joint.tolerance(force_error)
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -202,6 +208,7 @@ class StringModel(AbstractModel):
 
     @property
     def settled_when(self) -> str:
+        """As ``settled_from``."""
         return "the load has risen"
 
     def check(self, params: Params, where: str = "") -> None:

@@ -87,10 +87,12 @@ class JointModel(Joint):
 
     @property
     def title(self) -> str:
+        """Its fidelity, and that it is a joint."""
         return f"{self.fidelity} joint"
 
     @property
     def members(self) -> dict[str, int]:
+        """Balls of the contacts that each ball has."""
         return {contact.name: self.balls if contact.name in OF_A_BALL else 0 for contact in self.contacts}
 
     @property
@@ -100,6 +102,7 @@ class JointModel(Joint):
 
     @property
     def body_members(self) -> dict[str, int]:
+        """Balls."""
         return {"ball": self.balls}
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
@@ -120,6 +123,7 @@ class JointModel(Joint):
 
     @property
     def drive_coordinate(self) -> str:
+        """The seat's turn."""
         return "seat_turn"
 
     # Its equations, and what solvers ask.
@@ -129,15 +133,19 @@ class JointModel(Joint):
         return dict(params) if self.fidelity == "kinematic" else constants(self, params)
 
     def initial_state(self, params: Params) -> Array:
+        """``start.nominal`` with the seat at 0."""
         return nominal(self, params, jnp.zeros(()))
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """``system.field``."""
         return system.field(t, y, (self, prepared))
 
     def structure(self) -> AbstractStructure:
+        """Balls one by one, then the rest."""
         return Arrowhead()
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """``scales.scales``."""
         return scales(self, params, jnp.asarray(end))
 
     def first_step(self, params: Params, scales: Array) -> ArrayLike:
@@ -146,9 +154,11 @@ class JointModel(Joint):
         return 1e-6
 
     def tolerance(self, force_error: float) -> float:
+        """``scales.tolerance``."""
         return tolerance(self, force_error)
 
     def origin(self, count: int) -> Any:
+        """``batched_newton.origin``."""
         return origin(self, count) if self.fidelity == "quasistatic" else ()
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -171,9 +181,11 @@ class JointModel(Joint):
         return look(self, prepared, y)
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
+        """``observe.motions``."""
         return motions(self, prepared, t, y)
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        """``energy.power`` and ``energy.stored``."""
         if not self.in_motion:
             remedy = "give fidelity = 'dynamic': the other models have no inertia"
             raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
@@ -187,17 +199,21 @@ class JointModel(Joint):
         return drawing.drawing(self, params)
 
     def carriers(self) -> dict[str, str]:
+        """``drawing.carriers``."""
         return drawing.carriers(self)
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """``drawing.scenery``."""
         return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
 
     # What is refused, and what is known beside.
 
     def check(self, params: Params, where: str = "") -> None:
+        """``checks.check_joint``."""
         check_joint(self, params, where or "scene 'joint'")
 
     def suspects(self, params: Params) -> np.ndarray:
+        """``checks.suspects``."""
         return suspects(self, params)
 
     def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
@@ -207,6 +223,7 @@ class JointModel(Joint):
         return envelope_place(self, params), [] if tried else ["options other than the defaults"]
 
     def warnings(self, params: Params, run: Any) -> list[str]:
+        """``engineering.warnings``."""
         return engineering.warnings(self, params, run)
 
     def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
@@ -242,6 +259,7 @@ class JointModel(Joint):
         return 2.0 * jnp.pi * self.pitches / (self.balls * jnp.abs(params["drive_speed"]))
 
     def pitch_before(self, params: Params, state: Array) -> Array:
+        """``periodic.pitch_before``."""
         return pitch_before(self, params, state)
 
     def turned(self, params: Params) -> int:
@@ -268,14 +286,17 @@ class JointModel(Joint):
 
     @property
     def settled_when(self) -> str:
+        """As ``settled_from``."""
         return "the load has risen and the drive has turned on by one ball"
 
     # Its levels.
 
     def level(self, fidelity: str) -> AbstractModel:
+        """``fidelity.resolved``."""
         return resolved(self, fidelity)
 
     def full(self) -> AbstractModel:
+        """Its motion."""
         return resolved(self, "dynamic")
 
     def choice_options(self) -> dict[str, Any]:
@@ -290,6 +311,7 @@ class JointModel(Joint):
         return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
 
     def variants(self, params: Params) -> tuple[Variant, ...]:
+        """``variants.variants``."""
         return variants.variants(self, params)
 
     @property
@@ -300,6 +322,7 @@ class JointModel(Joint):
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
+        """``fidelity.adaptive``."""
         return adaptive(self, params, times, budget, run)
 
     # A run as a whole.

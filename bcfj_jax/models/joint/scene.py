@@ -159,6 +159,7 @@ class Joint(AbstractModel):
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
+        """Default values of the parameters the scene has."""
         known = {name: DEFAULTS.get(name, (None,))[0] for name in self.quantities} | dict.fromkeys(self.each_ball, 0.0)
         known |= {"smoothing": SMOOTHING_OF_SPHERES} if self.smoothing and not self.banded else {}
         known |= dict(self.programmes.greatest)
@@ -234,9 +235,11 @@ class Joint(AbstractModel):
         return self.drive == "prescribed" and self.programmes.drive is not None
 
     def has(self, name: str) -> bool:
+        """Whether a contact is in the program."""
         return any(contact.name == name for contact in self.contacts)
 
     def contact(self, name: str) -> JointContact:
+        """A contact by name."""
         return next(contact for contact in self.contacts if contact.name == name)
 
     @property
@@ -246,6 +249,7 @@ class Joint(AbstractModel):
 
     @property
     def window_ends(self) -> bool:
+        """Whether its windows end."""
         return self.has(WINDOW_END)
 
     @property
