@@ -18,9 +18,9 @@ from jax import Array
 
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.attitude import rate_by_axis, turning
 from bcfj_jax.models.joint.blocks import Blocks, blocks
 from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.geometry import rate_by_axis, turning
 from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.xla.small import inverse, inverse3, inverse6

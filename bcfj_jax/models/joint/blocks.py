@@ -112,13 +112,7 @@ class Freed(NamedTuple):
 
 
 def free(bond: Bond, outer: Array, scale: Array) -> Freed:
-    """Bristles in terms of everything else (module docstring).
-
-    Args:
-        bond: of the faces.
-        outer: (..., 3) angular velocity W of the body they turn with [1/s].
-        scale: s [s].
-    """
+    """Bristles of faces in terms of everything else (module docstring); ``outer`` (..., 3) is W, ``scale`` s [s]."""
     share = (scale / (1.0 + scale * bond.decay))[..., None, None]
     if bond.bristles.shape[-1] == 1:
         still = jnp.zeros((*bond.bristles.shape, 3))
@@ -326,9 +320,7 @@ def _freed(
 def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """All derivatives of contact wrenches and coupling forces in one state.
 
-    Args:
-        scene, c, y: the joint, its constants, the flat state.
-        scale: s [s] of the step in which bristles are eliminated; not read without them.
+    ``scale`` is s [s] of the step in which bristles are eliminated; not read without them.
     """
     state = system.view(scene, c, y)
     relative_motions = system.relative_motions(scene, c, state)

@@ -31,11 +31,7 @@ WHERE = "scene 'joint'"
 
 
 def structure(options: JointOptions) -> dict[str, Any]:
-    """Fields of ``scene.Joint``.
-
-    Raises:
-        InputError: for a name that is not known, and for contacts that do not make a joint.
-    """
+    """Fields of ``scene.Joint``; InputError for a name that is not known, and for contacts that do not make a joint."""
     geometry, cage, drive = options.geometry, options.cage, options.drive
     for name, value, choices in (
         ("track", geometry.track, TRACKS), ("head", geometry.head, HEADS), ("cage", cage.cage, CAGES),

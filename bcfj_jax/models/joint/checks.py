@@ -269,13 +269,10 @@ def _largest(check: Callable[..., Fault | None], values: Sequence[float]) -> flo
 def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> None:
     """Refuse a joint that does not assemble, or that its fidelity has no answer for.
 
-    Args:
-        scene: the joint.
-        params: its parameters, SI. Those that are batched or traced are not looked at, nor NaN: its run fails and says so.
-        where: what the message begins with.
+    Parameters that are batched or traced are not looked at, nor NaN: its run fails and says so.
 
     Raises:
-        InputError: naming the key, its value and what would be right.
+        InputError: which begins with ``where`` and names the key, its value and what would be right.
     """
     for contact in scene.contacts:
         for name in contact.own:
@@ -333,16 +330,13 @@ def suspects(scene: Joint, params: Params) -> np.ndarray:
 def check_geometry(
     values: Mapping[str, float], where: str = "scene 'joint'", moved: Collection[str] | None = None
 ) -> None:
-    """Refuse dimensions that do not make a joint.
+    """Refuse dimensions (SI and radians, concrete numbers) that do not make a joint.
 
-    Args:
-        values: keys of the joint, SI and radians, concrete numbers. Read are the keys of ``_RANGES`` and of
-            ``_CHECKS`` and any that begins with ``clearance_``; missing ones skip the checks that need them.
-        where: what the message begins with; the key follows it.
-        moved: keys in which they differ from dimensions that passed: what reads none of them passes again.
+    Read are the keys of ``_RANGES`` and of ``_CHECKS`` and any that begins with ``clearance_``; missing ones skip the checks that
+    need them. ``moved``: keys in which they differ from dimensions that passed: what reads none of them passes again.
 
     Raises:
-        InputError: naming the key, its value and what would be right.
+        InputError: as ``check_joint``.
     """
     given = {key: float(value) for key, value in values.items() if key in _RANGES or key.startswith("clearance_")}
     # Ranges first: no check sees a value that is no length or no angle.

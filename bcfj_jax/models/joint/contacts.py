@@ -177,10 +177,7 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
 
     In the section, t across the track's plane and a outward of the track circle, flank s = +-1 has its circle's
     centre at  -(r_g - r)(s sin(alpha), side cos(alpha))  and  d = |(t, a) - centre| - (r_g - r) - clearance.
-
-    Args:
-        place: (..., 2, 3) ball centre less track-circle centre [m].
-        across: (..., 2, 3) unit normal of the track's plane.
+    ``place`` (..., 2, 3) is the ball's centre less the track circle's [m], ``across`` the unit normal of the track's plane.
     """
     t = dot(place, across)
     plane = place - t[..., None] * across
@@ -201,12 +198,8 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
 def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
     """Balls between two planes of the cage (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
 
-    Args:
-        clearance: gap of a centred ball to either plane [m].
-        ball: ball radius [m].
-        place: (..., 3) ball centre less cage centre [m].
-        axis: unit normal that turns with the cage, to broadcast against ``place``: the cage's axis for the faces of
-            windows, around the cage (``attitude.windows_around``) for their ends.
+    ``place`` (..., 3) is the ball's centre less the cage's [m]; ``axis`` the unit normal that turns with the cage, to broadcast
+    against it: the cage's axis for the faces of windows, around the cage (``geometry.windows_around``) for their ends.
     """
     sides = jnp.array([1.0, -1.0])
     penetration = sides * dot(place, axis)[..., None] - clearance
@@ -215,15 +208,7 @@ def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometr
 
 
 def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
-    """Spheres in hollow spheres (physics sheet 5.3, rows 1 and 2):  d = |p| - clearance.
-
-    Full spheres: a real pilot is a band, whose edge carries an axial load a little off the pole.
-
-    Args:
-        clearance: (k,) radial clearance [m].
-        hollow: (k,) radius of the hollow sphere [m].
-        place: (k, 3) inner centre less outer centre [m].
-    """
+    """Spheres at ``place`` (k, 3) in hollow spheres of radius ``hollow`` (k,) [m] (physics sheet 5.3):  d = |p| - clearance."""
     distance = jnp.sqrt(dot(place, place) + 1e-24)[:, None]
     normal = (place / distance)[:, None, :]
     return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance)
@@ -239,13 +224,10 @@ def join(first: Geometry, second: Geometry) -> Geometry:
 def act(
     laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> ContactForce:
-    """Forces of contacts (module docstring).
+    """Forces of contacts (module docstring), of relative twist (``velocity``, ``spin``); a particle has no spin.
 
-    Args:
-        velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
-        spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
-        bristles: (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law
-            acts by its steady slip.
+    ``bristles`` are (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law acts by its
+    steady slip.
     """
     velocity = velocity[..., None, :]
     rate = dot(at.normal, velocity)

@@ -171,10 +171,8 @@ def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
 def cage_equilibrium(scene: Joint, c: Constants, y: Array, t: Array) -> Array:
     """Newton's law of the cage,  F(1) + F(2) + F(3) - m a,  (3,) [N], of seat, head and balls; 0 but for rounding.
 
-    The paper's test (its Table 3). The forces are those of the contacts; a is the field's acceleration.
-
-    Raises:
-        InputError: for a cage that is fixed.
+    The paper's test (its Table 3). The forces are those of the contacts; a is the field's acceleration. InputError for a
+    cage that is fixed.
     """
     piece = scene.slices["cage"]
     if piece is None:

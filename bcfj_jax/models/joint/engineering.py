@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.stiffness import ISO_76
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint.coefficients import patch
+from bcfj_jax.models.joint.constants import patch
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.xla.programs import ask
 
@@ -49,15 +49,8 @@ def of_the_contacts(
 ) -> dict[str, Any]:
     """By contact: pressure and half-axes at the highest force, mean power lost to friction, and what is void.
 
-    Args:
-        scene, params: the joint's.
-        run: a run of it; NaN where it failed is left out.
-        rubbed: by contact (T,) power that friction takes of all members [W]; none of a model without friction.
-
-    Returns:
-        By contact a dict with ``force``, ``pressure``, ``half_axes`` (long, short), ``power`` (mean of the last
-        two thirds) and ``void``, a sentence or "". Beside them ``units``,
-        ``note`` and ``warning``, which says where elastic laws are void and where bodies pass through each other, or "".
+    ``rubbed``: by contact (T,) power that friction takes of all members [W]; none of a model without friction. The entry is as
+    ``AbstractModel.whole`` says; ``void`` is a sentence or "".
     """
     forces = {name: jnp.asarray(np.nanmax(np.abs(run.force[name][..., 0]))) for name in run.force}
     patches = ask("joint's patches", _patches, (scene,), (dict(params), forces))

@@ -40,11 +40,10 @@ from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.checks import check_joint, suspects
-from bcfj_jax.models.joint.coefficients import patch
-from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.constants import constants, patch
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
-from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
+from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states, nominal
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest
 from bcfj_jax.models.joint.options import (
     GROUPS,
@@ -62,7 +61,6 @@ from bcfj_jax.models.joint.periodic import pitch_before, risen
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
 from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
-from bcfj_jax.models.joint.start import nominal
 
 # What the levels without inertia leave out.
 _PHYSICS = {
@@ -133,7 +131,7 @@ class JointModel(Joint):
         return dict(params) if self.fidelity == "kinematic" else constants(self, params)
 
     def initial_state(self, params: Params) -> Array:
-        """``start.nominal`` with the seat at 0."""
+        """``kinematic.nominal`` with the seat at 0."""
         return nominal(self, params, jnp.zeros(()))
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
@@ -227,7 +225,7 @@ class JointModel(Joint):
         return engineering.warnings(self, params, run)
 
     def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
-        """By its own radii and modulus (``coefficients.patch``)."""
+        """By its own radii and modulus (``constants.patch``)."""
         del modulus
         return patch(self, params, contact)[0].peak_pressure(1.0)
 

@@ -156,11 +156,7 @@ PLACES = {key.name: name for name, group in GROUPS.items() for key in dataclasse
 
 
 def with_keys(options: JointOptions, given: Mapping[str, Any], where: str) -> JointOptions:
-    """Options with those that keys of a scene file give.
-
-    Raises:
-        InputError: for a key that does not exist.
-    """
+    """Options with those that keys of a scene file give; InputError for a key that does not exist."""
     for key, value in given.items():
         if key not in PLACES:
             raise InputError(where, f"no option '{key}' = {value}", nearest(key, PLACES))

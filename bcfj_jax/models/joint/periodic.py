@@ -63,11 +63,7 @@ def risen(scene: Joint, params: Params, count: float) -> float:
 def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: bool = False) -> Folded:
     """The short run that stands for a long one.
 
-    Args:
-        scene, params: the joint, its parameters [SI].
-        times: (T,) wanted, increasing [s].
-        end: of the short run [s], a pitch and a half or more after the load has risen.
-        whole: leave all times where they are.
+    ``end`` of the short run [s] is a pitch and a half or more after the load has risen; ``whole`` leaves all times in place.
     """
     period = repeat(scene, params)
     late = np.zeros(times.size) if whole else np.maximum(0.0, np.ceil((times - end) / period))
@@ -153,11 +149,7 @@ def mismatch(
     Of each contact the rms over its second half of the difference of normal forces, its worst member's, as a fraction
     of the largest in the short run; 0 for one that never touches. A cage that drifts between the ends of its windows
     repeats its forces until it is at one: while these bear nothing, it is the way that the cage drifts in the pitches left
-    out, as a fraction of the clearance.
-
-    Args:
-        force: by contact, (M, 3) or (M, balls, 3) [N], of the times of ``folded``.
-        states: (M, scene.states) of the same times; read where windows have ends alone.
+    out, as a fraction of the clearance. Forces and states are of the times of ``folded``.
     """
     found = {}
     one = np.ones(_PHASES, int)

@@ -52,7 +52,7 @@ STIFFNESSES = GIVEN, GEOMETRY = ("given", "geometry")
 class JointContact(eqx.Module):
     """One kind of contact: its name, its normal-force law, its friction law or None.
 
-    ``geometric``: its stiffness is that of its geometry (``coefficients.stiffness``), and no parameter.
+    ``geometric``: its stiffness is that of its geometry (``constants.stiffness``), and no parameter.
     """
 
     name: str = eqx.field(static=True)

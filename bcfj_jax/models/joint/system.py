@@ -6,9 +6,9 @@ coupling (everything that is not a ball) is, in this order and as far as the sce
     head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
 
 The state is flat: ball places, coupling places, ball twists (velocity, and spin where balls spin), coupling
-velocities, bristles (``bristles``), and the cage's azimuth where windows have ends. The cage's attitude is a unit axis and
-that azimuth (``attitude``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
-spherical shell (isotropic): no gyroscopic term, see ``attitude``.
+velocities, bristles (``scene.split``), and the cage's azimuth where windows have ends. The cage's attitude is a unit axis and
+that azimuth (``geometry``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
+spherical shell (isotropic): no gyroscopic term, see ``geometry``.
 A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
 but the load, and the drive where its speed is not constant (``programmes``).
 """
@@ -23,10 +23,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.models.joint.attitude import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.bands import Band, act, band
 from bcfj_jax.models.joint.constants import BALLS, Constants
 from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, LawPair, grooves, join, pilots, windows
+from bcfj_jax.models.joint.geometry import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at
 from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, OUTER, WINDOW_END, Flat, Joint, beside, flat, split
 from bcfj_jax.xla.kept import kept
