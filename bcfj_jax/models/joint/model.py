@@ -57,7 +57,7 @@ from bcfj_jax.models.joint.options import (
     keyed,
     with_keys,
 )
-from bcfj_jax.models.joint.periodic import pitch_before, risen
+from bcfj_jax.models.joint.periodic import pitch_before, risen, ways
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
 from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
@@ -262,7 +262,7 @@ class JointModel(Joint):
 
     def turned(self, params: Params) -> int:
         """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way; of unequal balls what it did."""
-        return 0 if self.unequal else int(np.sign(float(params["drive_speed"])))
+        return ways(self, params)
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""
