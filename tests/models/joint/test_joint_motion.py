@@ -57,7 +57,7 @@ def transmission(params, states, times):
     def one(t, y):
         state, flow = system.view(JOINT, c, y), energy.power(JOINT, c, t, y)
         error, ratio = state.head_turn - state.seat_turn, state.head_spin / state.seat_spin
-        return error, ratio, system.load_torque(c, t), flow.drive + flow.hold, flow.load
+        return error, ratio, system.loads(JOINT, c, t, state)[0], flow.drive + flow.hold, flow.load
 
     error, ratio, outward, given, passed = jax.vmap(one)(times, states)
     return error, ratio, outward, jnp.trapezoid(passed, times) / jnp.trapezoid(given, times)
