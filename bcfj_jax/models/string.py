@@ -121,6 +121,23 @@ class StringModel(AbstractModel):
         """The joint's."""
         return self.joint.contacts
 
+    # Options whose default depends on others: a template of a scene file shows what they are.
+
+    @property
+    def spin(self) -> bool:
+        """The joint's."""
+        return self.joint.spin
+
+    @property
+    def window_ends(self) -> bool:
+        """The joint's."""
+        return self.joint.window_ends
+
+    @property
+    def bands(self) -> bool:
+        """The joint's."""
+        return self.joint.bands
+
     @property
     def traits(self) -> ModelTraits:
         """Each instant is solved for itself."""
