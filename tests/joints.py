@@ -14,9 +14,9 @@ import bcfj_jax as bj
 from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.constants import constants as make_constants
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scales import scales
 from bcfj_jax.models.joint.scene import PLAIN
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.solve.rodas import Rodas
 
 SEEDS = st.integers(0, 2**31 - 1)

@@ -14,14 +14,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import SphereOnSphere
-from bcfj_jax.contact.restitution import undamped_duration
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, picked, touching
 
 _BALL = {
     **STEEL_BALL, "radius": 0.01, "mass": 7780.0 * 4.0 / 3.0 * math.pi * 0.01**3,
@@ -65,9 +64,7 @@ def _passed(count: int) -> Callable[[Params], Array]:
     """Somewhat longer than a blow takes through the row, half of a contact from sphere to sphere [s]."""
 
     def end(p: Params) -> Array:
-        stiffness = p["stiffness"] if "stiffness" in p else jnp.asarray(_BALL["stiffness"])
-        exponent = p["exponent"] if "exponent" in p else jnp.asarray(1.0)
         speed = jnp.maximum(p["approach_speed"], 1e-6)
-        return (0.6 * count + 0.4) * undamped_duration(stiffness, exponent, 0.5 * p["mass"], speed)
+        return (0.6 * count + 0.4) * touching(_BALL, p, 0.5 * p["mass"], speed)
 
     return end

@@ -10,7 +10,6 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import PointOnPlane
-from bcfj_jax.contact.restitution import undamped_duration
 from bcfj_jax.core.vectors import Number
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Approach, Contact
@@ -18,7 +17,7 @@ from bcfj_jax.mechanism.loads import Gravity
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.scales import expected_scale
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, picked, touching
 from bcfj_jax.xla.programs import ask
 
 # Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
@@ -73,12 +72,10 @@ def _met(p: Mapping[str, float]) -> float | None:
 
 
 def _impact_end(p: Params) -> Array:
-    """Flight to the surface and one and a half undamped contacts; a scene without K d^n gets the ball's."""
-    stiffness = p["stiffness"] if "stiffness" in p else jnp.asarray(STEEL_BALL["stiffness"])
-    exponent = p["exponent"] if "exponent" in p else jnp.asarray(1.0)
+    """Flight to the surface and one and a half undamped contacts."""
     speed = jnp.maximum(p["approach_speed"], 1e-6)
     mass = p["mass"] * p["struck_mass"] / (p["mass"] + p["struck_mass"]) if "struck_mass" in p else p["mass"]
-    return p["clearance_contact"] / speed + 1.5 * undamped_duration(stiffness, exponent, mass, speed)
+    return p["clearance_contact"] / speed + 1.5 * touching(STEEL_BALL, p, mass, speed)
 
 
 class _Fall(Approach):

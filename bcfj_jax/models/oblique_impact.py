@@ -16,13 +16,12 @@ from jax import Array
 
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.gaps import SphereOnPlane
-from bcfj_jax.contact.restitution import undamped_duration
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, picked, touching
 
 _ANGLE = Quantity("impact_angle", "rad", "angle of the approach from the plane's normal", -1.57, 1.57)
 _OWN = (
@@ -63,11 +62,9 @@ def _inertia(p: Params) -> Array:
 
 
 def _end(p: Params) -> Array:
-    """Flight to the plane and one and a half undamped contacts; a scene without K d^n gets the default stiffness."""
-    stiffness = p["stiffness"] if "stiffness" in p else jnp.asarray(_BALL["stiffness"])
-    exponent = p["exponent"] if "exponent" in p else jnp.asarray(1.0)
+    """Flight to the plane and one and a half undamped contacts."""
     speed = jnp.maximum(_closing(p), 1e-6)
-    return p["clearance_contact"] / speed + 1.5 * undamped_duration(stiffness, exponent, p["mass"], speed)
+    return p["clearance_contact"] / speed + 1.5 * touching(_BALL, p, p["mass"], speed)
 
 
 def oblique_impact(

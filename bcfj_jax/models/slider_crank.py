@@ -19,6 +19,7 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.models.steel_ball import STEEL_BALL, picked
 
 SIZES = {"crank_length": 0.05, "rod_length": 0.12, "crank_speed": 5000.0 * 2.0 * math.pi / 60.0}
 _OWN = (
@@ -28,15 +29,9 @@ _OWN = (
 )
 # Of a steel journal in a steel bearing, (4/3) E* sqrt(R_B R_J/(R_B - R_J)), E = 207 GPa, nu = 0.3.
 _STEEL = {
-    "stiffness": 6.61e10, "exponent": 1.5, "damping": 0.333, "restitution": 0.9, "dashpot": 100.0, "damping_depth": 1e-4,
-    "smoothing": 0.0, "clearance_journal": 0.5e-3, "radius": 9.5e-3,
-    "effective_modulus": 113.7e9, "contact_length": 20e-3, "radius_difference": 0.5e-3,
-    "reference_force": 6.61e10 * 2e-5**1.5, "reference_penetration": 2e-5,
-    "bottoming_stiffness": 1e9, "bottoming_penetration": 2e-5, "bottoming_width": 2e-6, "bottoming_damping": 0.333,
-    "relaxation": 0.1, "relaxation_time": 1e-5, "yield_penetration": 5e-6,
-    "friction_static": 0.1, "friction_dynamic": 0.05, "friction_speed": 0.1,
-    "bristle_stiffness": 1e5, "bristle_damping": 1.0, "friction_memory": 5e-3,
-    "friction_viscous": 0.1,
+    **STEEL_BALL, "stiffness": 6.61e10, "damping": 0.333, "bottoming_damping": 0.333, "clearance_journal": 0.5e-3,
+    "radius": 9.5e-3, "effective_modulus": 113.7e9, "contact_length": 20e-3, "radius_difference": 0.5e-3,
+    "reference_force": 6.61e10 * 2e-5**1.5, "friction_static": 0.1, "friction_dynamic": 0.05, "friction_speed": 0.1,
 }  # fmt: skip
 
 
@@ -108,6 +103,5 @@ def slider_crank(
         "journal", ("slider", "rod"), PinInBearing(), law=law, elastic=elastic, friction=friction, smoothing=smoothing,
         at=((0, 0, 0), ("rod_length", 0, 0)),
     )  # fmt: skip
-    known = {"stiffness", *journal.reads, "clearance_journal"}
-    given = {name: value for name, value in _STEEL.items() if name in known}
+    given = picked(_STEEL, ["stiffness", *journal.reads, "clearance_journal"])
     return Mechanism("slider_crank", parts, (journal,), own=_OWN, given=given, end=_turns, samples=4001)

@@ -10,6 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.restitution import undamped_duration
+from bcfj_jax.mechanism.model import Params
+
 STEEL_BALL: dict[str, float] = {
     "stiffness": 1.3476e10,
     "exponent": 1.5,
@@ -52,3 +58,10 @@ def picked(values: Mapping[str, float], names: Iterable[str]) -> dict[str, float
     """Those of the values that are read."""
     wanted = set(names)
     return {name: value for name, value in values.items() if name in wanted}
+
+
+def touching(values: Mapping[str, float], p: Params, mass: Array, speed: Array) -> Array:
+    """Time of an undamped contact [s]; a scene without K d^n gets the stiffness of the values."""
+    stiffness = p["stiffness"] if "stiffness" in p else jnp.asarray(values["stiffness"])
+    exponent = p["exponent"] if "exponent" in p else jnp.asarray(1.0)
+    return undamped_duration(stiffness, exponent, mass, speed)

@@ -19,9 +19,8 @@ Left out: weight, bending and twist of segments, the moments 2 T tan(beta/2) by 
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 import math
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -39,16 +38,7 @@ from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
 from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.model import JointModel
-from bcfj_jax.models.joint.options import (
-    JointCage,
-    JointDrive,
-    JointGeometry,
-    JointLoads,
-    JointMaterials,
-    JointOptions,
-    keyed,
-    with_keys,
-)
+from bcfj_jax.models.joint.options import JointCage, JointGeometry, JointMaterials, JointOptions, keyed, with_keys
 from bcfj_jax.models.joint.scene import OF_A_BALL
 
 WHERE = "scene 'string'"
@@ -130,6 +120,8 @@ class StringModel(AbstractModel):
     def contacts(self) -> tuple[Any, ...]:
         """The joint's."""
         return self.joint.contacts
+
+    # Options whose default depends on others: a template of a scene file shows what they are.
 
     @property
     def spin(self) -> bool:
@@ -317,6 +309,23 @@ def _made(n: int, options: JointOptions) -> StringModel:
     return StringModel(JointModel(**structure(options)), count)
 
 
+@dataclass(frozen=True)
+class _Options:
+    """Of the scene file: a string has no drive or loads over time.
+
+    Args:
+        n: number of joints.
+        fidelity: one of kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic:
+            equilibrium at each instant, without friction.
+    """
+
+    n: int = 5
+    materials: JointMaterials = field(default_factory=JointMaterials)
+    geometry: JointGeometry = field(default_factory=JointGeometry)
+    cage: JointCage = field(default_factory=JointCage)
+    fidelity: str = "quasistatic"
+
+
 def string(
     n: int = 5,
     geometry: JointGeometry | None = None,
@@ -339,24 +348,7 @@ def string(
     return _made(n, options)
 
 
-@keyed
+@keyed(_Options)
 def string_of_keys(n: int = 5, **given: Any) -> StringModel:
     """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
-    given = {"fidelity": "quasistatic"} | given
-    return _made(n, with_keys(JointOptions(), given, WHERE))
-
-
-# ``n`` before the joint's keys, without those of drive and loads over time, which a string has not.
-_FIRST = inspect.Parameter("n", inspect.Parameter.KEYWORD_ONLY, default=5, annotation=int)
-_LEFT_OUT = {x.name for group in (JointDrive, JointLoads) for x in dataclasses.fields(group)}
-_KEYS = [_FIRST] + [
-    x.replace(default="quasistatic") if x.name == "fidelity" else x
-    for x in inspect.signature(string_of_keys).parameters.values()
-    if x.name not in _LEFT_OUT
-]
-string_of_keys.__signature__ = inspect.Signature(_KEYS)
-string_of_keys.__annotations__ = {x.name: x.annotation for x in _KEYS}
-_WORDS = (inspect.getdoc(string_of_keys) or "").replace("Args:", "Args:\n    n: number of joints.", 1)
-string_of_keys.__doc__ = f"""{_WORDS.partition("    drive:")[0]}    fidelity: one of
-        kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic: equilibrium at each
-        instant, without friction."""
+    return _made(n, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))

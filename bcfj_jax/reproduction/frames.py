@@ -15,7 +15,7 @@ import numpy as np
 
 from bcfj_jax.analysis import features, histories
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.models.joint.attitude import cage_axes
+from bcfj_jax.models.joint.geometry import cage_axes
 from bcfj_jax.reproduction.claims import claim
 from bcfj_jax.reproduction.record import Record
 

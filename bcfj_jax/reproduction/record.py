@@ -10,8 +10,8 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params, Reading
-from bcfj_jax.models.joint.attitude import azimuth_rate
 from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.geometry import azimuth_rate
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import contact_forces, on_bodies, view

@@ -101,7 +101,7 @@ def passive_energy(scene: Any, params: Any, times: Any, states: Any) -> Any:
     def one(p: Any, times: Any, states: Any) -> Any:
         c = constants(scene, p)
         head = lambda y: view(scene, c, y).head_place @ c.axes[1]  # noqa: E731
-        return jax.vmap(lambda t, y: stored(scene, c, t, y).total + c.axial_load * head(y))(times, states)
+        return jax.vmap(lambda t, y: stored(scene, c, t, y).total + c.programmes["axial_load"] * head(y))(times, states)
 
     return jax.vmap(one)(params, times, states)
 

@@ -43,7 +43,7 @@ HEADS = {
 def _pressure(scene: Any, params: Any, name: str, force: float) -> float:
     """Greatest Hertz pressure of a contact [Pa] at a force [N]."""
     if scene.kind == "joint":
-        from bcfj_jax.models.joint.coefficients import patch
+        from bcfj_jax.models.joint.constants import patch
 
         return float(patch(scene, params, name)[0].peak_pressure(force))
     play, pin = float(params[f"clearance_{name}"]), float(params["radius"])

@@ -148,7 +148,7 @@ def cvodes(
 
     Building is cached and timed apart: the wall time is that of one call of the integrator.
     """
-    from bcfj_jax.models.joint.start import nominal
+    from bcfj_jax.models.joint.kinematic import nominal
 
     require_defaults(scene)
     made = build(params, scales)
@@ -170,7 +170,7 @@ def cvodes(
 
 def random_states(scene: Joint, params: Mapping[str, Any], count: int, seed: int = 0) -> np.ndarray:
     """Assembled states at random turns, shaken by 30 um and 0.3 m/s so that every kind of contact is closed in some."""
-    from bcfj_jax.models.joint.start import nominal
+    from bcfj_jax.models.joint.kinematic import nominal
 
     rng = np.random.default_rng(seed)
     half = scene.states // 2

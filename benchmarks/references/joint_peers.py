@@ -22,8 +22,8 @@ from scipy.integrate import LSODA, Radau
 
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.start import nominal
 from benchmarks.references.joint_casadi import Peer, build, cvodes, default_scales, default_scene, require_defaults
 
 # SciPy asks for a relative tolerance above 0. Scaled states reach 5e3, so this share of tol does not count.

@@ -19,8 +19,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.start import nominal
 from benchmarks.references.joint_casadi import FLAGS, RELATIVE
 from benchmarks.references.joint_casadi_field import Expressions, expressions, require_defaults
 

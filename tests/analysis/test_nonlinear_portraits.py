@@ -60,7 +60,7 @@ def test_coordinates_of_the_state_move_at_their_rates():
     """Of the assembled joint at two instants near by."""
     scene = plain_joint()
     params = scene.parameters()
-    from bcfj_jax.models.joint.start import nominal
+    from bcfj_jax.models.joint.kinematic import nominal
 
     first, second = (np.asarray(nominal(scene, params, turn)) for turn in np.array([0.3, 0.3 + 1e-6]))
     elapsed = 1e-6 / float(params["drive_speed"])

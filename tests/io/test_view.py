@@ -20,7 +20,7 @@ import bcfj_jax as bj
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.view import animation, export, fragment, gltf, painter
-from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.kinematic import nominal
 
 pytestmark = pytest.mark.full
 

@@ -4,7 +4,7 @@ Balls touch only seat, head and cage, so with the places eliminated (they are in
 I/s - J  is  one (twist x twist) block a ball, and coupling coordinates of head, cage and seat. Blocks are eliminated ball by
 ball; what is left is one matrix of the coupling's size, whose inverse is kept.
 
-``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls (``slopes``).
+``blocks`` has the derivatives. Bristles, local to a face, are eliminated before the balls.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from jax import Array
 
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.attitude import rate_by_axis, turning
 from bcfj_jax.models.joint.blocks import Blocks, blocks
 from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.geometry import rate_by_axis, turning
+from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.xla.small import inverse, inverse3, inverse6
 
@@ -103,7 +104,9 @@ class Arrowhead(AbstractStructure):
         k = scene.twist
         state = system.view(scene, c, y)
         if scene.programmes.stick_slip:
-            at, slope = scene.slices["head_turn"], system.load_slope(scene, c, t, state)
+            # Of the resisting torque by the head's speed [N m s/rad].
+            resisting, at = partial(torque_at, scene.programmes, t, p=c.programmes), scene.slices["head_turn"]
+            slope = jax.jvp(resisting, (state.head_spin,), (jnp.ones_like(state.head_spin),))[1]
             d = d._replace(coupling_rate=d.coupling_rate.at[at, at].add(-slope))
         lift = c.ball_inverse_mass[:, None]
         ball = jnp.eye(k) / scale - lift * (d.ball_rate.at[..., :3].add(scale * d.ball_place))

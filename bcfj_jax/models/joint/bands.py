@@ -36,8 +36,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import contacts
-from bcfj_jax.models.joint.contacts import ContactForce, Geometry, dot
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, LawPair, dot
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -133,6 +132,5 @@ def act(
         else:
             learnt, mobility = laws.lag(squared, bristles[..., 0])
             hold, bending = normal * mobility, learnt[..., None]
-            rubbed = hold * squared
-        drag, moment = -hold * slide, -hold * swing
+        drag, moment, rubbed = -hold * slide, -hold * swing, hold * squared
     return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared), bending, rubbed)

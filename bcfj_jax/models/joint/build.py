@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 from bcfj_jax.contact import laws as normal_laws
@@ -31,11 +32,7 @@ WHERE = "scene 'joint'"
 
 
 def structure(options: JointOptions) -> dict[str, Any]:
-    """Fields of ``scene.Joint``.
-
-    Raises:
-        InputError: for a name that is not known, and for contacts that do not make a joint.
-    """
+    """Fields of ``scene.Joint``; InputError for a name that is not known, and for contacts that do not make a joint."""
     geometry, cage, drive = options.geometry, options.cage, options.drive
     for name, value, choices in (
         ("track", geometry.track, TRACKS), ("head", geometry.head, HEADS), ("cage", cage.cage, CAGES),
@@ -92,7 +89,7 @@ def _contact(materials: JointMaterials, name: str) -> JointContact:
 
 def _check_single(materials: JointMaterials, names: tuple[str, ...]) -> None:
     """Refuse contacts, and laws of single contacts, that are not known."""
-    known = {
+    known: dict[str, tuple[str, Collection[str]]] = {
         "laws": ("law", normal_laws.LAWS), "elastics": ("elastic part", normal_laws.ELASTIC),
         "stiffnesses": ("stiffness", STIFFNESSES),
     }  # fmt: skip
@@ -113,30 +110,18 @@ def _check_single(materials: JointMaterials, names: tuple[str, ...]) -> None:
 def _check_contacts(options: JointOptions, names: tuple[str, ...]) -> None:
     """Refuse contacts that do not make a joint."""
     fixed = options.cage.cage == "fixed"
-    missing = [name for name in GROOVES if name not in names]
-    floats = options.fidelity == "quasistatic" and not fixed and not set(PILOTS) & set(names)
-    for wrong, found, remedy in (
-        (missing, f"without {missing[0] if missing else ''}", "give it: balls need both tracks to carry torque"),
-        (
-            fixed and "seat_cage" in names,
-            "seat_cage with a fixed cage",
-            "remove it: seat and fixed cage never touch",
-        ),
-        (
-            fixed and WINDOW_END in names,
-            f"{WINDOW_END} with a fixed cage",
-            f"remove {WINDOW_END}: a fixed cage turns as the drive does",
-        ),
-        (
-            WINDOW_END in names and "cage_ball" not in names,
-            f"{WINDOW_END} without cage_ball",
-            "add cage_ball: a window that has ends has faces",
-        ),
-        (
-            floats,
-            "only the windows hold the free cage, so it has no equilibrium",
-            f"add {' or '.join(PILOTS)}, or give cage = 'fixed'",
-        ),
-    ):
-        if wrong:
-            raise InputError(f"{WHERE} contacts", found, remedy)
+    found = {
+        f"without {name}": "give it: balls need both tracks to carry torque" for name in GROOVES if name not in names
+    }
+    if fixed and "seat_cage" in names:
+        found["seat_cage with a fixed cage"] = "remove it: seat and fixed cage never touch"
+    if fixed and WINDOW_END in names:
+        remedy = f"remove {WINDOW_END}: a fixed cage turns as the drive does"
+        found[f"{WINDOW_END} with a fixed cage"] = remedy
+    if WINDOW_END in names and "cage_ball" not in names:
+        found[f"{WINDOW_END} without cage_ball"] = "add cage_ball: a window that has ends has faces"
+    if options.fidelity == "quasistatic" and not fixed and not set(PILOTS) & set(names):
+        remedy = f"add {' or '.join(PILOTS)}, or give cage = 'fixed'"
+        found["only the windows hold the free cage, so it has no equilibrium"] = remedy
+    for wrong, remedy in found.items():
+        raise InputError(f"{WHERE} contacts", wrong, remedy)

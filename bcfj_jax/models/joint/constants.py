@@ -1,4 +1,25 @@
-"""From the scene's parameters to what the equations of motion read, computed once a run."""
+"""From the scene's parameters to what the equations of motion read, computed once a run.
+
+Coefficients of each contact's laws: its own parameters, or the shared ones, or what the joint's geometry gives.
+
+A contact is that of a ball or sphere of radius R_b in a hollow of radius R_s, or on a flat:
+
+| contact                    | R_b                | R_s                                | K of F = K d^1.5                      |
+|----------------------------|--------------------|------------------------------------|---------------------------------------|
+| seat_cage                  | R_s less clearance | seat_radius                        | Lankarani-Nikravesh, sphere in socket |
+| head_cage                  | head_radius        | R_b and clearance                  | the same                              |
+| seat_ball, head_ball       | ball_radius        | of the groove's section, see below | elliptic Hertz, ball in a torus       |
+| cage_ball, cage_window_end | ball_radius        | flat                               | Hertz, sphere on plane                |
+
+The section of a groove is the circle of radius  R_s = R_b + q + clearance  to which ``contacts.grooves`` measures a
+flank, q = ball_radius (2 conformity - 1); of a circular track q is 0. Along the track its curvature is that of the
+centre circle, at the contact angle; in a circular track torque takes a ball to 90 degrees (physics sheet 5.3). An
+elastic part for conformal contacts reads ``radius`` R_s (R_b on a flat) and ``radius_difference`` R_s - R_b: so
+clearance moves its stiffness.
+
+All are formulas of ``contact.stiffness`` for contacts small against R_b; ``engineering`` says where a run leaves that.
+Single balls' sizes (``Joint.clearance``) do not enter: 10 um of a radius of 8 mm change K by less than 2 %.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +29,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from bcfj_jax.contact import stiffness as hertz
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
-from bcfj_jax.models.joint.coefficients import coefficients
-from bcfj_jax.models.joint.contacts import Groove
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.scene import BODIES, GROOVES, Joint
+from bcfj_jax.models.joint.contacts import ContactLaws, Groove, LawPair
+from bcfj_jax.models.joint.defaults import DEFAULTS
+from bcfj_jax.models.joint.scene import BODIES, FLAT, GROOVES, PILOTS, Joint
 
 # What the balls touch, in the order of every array over bodies, which has as many as the scene. The cage stands twice:
 # for the faces and for the ends of its windows.
@@ -25,14 +46,16 @@ class Constants(eqx.Module):
     """Numbers of one run, in the shapes in which they are used.
 
     Attributes:
-        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
-        bisector: normal of the bisecting plane.
         ball_laws: one for all contacts of a ball (m, 1), where laws and numbers of faces agree: quicker than two.
         window_clearance: a scalar; (balls, 1, 1) of unequal balls.
         cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends; clearances of
             unequal balls (balls, 2, 1).
+        body_maps: of ``body_maps``.
+        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
+        bisector: normal of the bisecting plane.
         ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
-        programmes: what programmes of drive and loads read; empty for the usual ones.
+        drive_stiffness, drive_damping: 0 of a prescribed drive.
+        programmes: what drive and loads read.
         beside: what readings of it multiply (``mechanism.observed``).
     """
 
@@ -54,21 +77,81 @@ class Constants(eqx.Module):
     bisector: Array
     ball_inverse_mass: Array
     coupling_inverse_mass: Array
-    drive_speed: Array
     drive_stiffness: Array
     drive_damping: Array
-    load_torque: Array
-    load_ramp: Array
-    axial_load: Array
     programmes: dict[str, Array]
     beside: dict[str, Array] = eqx.field(default_factory=dict)
 
 
-def _programmes(scene: Joint, p: Params) -> dict[str, Array]:
-    """The parameters that the programmes of drive and loads read; none where these are the usual ones."""
-    if scene.programmes.usual:
-        return {}
-    return {name: p[name] for name in ("drive_speed", "load_torque", "axial_load", *scene.programmes.names)}
+def coefficients(scene: Joint, params: Params, name: str) -> dict[str, Array]:
+    """What the laws of a contact read, by name, SI."""
+    contact = scene.contact(name)
+    derived = {
+        "radius": radius,
+        "radius_difference": radius_difference,
+        "stiffness": stiffness,
+        "exponent": lambda *_: jnp.asarray(1.5),
+    }
+    return {
+        key: derived[key](scene, params, name) if key in contact.derived else scene.coefficient(params, name, key)
+        for key in contact.needs
+    }
+
+
+def radius_difference(scene: Joint, params: Params, name: str) -> Array:
+    """R_s - R_b [m] of a contact that is not flat."""
+    play = params[f"clearance_{name}"]
+    if name in PILOTS or scene.track != "gothic":
+        return play
+    return params["ball_radius"] * (2.0 * params["conformity"] - 1.0) + play
+
+
+def radius(scene: Joint, params: Params, name: str) -> Array:
+    """R_s [m]; R_b of a flat contact."""
+    if name == "seat_cage":
+        return params["seat_radius"]
+    inner = params["head_radius"] if name in PILOTS else params["ball_radius"]
+    return inner if name in FLAT else inner + radius_difference(scene, params, name)
+
+
+def modulus(scene: Joint, params: Params, name: str) -> Array:
+    """E* [Pa]: a parameter where a stiffness is geometric, else that of steel on steel."""
+    if scene.contact(name).geometric:
+        return scene.coefficient(params, name, "effective_modulus")
+    return jnp.asarray(DEFAULTS["effective_modulus"][0])
+
+
+def groove(scene: Joint, params: Params, name: str) -> hertz.EllipticContact:
+    """Hertz contact of a ball with one flank."""
+    ball = params["ball_radius"]
+    angle = params["contact_angle"] if scene.track == "gothic" else jnp.asarray(0.5 * jnp.pi)
+    along = geometry.track_radius(params["pitch_radius"], params["offset"])
+    conformity = 0.5 * radius(scene, params, name) / ball
+    return hertz.ball_in_groove(modulus(scene, params, name), ball, along, angle, conformity, name == "seat_ball")
+
+
+def patch(scene: Joint, params: Params, name: str) -> tuple[hertz.EllipticContact, Array]:
+    """Hertz contact of any of the joint's contacts, whatever its stiffness is, and R_b [m], which a patch is small against."""
+    ball = params["ball_radius"]
+    if name not in FLAT and name not in PILOTS:
+        return groove(scene, params, name), ball
+    relative = ball
+    if name in PILOTS:
+        outer, apart = radius(scene, params, name), radius_difference(scene, params, name)
+        ball = outer - apart
+        relative = outer * ball / apart
+    return hertz.elliptic_contact(modulus(scene, params, name), relative, relative), ball
+
+
+def stiffness(scene: Joint, params: Params, name: str) -> Array:
+    """K [N/m^1.5] from geometry; infinite or NaN without a radius difference, which ``checks`` refuses."""
+    if name not in FLAT and name not in PILOTS:
+        return groove(scene, params, name).stiffness
+    elastic = modulus(scene, params, name)
+    if name in FLAT:
+        return hertz.sphere_plane(elastic, params["ball_radius"])
+    outer = radius(scene, params, name)
+    return hertz.sphere_in_socket(elastic, outer, outer - radius_difference(scene, params, name))
 
 
 def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
@@ -76,14 +159,6 @@ def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
     contact = scene.contact(name)
     smoothing = scene.coefficient(params, name, "smoothing") if scene.smoothing else None
     return ContactLaws(contact.law, contact.friction, coefficients(scene, params, name), smoothing)
-
-
-def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
-    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
-    several = [laws_of(scene, params, name) for name in names]
-    if len(several) == 1:
-        return several[0]
-    return _as_one(several) or LawPair(*several, axis=-2)
 
 
 def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
@@ -96,16 +171,10 @@ def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
     return ContactLaws(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
 
 
-def _bands(scene: Joint, p: Params) -> Bands:
-    clearance = jnp.stack([p[f"clearance_{name}"] for name in scene.pilots])
-    lever = {"seat_cage": -p["seat_radius"], "head_cage": p["head_radius"]}
-    return Bands(
-        sine=jnp.sin(p["pilot_band"]),
-        cosine=jnp.cos(p["pilot_band"]),
-        width=WIDTH * clearance + LEAST,
-        clearance=clearance,
-        lever=jnp.stack([lever[name] for name in scene.pilots]),
-    )
+def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
+    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
+    several = [laws_of(scene, params, name) for name in names]
+    return several[0] if len(several) == 1 else _as_one(several) or LawPair(*several)
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
@@ -142,8 +211,8 @@ def _groove(scene: Joint, p: Params) -> Groove:
 def _of_balls(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and clearances of the balls' contacts."""
     found: dict[str, Any] = {"groove_laws": _side_by_side(scene, p, GROOVES)}
-    found |= {"window_laws": None, "ball_laws": None, "window_clearance": jnp.zeros(())}
-    found |= {"cage_laws": None, "cage_clearance": jnp.zeros(())}
+    found |= dict.fromkeys(("window_laws", "ball_laws", "cage_laws"))
+    found |= dict.fromkeys(("window_clearance", "cage_clearance"), jnp.zeros(()))
     if scene.has("cage_ball"):
         window = scene.clearance(p, "cage_ball")
         found["window_laws"] = laws_of(scene, p, "cage_ball")
@@ -160,14 +229,17 @@ def _of_pilots(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and sizes of the pilots."""
     if not scene.pilots:
         return {"pilot_laws": None, "pilot_clearance": jnp.zeros(0), "pilot_hollow": jnp.zeros(0), "bands": None}
-    clearance = {name: p[f"clearance_{name}"] for name in scene.pilots}
-    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + clearance.get("head_cage", 0.0)}
+    each = {name: p[f"clearance_{name}"] for name in scene.pilots}
+    clearance, bands = jnp.stack(list(each.values())), None
+    hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + each.get("head_cage", 0.0)}
+    if scene.banded:
+        lever = {"seat_cage": -p["seat_radius"], "head_cage": p["head_radius"]}
+        band, levers = p["pilot_band"], jnp.stack([lever[name] for name in scene.pilots])
+        bands = Bands(jnp.sin(band), jnp.cos(band), WIDTH * clearance + LEAST, clearance, levers)
     return {
-        "pilot_laws": _side_by_side(scene, p, scene.pilots),
-        "pilot_clearance": jnp.stack(list(clearance.values())),
-        "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]),
-        "bands": _bands(scene, p) if scene.banded else None,
-    }
+        "pilot_laws": _side_by_side(scene, p, scene.pilots), "pilot_clearance": clearance,
+        "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]), "bands": bands,
+    }  # fmt: skip
 
 
 def _inverse_masses(scene: Joint, p: Params) -> tuple[Array, Array]:
@@ -181,7 +253,7 @@ def _inverse_masses(scene: Joint, p: Params) -> tuple[Array, Array]:
     if scene.cage == "free":
         parts |= {"cage": three / p["cage_mass"], "cage_turn": three / p["cage_inertia"]}
     parts["seat_turn"] = 1.0 / p["seat_inertia"][None] if scene.drive == "flexible" else jnp.zeros(1)
-    return ball, jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
+    return ball, scene.coupled(parts)
 
 
 def constants(scene: Joint, params: Params) -> Constants:
@@ -199,13 +271,9 @@ def constants(scene: Joint, params: Params) -> Constants:
         bisector=geometry.bisector(angle),
         ball_inverse_mass=ball,
         coupling_inverse_mass=coupling,
-        drive_speed=p["drive_speed"],
         drive_stiffness=p["drive_stiffness"] if flexible else zero,
         drive_damping=p["drive_damping"] if flexible else zero,
-        load_torque=p["load_torque"],
-        load_ramp=p.get("load_ramp", zero),
-        axial_load=p["axial_load"],
-        programmes=_programmes(scene, p),
+        programmes={n: p[n] for n in ("drive_speed", "load_torque", "axial_load", *scene.programmes.names)},
         **_of_balls(scene, p),
         **_of_pilots(scene, p),
     )

@@ -11,23 +11,97 @@ contact plane,  b = z - n (n . z),  and they bend (``LuGre.bond`` has k, s and m
 
     force  -N (s b + m u)        z' = W x z + (1 - o) (u - k z) - o z/tau
 
-W is the outer body's angular velocity, so that a bristle turns with it, and tau = 1e-5 s: nothing is remembered
-from one touch to the next. Friction that lags keeps a number w of each face, the slip speed of late, which decides D, too
-(``Memory.lag``). Everything is frame-indifferent: force in the axes of its arguments.
-Gaps and normals: physics sheet 5.3. A contact acts at the ball's centre unless the ball spins (w given): a ball
-without spin is a particle, so that force, moment and power balance exactly in either case.
+as in ``contact.wrench``, whose formulas these are for arrays of contacts: W is the outer body's angular velocity. Friction
+that lags keeps a number w of each face, the slip speed of late (``Memory.lag``). A contact acts at the ball's centre
+unless the ball spins (w given): a ball without spin is a particle, so that force, moment and power balance exactly.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from functools import partialmethod
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps.balls import sector
-from bcfj_jax.models.joint.law_pair import RELAX, ContactLaws, LawPair
+from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_force
+from bcfj_jax.contact.normal import regularised_energy
+from bcfj_jax.contact.wrench import RELAX, separated
 from bcfj_jax.xla.kept import kept
+
+
+class ContactLaws(eqx.Module):
+    """One law and one friction law, or none, over any broadcast shape of contacts.
+
+    Attributes:
+        coefficients: by the laws' names; scalars, or arrays that broadcast against the contacts.
+        smoothing: half-width of the contact regularisation [m]; None for none.
+    """
+
+    law: AbstractLaw
+    friction: AbstractFriction | None
+    coefficients: Mapping[str, Array]
+    smoothing: Array | None
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        """Normal force [N] >= 0 from penetration [m] and its rate [m/s]."""
+        return regularised_force(self.law, penetration, rate, self.coefficients, self.smoothing)
+
+    def mobility(self, slip_squared: Array) -> Array:
+        """mu(|v|)/|v| [s/m], zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(slip_squared)
+        return self.friction.mobility(slip_squared, self.coefficients)
+
+    def bond(self, slip_squared: Array) -> tuple[Array, Array, Array]:
+        """k [1/s], s [1/m], m [s/m] of ``LuGre.bond``, all zero without friction: the traction is  -N (s z + m v)."""
+        if self.friction is None:
+            none = jnp.zeros_like(slip_squared)
+            return none, none, none
+        return self.friction.bond(slip_squared, self.coefficients)
+
+    def lag(self, slip_squared: Array, late: Array) -> tuple[Array, Array]:
+        """w' [m/s^2] and mobility [s/m] of ``Memory.lag``, zero without friction: the traction is  -N mobility v."""
+        if self.friction is None:
+            return jnp.zeros_like(late), jnp.zeros_like(late)
+        return self.friction.lag(slip_squared, late, self.coefficients)
+
+    def apart(self, penetration: Array) -> Array:
+        """``contact.wrench.separated``."""
+        return separated(penetration, {} if self.smoothing is None else {"smoothing": self.smoothing})
+
+    def energy(self, penetration: Array) -> Array:
+        """Elastic energy E(d) [J]: integral of the law's force at rest from 0 to r(d), the regularised penetration."""
+        still = jnp.zeros_like(penetration)
+        return regularised_energy(self.law, penetration, still, self.coefficients, {}, self.smoothing)[0]
+
+
+class LawPair(NamedTuple):
+    """Two unlike ``ContactLaws``, which answer together: the first for index 0 of axis -2, the second for index 1."""
+
+    first: ContactLaws
+    second: ContactLaws
+
+    @property
+    def friction(self) -> AbstractFriction | None:
+        """A friction law where either has one."""
+        return self.first.friction or self.second.friction
+
+    def _each(self, answer: Callable[..., Any], *given: Array) -> Any:
+        halves = [[jnp.take(x, jnp.array([i]), -2) for x in given] for i in (0, 1)]
+        parts = [answer(laws, *half) for laws, half in zip(self, halves, strict=True)]
+        return jax.tree.map(lambda *x: jnp.concatenate(x, -2), *parts)
+
+    normal = partialmethod(_each, ContactLaws.normal)
+    mobility = partialmethod(_each, ContactLaws.mobility)
+    bond = partialmethod(_each, ContactLaws.bond)
+    lag = partialmethod(_each, ContactLaws.lag)
+    apart = partialmethod(_each, ContactLaws.apart)
+    energy = partialmethod(_each, ContactLaws.energy)
 
 
 class Geometry(NamedTuple):
@@ -54,7 +128,7 @@ class ContactForce(NamedTuple):
         drag: (..., 3) the part of ``force`` that is friction.
         normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
         bending: (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
-        rubbed: (..., f) power that friction takes [W]; None without a state of friction.
+        rubbed: (..., f) power that friction takes [W]; None without friction.
     """
 
     force: Array
@@ -103,10 +177,7 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
 
     In the section, t across the track's plane and a outward of the track circle, flank s = +-1 has its circle's
     centre at  -(r_g - r)(s sin(alpha), side cos(alpha))  and  d = |(t, a) - centre| - (r_g - r) - clearance.
-
-    Args:
-        place: (..., 2, 3) ball centre less track-circle centre [m].
-        across: (..., 2, 3) unit normal of the track's plane.
+    ``place`` (..., 2, 3) is the ball's centre less the track circle's [m], ``across`` the unit normal of the track's plane.
     """
     t = dot(place, across)
     plane = place - t[..., None] * across
@@ -127,12 +198,8 @@ def grooves(shape: Groove, place: Array, across: Array) -> Geometry:
 def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometry:
     """Balls between two planes of the cage (physics sheet 5.3, row 3):  d = +-p . axis - clearance.
 
-    Args:
-        clearance: gap of a centred ball to either plane [m].
-        ball: ball radius [m].
-        place: (..., 3) ball centre less cage centre [m].
-        axis: unit normal that turns with the cage, to broadcast against ``place``: the cage's axis for the faces of
-            windows, around the cage (``attitude.windows_around``) for their ends.
+    ``place`` (..., 3) is the ball's centre less the cage's [m]; ``axis`` the unit normal that turns with the cage, to broadcast
+    against it: the cage's axis for the faces of windows, around the cage (``geometry.windows_around``) for their ends.
     """
     sides = jnp.array([1.0, -1.0])
     penetration = sides * dot(place, axis)[..., None] - clearance
@@ -141,15 +208,7 @@ def windows(clearance: Array, ball: Array, place: Array, axis: Array) -> Geometr
 
 
 def pilots(clearance: Array, hollow: Array, place: Array) -> Geometry:
-    """Spheres in hollow spheres (physics sheet 5.3, rows 1 and 2):  d = |p| - clearance.
-
-    Full spheres: a real pilot is a band, whose edge carries an axial load a little off the pole.
-
-    Args:
-        clearance: (k,) radial clearance [m].
-        hollow: (k,) radius of the hollow sphere [m].
-        place: (k, 3) inner centre less outer centre [m].
-    """
+    """Spheres at ``place`` (k, 3) in hollow spheres of radius ``hollow`` (k,) [m] (physics sheet 5.3):  d = |p| - clearance."""
     distance = jnp.sqrt(dot(place, place) + 1e-24)[:, None]
     normal = (place / distance)[:, None, :]
     return Geometry(distance - clearance[:, None], normal, hollow[:, None] - distance)
@@ -165,13 +224,10 @@ def join(first: Geometry, second: Geometry) -> Geometry:
 def act(
     laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> ContactForce:
-    """Forces of contacts (module docstring).
+    """Forces of contacts (module docstring), of relative twist (``velocity``, ``spin``); a particle has no spin.
 
-    Args:
-        velocity: (..., 3) v of the second centre relative to the first body's material there [m/s].
-        spin: (..., 3) w, relative angular velocity [1/s]; None for a body that is a particle.
-        bristles: (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law
-            acts by its steady slip.
+    ``bristles`` are (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law acts by its
+    steady slip.
     """
     velocity = velocity[..., None, :]
     rate = dot(at.normal, velocity)
@@ -192,15 +248,13 @@ def act(
         elif bristles.shape[-1] == 1:
             bending, mobility = (x[..., None] for x in laws.lag(slip_squared, bristles[..., 0]))
             drags = -normal[..., None] * mobility * slide
-            rubbed = -dot(drags, slide)
         else:
             forget, stick, mobility = (x[..., None] for x in laws.bond(slip_squared))
             bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
             drags = -normal[..., None] * (stick * bent + mobility * slide)
             apart = laws.apart(at.penetration)[..., None]
             bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
-            rubbed = -dot(drags, slide)
-        drag = jnp.sum(drags, -2)
+        drag, rubbed = jnp.sum(drags, -2), -dot(drags, slide)
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     slip = jnp.sqrt(slip_squared)

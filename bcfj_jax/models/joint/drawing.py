@@ -17,8 +17,8 @@ from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Mesh, Shape
 from bcfj_jax.mechanism.model import Arrow, Params, Pose, Reading, Scenery
 from bcfj_jax.models.joint.constants import Constants, constants
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.models.joint.system import State, cage_frame, shaft_frames, view
 
 # Bodies that carry the arrow of a contact: the second, on which the force acts.

@@ -11,7 +11,6 @@ and takes in  g N d' = d(g E)/dt + damping + edge.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -23,7 +22,6 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import Band, act
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import ContactForce, Geometry
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
 
 
@@ -82,100 +80,85 @@ class Stored(NamedTuple):
 
 
 class _Acting(NamedTuple):
-    """One group of contacts in one state: its names, its laws, where it is, the relative motion, what it does."""
+    """Contacts that are evaluated together in one state, where they are, what they do, and gates (1 without edges)."""
 
-    names: tuple[str, ...]
-    laws: ContactLaws | LawPair
-    geometry: Callable[[Array], Geometry | Band]
+    part: system.Part
     at: Geometry | Band
-    motion: system.Motion
     touch: ContactForce
+    gate: Array
 
 
 def _acting(scene: Joint, c: Constants, state: system.State) -> list[_Acting]:
-    """Every group of contacts that is evaluated together, along the last axis but one."""
     parts = system.relative_motions(scene, c, state).parts()
     parts += [system.piloted(scene, c, state)] if c.pilot_laws is not None else []
     found = []
-    for names, laws, geometry, motion, bent in parts:
-        at = geometry(motion.arm)
-        found.append(_Acting(names, laws, geometry, at, motion, act(laws, at, motion.velocity, motion.spin, bent)))
+    for part in parts:
+        at = part.geometry(part.motion.arm)
+        touch = act(part.laws, at, part.motion.velocity, part.motion.spin, part.bristles)
+        found.append(_Acting(part, at, touch, jnp.ones(()) if at.gate is None else at.gate))
     return found
 
 
-def _friction(part: _Acting) -> Array:
+def _friction(one: _Acting) -> Array:
     """Power [W] that friction takes at each face:  N mu(|u|) |u|,  of bristles what their actual force takes."""
-    if part.touch.rubbed is not None:
-        return part.touch.rubbed
-    if part.laws.friction is None:
-        return jnp.zeros_like(part.touch.normal)
-    squared = part.touch.slip**2
-    return part.touch.normal * part.laws.mobility(squared) * squared
+    return jnp.zeros_like(one.touch.normal) if one.touch.rubbed is None else one.touch.rubbed
 
 
 def rubbed(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Power [W] that friction takes by contact, all members', in one flat state; their sum is ``Power.friction``."""
     found: dict[str, Array] = {}
-    for part in _acting(scene, c, system.view(scene, c, y)):
-        faces = jnp.sum(_friction(part), -1)
+    for one in _acting(scene, c, system.view(scene, c, y)):
+        faces = jnp.sum(_friction(one), -1)
         # Of pilots each is one; of balls all are.
-        found |= dict(zip(part.names, jnp.sum(faces, 0) if faces.ndim == 2 else faces, strict=True))
+        found |= dict(zip(one.part.names, jnp.sum(faces, 0) if faces.ndim == 2 else faces, strict=True))
     return {contact.name: found[contact.name] for contact in scene.contacts}
 
 
-def _damping(part: _Acting) -> Array:
+def _damping(one: _Acting) -> Array:
     """Sum of  (N(d, d') - N(d, 0)) d'  [W] over all faces."""
-    still = part.laws.normal(part.at.penetration, jnp.zeros_like(part.touch.rate))
-    gated = still if part.at.gate is None else still * part.at.gate
-    return jnp.sum((part.touch.normal - gated) * part.touch.rate)
+    still = one.part.laws.normal(one.at.penetration, jnp.zeros_like(one.touch.rate))
+    return jnp.sum((one.touch.normal - still * one.gate) * one.touch.rate)
 
 
-def _edge(part: _Acting) -> Array:
+def _edge(one: _Acting) -> Array:
     """Sum of  -E dg/dt  [W] over all faces."""
-    if part.at.gate is None:
+    if one.at.gate is None:
         return jnp.zeros(())
-    rate = jax.jvp(lambda arm: part.geometry(arm).gate, (part.motion.arm,), (part.motion.velocity,))[1]
-    return -jnp.sum(part.laws.energy(part.at.penetration) * rate)
+    rate = jax.jvp(lambda arm: one.part.geometry(arm).gate, (one.part.motion.arm,), (one.part.motion.velocity,))[1]
+    return -jnp.sum(one.part.laws.energy(one.at.penetration) * rate)
 
 
 def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
     """Every flow of energy in one flat state y at time t [s]."""
     state = system.view(scene, c, y)
-    found, on = _acting(scene, c, state), system.on_parts(scene, c, state)
+    found, none = _acting(scene, c, state), jnp.zeros(())
     prescribed = system.drive_motion(scene, c, t)[1]
-    speed, driving = state.seat_spin, system.drive_torque(scene, c, t, state)
-    if scene.drive == "flexible":
-        speed = prescribed
     torque, axial = system.loads(scene, c, t, state)
     # A fixed cage is turned against its contacts.
-    held = [-loads.moment @ state.cage_spin for loads in on["cage"].values()] if scene.cage == "fixed" else []
+    on_cage = system.on_parts(scene, c, state)["cage"].values() if scene.cage == "fixed" else ()
+    speed = prescribed if scene.drive == "flexible" else state.seat_spin
     return Power(
-        drive=driving * speed,
-        hold=sum(held, jnp.zeros(())),
+        drive=system.drive_torque(scene, c, t, state) * speed,
+        hold=sum((-loads.moment @ state.cage_spin for loads in on_cage), none),
         load=torque * state.head_spin,
         axial=axial * (state.head_velocity @ c.axes[1]),
-        friction=sum((jnp.sum(_friction(part)) for part in found), jnp.zeros(())),
-        damping=sum((_damping(part) for part in found), c.drive_damping * (prescribed - state.seat_spin) ** 2),
-        edge=sum((_edge(part) for part in found), jnp.zeros(())),
+        friction=sum((jnp.sum(_friction(one)) for one in found), none),
+        damping=sum(map(_damping, found), c.drive_damping * (prescribed - state.seat_spin) ** 2),
+        edge=sum(map(_edge, found), none),
     )
 
 
 def stored(scene: Joint, c: Constants, t: Array, y: Array) -> Stored:
     """Every store of energy in one flat state y at time t [s]."""
-    state = system.view(scene, c, y)
-    twists = y[3 * scene.balls + scene.coupling :][: scene.twist * scene.balls].reshape(scene.balls, scene.twist)
-    rates = y[(3 + scene.twist) * scene.balls + scene.coupling : scene.moving]
+    state, parts = system.view(scene, c, y), scene.parted(y)
     # A prescribed seat has no inverse_mass, and no energy of its own.
     moved = c.coupling_inverse_mass > 0
-    coupling = jnp.where(moved, rates**2 / jnp.where(moved, c.coupling_inverse_mass, 1.0), 0.0)
-    elastic = jnp.zeros(())
-    for part in _acting(scene, c, state):
-        energy = part.laws.energy(part.at.penetration)
-        elastic = elastic + jnp.sum(energy if part.at.gate is None else energy * part.at.gate)
+    coupling = jnp.where(moved, parts.rate**2 / jnp.where(moved, c.coupling_inverse_mass, 1.0), 0.0)
+    elastic = [jnp.sum(x.part.laws.energy(x.at.penetration) * x.gate) for x in _acting(scene, c, state)]
     lag = system.drive_motion(scene, c, t)[0] - state.seat_turn
     return Stored(
-        kinetic=0.5 * (jnp.sum(twists**2 / c.ball_inverse_mass) + jnp.sum(coupling)),
-        elastic=elastic,
+        kinetic=0.5 * (jnp.sum(parts.twist**2 / c.ball_inverse_mass) + jnp.sum(coupling)),
+        elastic=sum(elastic, jnp.zeros(())),
         spring=0.5 * c.drive_stiffness * lag**2,
     )
 
@@ -188,14 +171,11 @@ def cage_forces(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
 def cage_equilibrium(scene: Joint, c: Constants, y: Array, t: Array) -> Array:
     """Newton's law of the cage,  F(1) + F(2) + F(3) - m a,  (3,) [N], of seat, head and balls; 0 but for rounding.
 
-    The paper's test (its Table 3). The forces are those of the contacts; a is the field's acceleration.
-
-    Raises:
-        InputError: for a cage that is fixed.
+    The paper's test (its Table 3). The forces are those of the contacts; a is the field's acceleration. InputError for a
+    cage that is fixed.
     """
     piece = scene.slices["cage"]
     if piece is None:
         raise InputError("cage_equilibrium", "a fixed cage", "take a scene with cage = 'free'")
-    acceleration = system.field(t, y, (scene, c))[(3 + scene.twist) * scene.balls + scene.coupling :][piece]
-    total = sum(cage_forces(scene, c, y).values(), jnp.zeros(3))
-    return total - acceleration / c.coupling_inverse_mass[piece]
+    acceleration = scene.parted(system.field(t, y, (scene, c))).rate[piece]
+    return sum(cage_forces(scene, c, y).values(), jnp.zeros(3)) - acceleration / c.coupling_inverse_mass[piece]

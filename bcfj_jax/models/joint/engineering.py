@@ -21,7 +21,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.stiffness import ISO_76
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint.coefficients import patch
+from bcfj_jax.models.joint.constants import patch
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.xla.programs import ask
 
@@ -49,56 +49,39 @@ def of_the_contacts(
 ) -> dict[str, Any]:
     """By contact: pressure and half-axes at the highest force, mean power lost to friction, and what is void.
 
-    Args:
-        scene, params: the joint's.
-        run: a run of it; NaN where it failed is left out.
-        rubbed: by contact (T,) power that friction takes of all members [W]; none of a model without friction.
-
-    Returns:
-        By contact a dict with ``force``, ``pressure``, ``half_axes`` (long, short), ``power`` (mean of the last
-        two thirds) and ``void``, a sentence or "". Beside them ``units``,
-        ``note`` and ``warning``, which says where elastic laws are void and where bodies pass through each other, or "".
+    ``rubbed``: by contact (T,) power that friction takes of all members [W]; none of a model without friction. The entry is as
+    ``AbstractModel.whole`` says; ``void`` is a sentence or "".
     """
     forces = {name: jnp.asarray(np.nanmax(np.abs(run.force[name][..., 0]))) for name in run.force}
     patches = ask("joint's patches", _patches, (scene,), (dict(params), forces))
-    late = run.times >= run.times[-1] / 3.0
+    late, ball = run.times >= run.times[-1] / 3.0, float(params["ball_radius"])
     found: dict[str, Any] = {}
-    yields, wide, radius = [], [], float(params["ball_radius"])
     depths = {name: float(np.nanmax(np.asarray(run.penetration[name]))) for name in forces}
-    deep = [f"{name} {depth:.2g} m" for name, depth in depths.items() if depth > radius]
+    # Deeper than a ball's radius bodies are out of each other's gaps: a flank's force is no gradient of an energy there.
+    deep = [f"{name} {depth:.2g} m" for name, depth in depths.items() if depth > ball]
+    yields, wide = [], []
     for name, force in forces.items():
-        pressure, long, short, size = (float(x) for x in patches[name])
-        # A clearance of 0 has no patch.
-        void = _void(name, pressure, max(long, short) / size) if np.isfinite(pressure) else "no clearance, no patch"
-        halves = [max(long, short), min(long, short)]
+        pressure, long, short, radius = (float(x) for x in patches[name])
+        halves, width = [max(long, short), min(long, short)], max(long, short) / radius
         found[name] = {"force": float(force), "pressure": pressure, "half_axes": halves}
         found[name] |= {"power": float(np.nanmean(np.asarray(rubbed[name])[late]))} if rubbed else {}
-        found[name]["void"] = void
-        yields += [f"{name} {pressure / 1e9:.3g} GPa"] if pressure > ISO_76 else []
-        wide += [f"{name} {max(halves) / size:.2g}"] if max(halves) > LIMIT * size else []
-    return found | {"units": UNITS, "titles": TITLES, "note": NOTE, "warning": _warning(yields, wide, deep)}
-
-
-def _warning(yields: list[str], wide: list[str], deep: list[str]) -> str:
-    """Deeper than a ball's radius bodies are out of each other's gaps: a flank's force is no gradient of an energy there."""
-    parts = []
-    if deep:
-        parts.append(f"bodies pass through each other, deeper than a ball's radius: {', '.join(deep)}")
-    if yields:
-        parts.append(f"the surface yields above 4.2 GPa (ISO 76, ball contact): {', '.join(yields)}")
-    if wide:
-        parts.append(f"a patch wider than {LIMIT:g} of the radius is too wide for Hertz: {', '.join(wide)}")
-    return f"elastic laws are void at the highest forces: {'; '.join(parts)}" if parts else ""
-
-
-def _void(name: str, pressure: float, width: float) -> str:
-    """Why the elastic theory of a contact does not hold, "" where it does."""
-    parts = []
-    if pressure > ISO_76:
-        parts.append(f"{pressure / 1e9:.2g} GPa is above 4.2 GPa (ISO 76, ball contact): the surface yields")
-    if width > LIMIT:
-        parts.append(f"the patch is {width:.2g} of the radius, beyond {LIMIT:g}: too wide for Hertz")
-    return "; ".join(parts)
+        void = []
+        if pressure > ISO_76:
+            yields.append(f"{name} {pressure / 1e9:.3g} GPa")
+            void.append(f"{pressure / 1e9:.2g} GPa is above 4.2 GPa (ISO 76, ball contact): the surface yields")
+        if width > LIMIT:
+            wide.append(f"{name} {width:.2g}")
+            void.append(f"the patch is {width:.2g} of the radius, beyond {LIMIT:g}: too wide for Hertz")
+        # A clearance of 0 has no patch.
+        found[name]["void"] = "; ".join(void) if np.isfinite(pressure) else "no clearance, no patch"
+    reasons = {
+        "bodies pass through each other, deeper than a ball's radius": deep,
+        "the surface yields above 4.2 GPa (ISO 76, ball contact)": yields,
+        f"a patch wider than {LIMIT:g} of the radius is too wide for Hertz": wide,
+    }
+    said = "; ".join(f"{reason}: {', '.join(which)}" for reason, which in reasons.items() if which)
+    warning = f"elastic laws are void at the highest forces: {said}" if said else ""
+    return found | {"units": UNITS, "titles": TITLES, "note": NOTE, "warning": warning}
 
 
 def widths(scene: Joint, params: Params, depths: dict[str, Array]) -> dict[str, Array]:

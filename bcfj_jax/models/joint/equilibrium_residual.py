@@ -17,7 +17,7 @@ from jax import Array
 
 from bcfj_jax.models.joint import bands, contacts, system
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
+from bcfj_jax.models.joint.contacts import ContactLaws, LawPair
 from bcfj_jax.models.joint.scene import Joint
 
 
@@ -117,7 +117,7 @@ def _moves(scene: Joint) -> np.ndarray:
 def _apart(scene: Joint, p: Problem, coupling: Array) -> Array:
     """Forces of pilots, loads and grounding at one instant on the coupling's unknowns (b,), as a gradient."""
     c, slices = p.c, slices_of(scene)
-    loads = {"turn": p.torque[None] / p.lever, "head": c.axial_load * c.axes[1]}
+    loads = {"turn": p.torque[None] / p.lever, "head": c.programmes["axial_load"] * c.axes[1]}
     size = {name: piece.stop - piece.start for name, piece in slices.items()}
     found = p.spring * coupling + jnp.concatenate([loads.get(name, jnp.zeros(n)) for name, n in size.items()])
     if c.pilot_laws is None:

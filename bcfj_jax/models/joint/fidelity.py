@@ -109,17 +109,9 @@ def _look(scene: Joint, params: Params, times: np.ndarray) -> tuple[dict[str, fl
 def adaptive(
     scene: Joint, params: Params, times: np.ndarray, budget: float, run: Callable[[Joint, np.ndarray], Any]
 ) -> Any:
-    """Run a joint at the cheapest level that keeps the budget.
+    """Run a joint of fidelity "auto" at the cheapest level that keeps the budget; arguments as ``AbstractModel.choose``.
 
-    Args:
-        scene: of fidelity "auto".
-        params: its parameters [SI].
-        times: (T,) increasing [s].
-        budget: force error allowed, a fraction of the peak.
-        run: (scene of a fidelity, times) -> ``simulation.Run``.
-
-    Returns:
-        The run, with its ``choice``; seconds and steps are those of all that was tried.
+    Seconds and steps of the run, which has its ``choice``, are those of all that was tried.
     """
     errors: dict[str, float] = {}
     spent: list[Mapping[str, float]] = []

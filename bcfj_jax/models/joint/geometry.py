@@ -4,6 +4,21 @@ Formulas: physics sheet 5.2 and 5.5. The joint's centre O is the origin, the sea
 axis leans by the deflection beta towards x. Track circles have the radius Rc about +e z (seat) and about -e times
 the head's axis (head); the pitch radius is Rp = sqrt(Rc^2 - e^2). Nothing here raises: arguments may be traced, so
 a value outside the range of a formula gives NaN or infinity, as documented. What can be built: ``joint.checks``.
+
+The cage's attitude: its unit axis b and, where its windows have ends, its azimuth psi about that axis.
+
+psi is measured from the plane of deflection towards y, the normal of that plane. With  m = sqrt(1 - (b . y)^2):
+
+    f = (y x b)/m    g = (y - b (b . y))/m    x = cos(psi) f + sin(psi) g    psi' = w . h,    h = (b - y (b . y))/m^2
+
+f and g are across b, x is the cage's own axis through the middle of the first window, and h . b = 1. Regular unless the
+cage has tilted by 90 degrees onto y. One angle and not a second vector: it counts turns, it drifts by no length, and
+``arrowhead`` eliminates it by one division.
+
+Gyroscopic terms are left out: the inertia is that of a spherical shell. A ring between +-30 degrees has 0.917 m R^2 about
+its axis and 0.542 m R^2 across it, in place of 0.667. Its gyroscopic couple  (0.917 - 0.542) m R^2 |w x (w . b) b|  is below
+1e-3 N m in the default joint under load, where contacts turn the cage with some 20 N m
+(tests/models/joint/test_joint_cage.py).
 """
 
 from __future__ import annotations
@@ -11,6 +26,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
+
+from bcfj_jax.xla.kept import kept
 
 
 def _along(angle: ArrayLike) -> Array:
@@ -20,16 +37,12 @@ def _along(angle: ArrayLike) -> Array:
 
 
 def bisector(joint_angle: ArrayLike) -> Array:
-    """Normal b = (sin(beta/2), 0, cos(beta/2)) of the bisecting plane, which holds every ball centre; (..., 3).
-
-    Args:
-        joint_angle: deflection beta [rad] between the seat's and the head's axis.
-    """
+    """Normal b = (sin(beta/2), 0, cos(beta/2)) of the bisecting plane, which holds every ball centre; (..., 3)."""
     return _along(0.5 * jnp.asarray(joint_angle, dtype=float))
 
 
 def head_axis(joint_angle: ArrayLike) -> Array:
-    """Axis (sin beta, 0, cos beta) of the head, the seat's being z; argument as ``bisector``; (..., 3)."""
+    """Axis (sin beta, 0, cos beta) of the head, the seat's being z; (..., 3)."""
     return _along(joint_angle)
 
 
@@ -44,19 +57,11 @@ def _slope(azimuth: ArrayLike, joint_angle: ArrayLike) -> Array:
 
 
 def ball_centre(azimuth: ArrayLike, joint_angle: ArrayLike, track_radius: ArrayLike, offset: ArrayLike) -> Array:
-    """Centre P = lambda (cos phi, sin phi, h) of a ball without clearance, where its two tracks cross.
+    """Centre P = lambda (cos phi, sin phi, h) [m] of a ball without clearance, where its two tracks cross; (..., 3).
 
     h = -cos(phi) tan(beta/2),  lambda = [e h + sqrt((1 + h^2) Rc^2 - e^2)]/(1 + h^2).  P lies in the bisecting
     plane, Rc from either track centre, and at the azimuth phi of the head too: the joint is of constant velocity.
-
-    Args:
-        azimuth: phi [rad], of the track about the seat's axis, from the plane of deflection.
-        joint_angle: beta [rad], |beta| < pi.
-        track_radius: Rc [m].
-        offset: e [m], |e| < Rc; 0 for concentric tracks.
-
-    Returns:
-        P [m], shape (..., 3).
+    phi is the track's azimuth about the seat's axis, from the plane of deflection; |beta| < pi, |e| < Rc.
     """
     azimuth, h = jnp.asarray(azimuth, dtype=float), _slope(azimuth, joint_angle)
     steep = 1.0 + h * h
@@ -73,20 +78,10 @@ def deflected_cage_load(
     track_radius: ArrayLike,
     offset: ArrayLike,
 ) -> Array:
-    """F_c = 2 N [sin(alpha) sin(phi) sin(beta/2) + cos(alpha) (e/Rc) cos(beta/2)], exact for equal track loads.
+    """F_c = 2 N [sin(alpha) sin(phi) sin(beta/2) + cos(alpha) (e/Rc) cos(beta/2)] [N], exact for equal track loads N >= 0.
 
-    -2 N n.b with the seat's contact normal n = sin(alpha) (-sin phi, cos phi, 0) + cos(alpha) (P - O_o)/Rc.
-
-    Args:
-        normal: N [N] >= 0, on either track.
-        azimuth: phi [rad], of the ball; use -sin(phi), so -phi, for the other direction of torque.
-        contact_angle: alpha [rad].
-        joint_angle: beta [rad].
-        track_radius: Rc [m].
-        offset: e [m].
-
-    Returns:
-        F_c [N] on the cage along its axis b.
+    -2 N n.b with the seat's contact normal n = sin(alpha) (-sin phi, cos phi, 0) + cos(alpha) (P - O_o)/Rc: on the cage along
+    its axis b. For the other direction of torque use -phi.
     """
     half = 0.5 * jnp.asarray(joint_angle, dtype=float)
     tangential = jnp.sin(contact_angle) * jnp.sin(azimuth) * jnp.sin(half)
@@ -101,3 +96,42 @@ def kappa(contact_angle: ArrayLike, joint_angle: ArrayLike, track_radius: ArrayL
     """
     steep = jnp.tan(contact_angle) * jnp.tan(0.5 * jnp.asarray(joint_angle, dtype=float))
     return steep * track_radius / jnp.asarray(offset, dtype=float)
+
+
+def frame(axis: Array) -> tuple[Array, Array]:
+    """f and g, (3,) each, of a unit axis (3,)."""
+    y = jnp.array([0.0, 1.0, 0.0])
+    size = jnp.sqrt(1.0 - axis[1] ** 2)
+    return jnp.cross(y, axis) / size, (y - axis * axis[1]) / size
+
+
+def windows_around(axis: Array, azimuths: Array) -> Array:
+    """Unit vectors around the cage at azimuths (n,) [rad] of its windows' middles, (n, 3): normals of their ends."""
+    first, second = frame(axis)
+    cosine, sine = kept(jnp.cos(azimuths)[:, None], jnp.sin(azimuths)[:, None])
+    return cosine * second - sine * first
+
+
+def cage_axes(axis: Array, azimuth: Array) -> Array:
+    """The cage's axes as columns (3, 3): through the first window's middle, around, its own axis."""
+    first, second = frame(axis)
+    cosine, sine = jnp.cos(azimuth), jnp.sin(azimuth)
+    return jnp.stack([cosine * first + sine * second, cosine * second - sine * first, axis], -1)
+
+
+def turning(axis: Array) -> Array:
+    """h (3,): the azimuth's rate by the angular velocity."""
+    return (axis - jnp.array([0.0, axis[1], 0.0])) / (1.0 - axis[1] ** 2)
+
+
+def azimuth_rate(axis: Array, spin: Array) -> Array:
+    """psi' [1/s] of a cage that turns at ``spin`` (3,)."""
+    return spin @ turning(axis)
+
+
+def rate_by_axis(axis: Array, spin: Array) -> Array:
+    """Derivative of ``azimuth_rate`` by the axis (3,), whose length is kept at 1."""
+    y = jnp.array([0.0, 1.0, 0.0])
+    square = 1.0 - axis[1] ** 2
+    slope = (spin - spin[1] * y + 2.0 * axis[1] * azimuth_rate(axis, spin) * y) / square
+    return slope - (slope @ axis) * axis

@@ -1,6 +1,6 @@
 """The joint without a solve: zero-clearance motion, and the loads that statics of first order shares out.
 
-Places are those of ``start.nominal``. Normal loads are of first order in the deflection:
+Places are those of ``nominal``, which also is the start of every motion. Normal loads are of first order in the deflection:
 within 10 % at 6 deg and 14 % at 10 deg, and a sketch beyond kappa = 1, where balls unload. There is no friction.
 """
 
@@ -14,16 +14,39 @@ from bcfj_jax.core.numerics import positive, smooth_rise
 from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.constants import laws_of
-from bcfj_jax.models.joint.law_pair import ContactLaws
-from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.contacts import ContactLaws
+from bcfj_jax.models.joint.scene import Flat, Joint
 
 # Halvings of 10 m, down to 1e-20 m.
 _HALVINGS = 70
 
 
+def nominal(scene: Joint, params: Params, seat_turn: Array) -> Array:
+    """Flat state of the zero-clearance joint at a seat angle, turning at the drive's first speed (physics sheet 5.2).
+
+    Constant velocity: the head turns by the seat's angle, and so does the cage, centred on the bisector: balls swing
+    evenly about the middles of their windows. Spinning balls turn with the cage.
+    """
+    p = params
+    radius = geometry.track_radius(p["pitch_radius"], p["offset"])
+
+    def centres(turn):
+        return geometry.ball_centre(turn + scene.azimuths, p["joint_angle"], radius, p["offset"])
+
+    speed = scene.programmes.start_speed(p)
+    places, velocities = jax.jvp(centres, (seat_turn,), (speed,))
+    axis, none, turn = geometry.bisector(p["joint_angle"]), jnp.zeros(3), seat_turn[None]
+    at = {"head": none, "head_turn": turn, "cage": none, "cage_turn": axis, "seat_turn": turn}
+    rate = {"head": none, "head_turn": speed[None], "cage": none, "cage_turn": speed * axis, "seat_turn": speed[None]}
+    if scene.spin:
+        velocities = jnp.concatenate([velocities, jnp.broadcast_to(speed * axis, (scene.balls, 3))], -1)
+    others = jnp.zeros(scene.states - scene.moving)
+    others = others if scene.azimuth is None else others.at[-1].set(seat_turn)
+    return Flat(places, scene.coupled(at), velocities, scene.coupled(rate), others).whole()
+
+
 def kinematic_states(scene: Joint, params: Params, times: Array) -> Array:
-    """``start.nominal`` at the seat angle drive_speed t, (T, scene.states)."""
+    """``nominal`` at the seat angle drive_speed t, (T, scene.states)."""
     seat = params["drive_speed"] * jnp.asarray(times, dtype=float)
     return jax.vmap(lambda angle: nominal(scene, params, angle))(seat)
 

@@ -35,23 +35,15 @@ from bcfj_jax.mechanism.model import (
     Variant,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import (
-    drawing,
-    engineering,
-    moments,
-    summary,
-    system,
-    variants,
-)
+from bcfj_jax.models.joint import drawing, engineering, summary, system, variants
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.checks import check_joint, suspects
-from bcfj_jax.models.joint.coefficients import patch
-from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.constants import constants, patch
 from bcfj_jax.models.joint.energy import power, stored
 from bcfj_jax.models.joint.fidelity import adaptive, resolved
-from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states
+from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states, nominal
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest
 from bcfj_jax.models.joint.options import (
     GROUPS,
@@ -65,11 +57,10 @@ from bcfj_jax.models.joint.options import (
     keyed,
     with_keys,
 )
-from bcfj_jax.models.joint.periodic import pitch_before, risen
+from bcfj_jax.models.joint.periodic import pitch_before, risen, ways
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
-from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, GUIDES, OF_A_BALL, Joint
-from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
 
 # What the levels without inertia leave out.
 _PHYSICS = {
@@ -77,11 +68,12 @@ _PHYSICS = {
     "quasistatic": "equilibrium at each instant: no inertia, no friction, no damping, no impacts",
     "dynamic": "",
 }
-_TABLE, _MOMENTS = "resultants.csv", "moments.csv"
 
 
 class JointModel(Joint):
     """The ball-cage flexible joint as a model; made by ``joint``."""
+
+    # What it is.
 
     @property
     def traits(self) -> ModelTraits:
@@ -101,12 +93,45 @@ class JointModel(Joint):
         """Balls of the contacts that each ball has."""
         return {contact.name: self.balls if contact.name in OF_A_BALL else 0 for contact in self.contacts}
 
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Of a joint in motion; without inertia nothing has an acceleration."""
+        return BODIES if self.in_motion else ()
+
+    @property
+    def body_members(self) -> dict[str, int]:
+        """Balls."""
+        return {"ball": self.balls}
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """All but cage_turn, which is an axis with a spin and no such pair."""
+        balls, places = self.balls, 3 * self.balls + self.coupling
+        found = {
+            f"ball[{i + 1}].{axis}": (3 * i + k, places + self.twist * i + k)
+            for i in range(balls)
+            for k, axis in enumerate("xyz")
+        }
+        for name, piece in self.slices.items():
+            if piece is None or name == "cage_turn":
+                continue
+            for k in range(piece.start, piece.stop):
+                own = name if piece.stop == piece.start + 1 else f"{name}.{'xyz'[k - piece.start]}"
+                found[own] = (3 * balls + k, places + self.twist * balls + k)
+        return found
+
+    @property
+    def drive_coordinate(self) -> str:
+        """The seat's turn."""
+        return "seat_turn"
+
+    # Its equations, and what solvers ask.
+
     def prepare(self, params: Params) -> Any:
         """``constants``; the parameters themselves for closed-form load sharing."""
         return dict(params) if self.fidelity == "kinematic" else constants(self, params)
 
     def initial_state(self, params: Params) -> Array:
-        """``start.nominal`` with the seat at 0."""
+        """``kinematic.nominal`` with the seat at 0."""
         return nominal(self, params, jnp.zeros(()))
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
@@ -138,12 +163,13 @@ class JointModel(Joint):
         """Closed form, or equilibria, which a run ends at where the first was not found."""
         none = jnp.asarray(0)
         if self.fidelity == "kinematic":
-            states = kinematic_states(self, params, times)
-            return Solution(states, jnp.asarray(OK), times[-1], none, none), ()
+            return Solution(kinematic_states(self, params, times), jnp.asarray(OK), times[-1], none, none), ()
         found = quasistatic(self, params, times, near, rates)
         good = jnp.all(found.converged)
         code, end = jnp.where(good, OK, UNBALANCED), jnp.where(good, times[-1], times[jnp.argmin(found.converged)])
         return Solution(found.states, code, end, jnp.sum(found.iterations), none), found.places
+
+    # What instruments read.
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """``observe.observe``, or what its fidelity has in its place."""
@@ -152,22 +178,21 @@ class JointModel(Joint):
         look = observe_at_rest if self.fidelity == "quasistatic" else observe
         return look(self, prepared, y)
 
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Of a joint in motion; without inertia nothing has an acceleration."""
-        return BODIES if self.in_motion else ()
-
-    @property
-    def body_members(self) -> dict[str, int]:
-        """Balls."""
-        return {"ball": self.balls}
-
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """``observe.motions``."""
         return motions(self, prepared, t, y)
 
+    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        """``energy.power`` and ``energy.stored``."""
+        if not self.in_motion:
+            remedy = "give fidelity = 'dynamic': the other models have no inertia"
+            raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
+        flow = power(self, prepared, t, y)._asdict()
+        given = {name: flow.pop(name) for name in ("drive", "hold")}
+        return Flows(given, flow, stored(self, prepared, t, y)._asdict())
+
     def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
-        """``drawing.drawing``: the joint has sizes of its own."""
+        """The joint has sizes of its own."""
         del size, travel
         return drawing.drawing(self, params)
 
@@ -179,18 +204,7 @@ class JointModel(Joint):
         """``drawing.scenery``."""
         return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
 
-    def level(self, fidelity: str) -> AbstractModel:
-        """``fidelity.resolved``."""
-        return resolved(self, fidelity)
-
-    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
-        """``energy.power`` and ``energy.stored``."""
-        if not self.in_motion:
-            remedy = "give fidelity = 'dynamic': the other models have no inertia"
-            raise InputError("balance", f"scene 'joint', {self.fidelity}", remedy)
-        flow = power(self, prepared, t, y)._asdict()
-        given = {name: flow.pop(name) for name in ("drive", "hold")}
-        return Flows(given, flow, stored(self, prepared, t, y)._asdict())
+    # What is refused, and what is known beside.
 
     def check(self, params: Params, where: str = "") -> None:
         """``checks.check_joint``."""
@@ -200,42 +214,38 @@ class JointModel(Joint):
         """``checks.suspects``."""
         return suspects(self, params)
 
-    def period(self, params: Params) -> tuple[float, float]:
-        """Of the seat, and of one ball's pitch.
+    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
+        """``scales.envelope_place``; and whether anything but the defaults was tried."""
+        del times
+        tried = dataclasses.replace(self, fidelity="dynamic") == joint()
+        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
 
-        Raises:
-            InputError: for a fidelity that has no history, and for a drive that stands still.
-        """
+    def warnings(self, params: Params, run: Any) -> list[str]:
+        """``engineering.warnings``."""
+        return engineering.warnings(self, params, run)
+
+    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+        """By its own radii and modulus (``constants.patch``)."""
+        del modulus
+        return patch(self, params, contact)[0].peak_pressure(1.0)
+
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
+        del contact, deepest
+        return Bodies(float(params["ball_radius"]))
+
+    # Motion that repeats itself.
+
+    def period(self, params: Params) -> tuple[float, float]:
+        """Of the seat, and of one ball's pitch; InputError without a history, and for a drive that stands still."""
         if self.fidelity != "dynamic":
-            raise InputError(
-                "scene 'joint' fidelity", f"'{self.fidelity}' has no dynamics", "give fidelity = 'dynamic'"
-            )
+            found = f"'{self.fidelity}' has no dynamics"
+            raise InputError("scene 'joint' fidelity", found, "give fidelity = 'dynamic'")
         speed = abs(float(params["drive_speed"]))
         if not speed > 0.0:
             raise InputError("drive_speed", f"{speed:g} rad/s", "give a speed other than 0")
         turn = 2.0 * math.pi / speed
         return turn, turn * self.pitches / self.balls
-
-    def coordinates(self) -> dict[str, tuple[int, int]]:
-        """All but cage_turn, which is an axis with a spin and no such pair."""
-        balls, places = self.balls, 3 * self.balls + self.coupling
-        found = {
-            f"ball[{i + 1}].{axis}": (3 * i + k, places + self.twist * i + k)
-            for i in range(balls)
-            for k, axis in enumerate("xyz")
-        }
-        for name, piece in self.slices.items():
-            if piece is None or name == "cage_turn":
-                continue
-            for k in range(piece.stop - piece.start):
-                own = f"{name}.{'xyz'[k]}" if piece.stop - piece.start > 1 else name
-                found[own] = (3 * balls + piece.start + k, places + self.twist * balls + piece.start + k)
-        return found
-
-    @property
-    def drive_coordinate(self) -> str:
-        """The seat's turn."""
-        return "seat_turn"
 
     def recurs(self, params: Params) -> bool:
         """A joint in motion whose seat turns."""
@@ -252,7 +262,7 @@ class JointModel(Joint):
 
     def turned(self, params: Params) -> int:
         """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way; of unequal balls what it did."""
-        return 0 if self.unequal else int(np.sign(float(params["drive_speed"])))
+        return ways(self, params)
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""
@@ -268,26 +278,6 @@ class JointModel(Joint):
             tangent = tangent.at[at].add(-axis * (axis @ tangent[at]) / (axis @ axis))
         return tangent
 
-    def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
-        """``scales.envelope_place``; and whether anything but the defaults was tried."""
-        del times
-        tried = dataclasses.replace(self, fidelity="dynamic") == joint()
-        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
-
-    def warnings(self, params: Params, run: Any) -> list[str]:
-        """``engineering.warnings``."""
-        return engineering.warnings(self, params, run)
-
-    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
-        """By its own radii and modulus (``coefficients.patch``)."""
-        del modulus
-        return patch(self, params, contact)[0].peak_pressure(1.0)
-
-    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""
-        del contact, deepest
-        return Bodies(float(params["ball_radius"]))
-
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
         return risen(self, params, 1)
@@ -296,6 +286,12 @@ class JointModel(Joint):
     def settled_when(self) -> str:
         """As ``settled_from``."""
         return "the load has risen and the drive has turned on by one ball"
+
+    # Its levels.
+
+    def level(self, fidelity: str) -> AbstractModel:
+        """``fidelity.resolved``."""
+        return resolved(self, fidelity)
 
     def full(self) -> AbstractModel:
         """Its motion."""
@@ -319,9 +315,7 @@ class JointModel(Joint):
     @property
     def model_form(self) -> str:
         """What was measured of the default joint; of a joint without a motion what it leaves out."""
-        if not self.in_motion:
-            return "this level has neither friction nor inertia"
-        return variants.model_form()
+        return variants.model_form() if self.in_motion else "this level has neither friction nor inertia"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
@@ -329,51 +323,20 @@ class JointModel(Joint):
         """``fidelity.adaptive``."""
         return adaptive(self, params, times, budget, run)
 
+    # A run as a whole.
+
     @property
     def tables(self) -> tuple[str, ...]:
         """Resultants and moments, of a joint that moves."""
-        return (_TABLE, _MOMENTS) if self.in_motion else ()
+        return (summary.RESULTANTS, summary.MOMENTS) if self.in_motion else ()
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """Pressure, patch and power of contacts; of motion transmission, energy, the cage's equilibrium, resultants."""
-        scene = resolved(self, run.choice.fidelity) if run.choice else self
-        if not scene.in_motion:
-            return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
-        found = summary.whole(scene, params, run.times, run.trajectory)
-        assert found.moments is not None
-        columns = {
-            f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]
-            for contact in self.contacts
-            for k, axis in enumerate("xyz")
-        }
-        entries = summary.of_the_whole(run.times, found)
-        read = engineering.of_the_contacts(scene, params, run, found.rubbed)
-        read |= {"quantities": moments.quantities(scene, run.times, found.moments), "quantities_note": moments.NOTE}
-        tables = {_TABLE: columns, _MOMENTS: moments.table(scene, found.moments)}
-        return entries | {"engineering": read}, tables
+        return summary.of_the_run(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
 
     def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
-        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only.
-
-        The joint's plane holds both axes.
-        """
-        scene = resolved(self, run.choice.fidelity) if run.choice else self
-        if not scene.in_motion or run.trajectory is None:
-            return {}
-        coupling = run.trajectory[:, 3 * scene.balls :][:, : scene.coupling]
-        place = {"seat": 0.0, "head": 0.0, "cage": 0.0}
-        place |= {body: coupling[:, at] for body in ("head", "cage") if (at := scene.slices.get(body)) is not None}
-        angle, found = float(params["joint_angle"]), {}
-        for name in scene.pilots:
-            outer, inner = GUIDES[name]
-            apart = np.broadcast_to(place[inner] - place[outer], (len(run.times), 3))
-            # The head's axis leans to +x.
-            tilt = angle if "head" in (outer, inner) else 0.0
-            x = math.cos(tilt) * apart[:, 0] - math.sin(tilt) * apart[:, 2]
-            z = math.sin(tilt) * apart[:, 0] + math.cos(tilt) * apart[:, 2]
-            axes = ("in the joint's plane", "across the joint's plane")
-            found[name] = Orbit(x, apart[:, 1], float(params[f"clearance_{name}"]), f"{inner} in {outer}", axes, z)
-        return found
+        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only."""
+        return summary.orbits(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
 
 
 def joint(
@@ -414,7 +377,7 @@ def joint(
     return JointModel(**structure(options))
 
 
-@keyed
+@keyed(JointOptions)
 def joint_of_keys(**given: Any) -> JointModel:
     """The ball-cage flexible joint from the keys of [scene] of a scene file."""
     return JointModel(**structure(with_keys(JointOptions(), given, "scene 'joint'")))

@@ -22,11 +22,10 @@ from jax import Array
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
-from bcfj_jax.models.joint.kinematic import kinematic_readings
+from bcfj_jax.models.joint.kinematic import kinematic_readings, nominal
 from bcfj_jax.models.joint.observe import observe
 from bcfj_jax.models.joint.quasistatic import flat_places, posed, quasistatic_places, still
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.start import nominal
 
 # Newton steps for the cage's turn about its axis, which friction's slope makes quick.
 _TURNS = 4
@@ -89,12 +88,9 @@ def _free_turn(scene: Joint, c: Any, y: Array) -> Array:
 
 @partial(jax.jit, static_argnums=0)
 def statics(scene: Joint, params: Params, times: Array) -> Statics:
-    """Both static levels at the times [s], and what they leave out. Compiled once a scene and number of times.
+    """Both static levels at the times (T,) [s], in any order, and what they leave out. Compiled once a scene and number of times.
 
-    Args:
-        scene: a joint of fidelity "quasistatic" (so that it has no bristles), with the laws of the dynamic one.
-        params: its parameters [SI].
-        times: (T,) [s], in any order.
+    ``scene`` is of fidelity "quasistatic" (so that it has no bristles), with the laws of the dynamic one.
     """
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times)

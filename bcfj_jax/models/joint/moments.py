@@ -16,12 +16,12 @@ the moments M on both shafts cancel, and T along both axes leaves nothing else.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import Constants
@@ -48,14 +48,12 @@ class Moments(NamedTuple):
 def moments(scene: Joint, c: Constants, t: Array, y: Array) -> Moments:
     """Everything in ``Moments`` of one flat state at time t [s]."""
     state = system.view(scene, c, y)
-    exerted = system.on_parts(scene, c, state)
-    turned = system.cage_frame(state)
+    exerted, turned = system.on_parts(scene, c, state), system.cage_frame(state)
     bearings, secondary = {}, {}
     normal = jnp.array([0.0, 1.0, 0.0])
     for i, shaft in enumerate(SHAFTS):
         axes = jnp.stack([jnp.cross(normal, c.axes[i]), normal, c.axes[i]])
-        force = axes @ sum((one.force for one in exerted[shaft].values()), jnp.zeros(3))
-        moment = axes @ sum((one.moment for one in exerted[shaft].values()), jnp.zeros(3))
+        force, moment = (axes @ sum(x, jnp.zeros(3)) for x in zip(*exerted[shaft].values(), strict=True))
         if shaft == "head":
             load = jnp.array([0.0, 0.0, 1.0]) * system.loads(scene, c, t, state)[1]
             force = force - load if scene.slices["head"] is None else jnp.zeros(3)
@@ -64,36 +62,43 @@ def moments(scene: Joint, c: Constants, t: Array, y: Array) -> Moments:
     return Moments({name: turned.T @ one.moment for name, one in exerted["cage"].items()}, bearings, secondary)
 
 
-def _size(vectors: ArrayLike) -> np.ndarray:
-    return np.linalg.norm(np.asarray(vectors), axis=-1)
+class _History(NamedTuple):
+    """A vector over time (T, n): what ``moments.csv`` calls it, its components there, what ``summary.json`` calls its size."""
+
+    column: str
+    axes: Sequence[str]
+    words: str
+    values: np.ndarray
+    unit: str = "N m"
+
+
+def _histories(scene: Joint, found: Moments) -> list[_History]:
+    # JAX gives dictionaries back in the order of their keys.
+    cage = {name: np.asarray(found.cage[name]) for name in CONTACTS if name in found.cage}
+    rows = [_History(f"cage.{name}.moment", "xyz", f"moment on the cage, of {name}", x) for name, x in cage.items()]
+    if cage:
+        rows.append(_History("cage.moment", "xyz", _ALL, np.sum(list(cage.values()), 0)))
+    for shaft in SHAFTS:
+        force, couple = (np.asarray(x) for x in found.bearings[shaft])
+        secondary = np.asarray(found.secondary[shaft])[:, None]
+        rows.append(_History(f"{shaft}.secondary_couple", ("",), f"secondary couple on the {shaft}", secondary))
+        rows.append(_History(f"{shaft}_bearing.couple", "xy", f"bearing couple of the {shaft}", couple))
+        if shaft == "seat" or scene.slices["head"] is None:
+            rows.append(_History(f"{shaft}_bearing.force", "xyz", f"bearing force of the {shaft}", force, "N"))
+    return rows
+
+
+_ALL = "moment on the cage, of all contacts"
 
 
 def table(scene: Joint, found: Moments) -> dict[str, np.ndarray]:
-    """Columns (T,) of ``moments.csv`` by their heads, of histories."""
-    vectors: dict[str, tuple[np.ndarray, str, str]] = {}
-    for name in _ordered(found):
-        vectors[f"cage.{name}.moment"] = np.asarray(found.cage[name]), "xyz", "N m"
-    if found.cage:
-        vectors["cage.moment"] = np.sum([np.asarray(x) for x in found.cage.values()], 0), "xyz", "N m"
-    for shaft in SHAFTS:
-        vectors[f"{shaft}_bearing.couple"] = np.asarray(found.bearings[shaft].moment), "xy", "N m"
-        if _bears(scene, shaft):
-            vectors[f"{shaft}_bearing.force"] = np.asarray(found.bearings[shaft].force), "xyz", "N"
-    columns = {
-        f"{name}.{axis} [{unit}]": values[:, k]
-        for name, (values, axes, unit) in vectors.items()
-        for k, axis in enumerate(axes)
+    """Columns (T,) of ``moments.csv`` by their heads, of histories; single numbers last."""
+    rows = sorted(_histories(scene, found), key=lambda row: row.axes == ("",))
+    return {
+        f"{'.'.join(filter(None, (row.column, axis)))} [{row.unit}]": row.values[:, k]
+        for row in rows
+        for k, axis in enumerate(row.axes)
     }
-    return columns | {f"{shaft}.secondary_couple [N m]": np.asarray(found.secondary[shaft]) for shaft in SHAFTS}
-
-
-def _ordered(found: Moments) -> list[str]:
-    # JAX gives dictionaries back in the order of their keys.
-    return [name for name in CONTACTS if name in found.cage]
-
-
-def _bears(scene: Joint, shaft: str) -> bool:
-    return shaft == "seat" or scene.slices["head"] is None
 
 
 NOTE = (
@@ -104,21 +109,13 @@ NOTE = (
 
 def quantities(scene: Joint, times: np.ndarray, found: Moments) -> dict[str, dict[str, Any]]:
     """What ``summary.json`` says of histories at times (T,) [s]: by name ``mean``, ``peak`` of the size, and ``unit``."""
-    late = times >= times[-1] / 3.0
-    entries: dict[str, dict[str, Any]] = {}
-
-    def add(name: str, sizes: np.ndarray, unit: str = "N m") -> None:
+    late, entries = times >= times[-1] / 3.0, {}
+    for row in _histories(scene, found):
+        if row.words == _ALL and len(found.cage) == 1:
+            continue
+        sizes = np.linalg.norm(row.values, axis=-1)
         known, settled = sizes[np.isfinite(sizes)], sizes[late & np.isfinite(sizes)]
         mean = float(settled.mean()) if settled.size else float("nan")
-        entries[name] = {"mean": mean, "peak": float(known.max()) if known.size else float("nan"), "unit": unit}
-
-    for name in _ordered(found):
-        add(f"moment on the cage, of {name}", _size(found.cage[name]))
-    if len(found.cage) > 1:
-        add("moment on the cage, of all contacts", _size(np.sum([np.asarray(x) for x in found.cage.values()], 0)))
-    for shaft in SHAFTS:
-        add(f"secondary couple on the {shaft}", np.abs(np.asarray(found.secondary[shaft])))
-        add(f"bearing couple of the {shaft}", _size(found.bearings[shaft].moment))
-        if _bears(scene, shaft):
-            add(f"bearing force of the {shaft}", _size(found.bearings[shaft].force), "N")
+        peak = float(known.max()) if known.size else float("nan")
+        entries[row.words] = {"mean": mean, "peak": peak, "unit": row.unit}
     return entries

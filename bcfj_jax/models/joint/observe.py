@@ -15,24 +15,21 @@ Axial and tangential are friction alone: normal, axial and tangential directions
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import BodyMotion, Reading
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
-from bcfj_jax.models.joint.scene import GROOVES, Joint
+from bcfj_jax.models.joint.scene import FLAT, GROOVES, PILOTS, Joint
 from bcfj_jax.models.joint.system import (
     State,
+    by_name,
     cage_frame,
     contact_forces,
     drive_torque,
     field,
     on_inner,
-    on_parts,
     relative_motions,
     shaft_frames,
     view,
@@ -65,21 +62,19 @@ def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """Every contact's reading in one flat state; of a contact a ball (balls, 3) and (balls,), else (3,) and ()."""
     state = view(scene, c, y)
     found = contact_forces(scene, c, state)
-    readings: dict[str, Reading] = {}
     if found.pilots is not None:
-        reading = _read(on_inner(scene, found.pilots), jnp.sum(found.pilots.normal, -1), state.cage_axis)
-        readings = {name: _member(reading, i) for i, name in enumerate(scene.pilots)}
-    if found.windows is not None:
-        normal = found.windows.normal[..., 0] - found.windows.normal[..., 1]
-        readings["cage_ball"] = _read(found.windows, normal, state.ball_place - state.cage_place)
-    if found.ends is not None:
-        normal = found.ends.normal[..., 0] - found.ends.normal[..., 1]
-        readings["cage_window_end"] = _read(found.ends, normal, state.ball_place - state.cage_place)
-    along = _along(scene, c, state)
-    reading = _read(found.grooves, jnp.sum(found.grooves.normal, -1), along)
-    for i, name in enumerate(GROOVES):
-        readings[name] = _member(reading, (slice(None), i))
-    return {contact.name: readings[contact.name] for contact in scene.contacts}
+        found = found._replace(pilots=on_inner(scene, found.pilots))
+    touches, along, outward = by_name(scene, found), _along(scene, c, state), state.ball_place - state.cage_place
+    axial = dict.fromkeys(PILOTS, state.cage_axis) | dict.fromkeys(FLAT, outward)
+    axial |= {name: along[:, i] for i, name in enumerate(GROOVES)}
+    # Of windows the sense counts: faces push against each other.
+    sign = jnp.array([1.0, -1.0])
+    readings = {}
+    for contact in scene.contacts:
+        touch = touches[contact.name]
+        normal = jnp.sum(touch.normal * sign if contact.name in FLAT else touch.normal, -1)
+        readings[contact.name] = _read(touch, normal, axial[contact.name])
+    return readings
 
 
 def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
@@ -97,16 +92,8 @@ def resultants(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     World axes: z the seat's axis, x in the plane of both axes, the head's axis leaning to +x. Forces are those on the
     second body: on the cage of seat_cage, on the head of head_cage, on the balls of all others.
     """
-    exerted = on_parts(scene, c, view(scene, c, y))
-    first = {"seat_ball": "seat", "head_ball": "head", "cage_ball": "cage", "cage_window_end": "cage"}
-    second = {"seat_cage": "cage", "head_cage": "head"}
-    of_balls = {name: -exerted[body][name].force for name, body in first.items() if name in exerted[body]}
-    sums = of_balls | {name: exerted[second[name]][name].force for name in scene.pilots}
-    return {contact.name: sums[contact.name] for contact in scene.contacts}
-
-
-def _member(reading: Reading, index: Any) -> Reading:
-    return jax.tree.map(lambda part: part[index], reading)
+    readings = observe(scene, c, y)
+    return {name: jnp.sum(jnp.atleast_2d(jnp.asarray(x.world)), 0) for name, x in readings.items()}
 
 
 def _along(scene: Joint, c: Constants, state: State) -> Array:
@@ -125,34 +112,23 @@ def motions(scene: Joint, c: Constants, t: Array, y: Array) -> dict[str, BodyMot
 
     The seat's ``drive`` is the torque that holds its speed, or a flexible drive's.
     """
-    state, rate = view(scene, c, y), field(t, y, (scene, c))
-    n, k = scene.balls, scene.twist
-    ball = rate[3 * n + scene.coupling :][: k * n].reshape(n, k)
-    rates = rate[(3 + k) * n + scene.coupling : scene.moving]
-    zero = jnp.zeros(3)
+    state, zero = view(scene, c, y), jnp.zeros(3)
+    rate = scene.parted(field(t, y, (scene, c)))
 
     def of(name: str) -> Array:
         piece = scene.slices[name]
-        return zero if piece is None else rates[piece]
+        return zero if piece is None else rate.rate[piece]
 
-    found = {"ball": BodyMotion(state.ball_place, state.ball_velocity, ball[:, :3])}
-    if scene.spin:
-        found["ball"] = found["ball"]._replace(spin=state.ball_spin, spin_rate=ball[:, 3:])
+    ball = BodyMotion(state.ball_place, state.ball_velocity, rate.twist[:, :3])
+    found = {"ball": ball._replace(spin=state.ball_spin, spin_rate=rate.twist[:, 3:]) if scene.spin else ball}
     frames = shaft_frames(c, state)
-    places, velocities = (zero, state.head_place), (zero, state.head_velocity)
-    for i, (name, turn, spin) in enumerate(
-        (("seat", state.seat_turn, state.seat_spin), ("head", state.head_turn, state.head_spin))
-    ):
-        found[name] = BodyMotion(
-            place=places[i],
-            velocity=velocities[i],
-            acceleration=of("head") if i else zero,
-            axes=frames[i],
-            spin=spin * c.axes[i],
-            spin_rate=of(f"{name}_turn")[0] * c.axes[i],
-            angle=turn,
-            drive=None if i else drive_torque(scene, c, t, state),
-        )
+    shafts = {
+        "seat": (zero, zero, zero, state.seat_spin, state.seat_turn, drive_torque(scene, c, t, state)),
+        "head": (state.head_place, state.head_velocity, of("head"), state.head_spin, state.head_turn, None),
+    }
+    for i, (name, (place, velocity, acceleration, spin, turn, drive)) in enumerate(shafts.items()):
+        spins = spin * c.axes[i], of(f"{name}_turn")[0] * c.axes[i]
+        found[name] = BodyMotion(place, velocity, acceleration, frames[i], *spins, turn, drive)
     found["cage"] = BodyMotion(
         state.cage_place, state.cage_velocity, of("cage"), cage_frame(state), state.cage_spin, of("cage_turn"),
         angle=state.cage_azimuth,

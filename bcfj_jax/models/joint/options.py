@@ -140,9 +140,9 @@ class JointOptions:
             dynamic, and at the level fast auto.
     """
 
+    materials: JointMaterials = field(default_factory=JointMaterials)
     geometry: JointGeometry = field(default_factory=JointGeometry)
     cage: JointCage = field(default_factory=JointCage)
-    materials: JointMaterials = field(default_factory=JointMaterials)
     drive: JointDrive = field(default_factory=JointDrive)
     loads: JointLoads = field(default_factory=JointLoads)
     fidelity: str = "dynamic"
@@ -156,11 +156,7 @@ PLACES = {key.name: name for name, group in GROUPS.items() for key in dataclasse
 
 
 def with_keys(options: JointOptions, given: Mapping[str, Any], where: str) -> JointOptions:
-    """Options with those that keys of a scene file give.
-
-    Raises:
-        InputError: for a key that does not exist.
-    """
+    """Options with those that keys of a scene file give; InputError for a key that does not exist."""
     for key, value in given.items():
         if key not in PLACES:
             raise InputError(where, f"no option '{key}' = {value}", nearest(key, PLACES))
@@ -179,17 +175,25 @@ def instead(given: Mapping[str, Any]) -> str:
     return f"options are in groups; give {', '.join(parts)}"
 
 
-def keyed(function: Made) -> Made:
-    """Give a function of keywords the signature and the words of the keys of a scene file, which these are read from."""
-    kind, parameters, words = inspect.Parameter.KEYWORD_ONLY, [], []
-    for group in (*GROUPS.values(), JointOptions):
-        hints = typing.get_type_hints(group)
-        fields = [
-            one for one in dataclasses.fields(group) if one.name in PLACES and hints[one.name] not in GROUPS.values()
-        ]
-        parameters += [inspect.Parameter(x.name, kind, default=x.default, annotation=hints[x.name]) for x in fields]
-        words.append((inspect.getdoc(group) or "").partition("\nArgs:\n")[2])
-    function.__signature__ = inspect.Signature(parameters)
-    function.__annotations__ = {one.name: one.annotation for one in parameters}
-    function.__doc__ = f"{function.__doc__}\n\nArgs:\n" + "\n".join(words)
-    return function
+def keyed(options: type) -> Callable[[Made], Made]:
+    """Give a function of keywords the signature and the words of the keys of a scene file: fields of options and groups."""
+    hints = typing.get_type_hints(options)
+    fields, words = [], [(inspect.getdoc(options) or "").partition("\nArgs:\n")[2]]
+    for one in dataclasses.fields(options):
+        group = hints[one.name]
+        if group in GROUPS.values():
+            types = typing.get_type_hints(group)
+            fields += [(key.name, key.default, types[key.name]) for key in dataclasses.fields(group)]
+            words.append((inspect.getdoc(group) or "").partition("\nArgs:\n")[2])
+        else:
+            fields.append((one.name, one.default, group))
+    kind = inspect.Parameter.KEYWORD_ONLY
+    parameters = [inspect.Parameter(name, kind, default=default, annotation=of) for name, default, of in fields]
+
+    def decorated(function: Made) -> Made:
+        function.__signature__ = inspect.Signature(parameters)
+        function.__annotations__ = {one.name: one.annotation for one in parameters}
+        function.__doc__ = f"{function.__doc__}\n\nArgs:\n" + "\n".join(words)
+        return function
+
+    return decorated

@@ -32,9 +32,9 @@ from bcfj_jax.mechanism.loads import AbstractLoad, Force, JointSpring, Torque
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.programmes import Programme
 from bcfj_jax.mechanism.sizes import Params, Size
-from bcfj_jax.models.joint.coefficients import coefficients
+from bcfj_jax.models.joint.constants import coefficients
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint, JointContact
-from bcfj_jax.models.joint.start import nominal
 
 
 def as_mechanism(joint: Joint) -> Mechanism:
@@ -192,7 +192,7 @@ class _Of(eqx.Module):
 
 
 def _of_balls(joint: Joint, p: Params, first: int, width: int, column: int) -> Array:
-    """A coordinate or velocity of all balls at time 0 (balls,): a column of ``start.nominal``."""
+    """A coordinate or velocity of all balls at time 0 (balls,): a column of ``kinematic.nominal``."""
     part = nominal(joint, p, jnp.zeros(()))[first:][: width * joint.balls]
     return part.reshape(-1, width)[:, column]
 

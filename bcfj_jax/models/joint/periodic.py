@@ -42,32 +42,25 @@ class Folded(NamedTuple):
     last: np.ndarray
 
 
-def pitch(scene: Joint, params: Params) -> float:
-    """Time in which the seat turns by one ball's pitch [s]; infinite for one that stands still."""
+def repeat(scene: Joint, params: Params) -> float:
+    """Time in which a steady motion repeats itself [s]: a pitch; a whole turn of unequal balls; infinite of a seat at rest."""
+    return scene.pitches * _pitch(scene, params)
+
+
+def _pitch(scene: Joint, params: Params) -> float:
     speed = abs(float(params["drive_speed"]))
     return 2.0 * np.pi / (scene.balls * speed) if speed > 0.0 else np.inf
 
 
-def repeat(scene: Joint, params: Params) -> float:
-    """Time in which a steady motion repeats itself [s]: a pitch; a whole turn of unequal balls."""
-    return scene.pitches * pitch(scene, params)
-
-
 def risen(scene: Joint, params: Params, count: float) -> float:
     """When the load has risen and ``count`` pitches have passed [s]; after one the start is forgotten."""
-    if scene.programmes.usual:
-        return float(params["load_ramp"]) + count * pitch(scene, params)
-    return float(scene.programmes.risen(params)) + count * pitch(scene, params)
+    return scene.programmes.risen(params) + count * _pitch(scene, params)
 
 
 def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: bool = False) -> Folded:
     """The short run that stands for a long one.
 
-    Args:
-        scene, params: the joint, its parameters [SI].
-        times: (T,) wanted, increasing [s].
-        end: of the short run [s], a pitch and a half or more after the load has risen.
-        whole: leave all times where they are.
+    ``end`` of the short run [s] is a pitch and a half or more after the load has risen; ``whole`` leaves all times in place.
     """
     period = repeat(scene, params)
     late = np.zeros(times.size) if whole else np.maximum(0.0, np.ceil((times - end) / period))
@@ -85,7 +78,7 @@ def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: boo
 
 def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.ndarray, axis: int = 1) -> np.ndarray:
     """Values (T, balls, ...) of instants that many pitches later: ball j does what ball j + pitches did."""
-    which = (np.arange(scene.balls) + (_ways(scene, params) * pitches)[:, None]) % scene.balls
+    which = (np.arange(scene.balls) + (ways(scene, params) * pitches)[:, None]) % scene.balls
     return np.take_along_axis(values, which.reshape(*which.shape, *[1] * (values.ndim - 2)), axis)
 
 
@@ -113,7 +106,7 @@ def _orders(scene: Joint) -> np.ndarray:
 
 def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.ndarray) -> np.ndarray:
     """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
-    which = _ways(scene, params) * folded.pitches % scene.balls
+    which = ways(scene, params) * folded.pitches % scene.balls
     wanted = np.take_along_axis(states[folded.index], _orders(scene)[which], 1)
     wanted[:, _turning(scene)] += (_angle(scene, params) * folded.pitches)[:, None]
     return wanted
@@ -128,7 +121,7 @@ def pitch_before(scene: Joint, params: Params, state: Array) -> Array:
     return state.at[np.array(_turning(scene))].add(-2.0 * jnp.pi * scene.pitches / scene.balls * way)
 
 
-def _ways(scene: Joint, params: Params) -> int:
+def ways(scene: Joint, params: Params) -> int:
     """By how many a pitch renumbers the balls."""
     return 0 if scene.unequal else int(np.sign(float(params["drive_speed"])))
 
@@ -153,11 +146,7 @@ def mismatch(
     Of each contact the rms over its second half of the difference of normal forces, its worst member's, as a fraction
     of the largest in the short run; 0 for one that never touches. A cage that drifts between the ends of its windows
     repeats its forces until it is at one: while these bear nothing, it is the way that the cage drifts in the pitches left
-    out, as a fraction of the clearance.
-
-    Args:
-        force: by contact, (M, 3) or (M, balls, 3) [N], of the times of ``folded``.
-        states: (M, scene.states) of the same times; read where windows have ends alone.
+    out, as a fraction of the clearance. Forces and states are of the times of ``folded``.
     """
     found = {}
     one = np.ones(_PHASES, int)

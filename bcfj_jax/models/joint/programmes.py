@@ -17,7 +17,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -67,10 +66,10 @@ class Programmes(eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters beside drive_speed, load_torque and axial_load, which every joint has."""
-        found: list[Any] = []
-        for part in (self.torque, self.axial):
-            if part is not None and part.table is None:
-                found += [part.ramp, part.amplitude, part.frequency, part.reversal, part.reversal_ramp]
+        parts = [part for part in (self.torque, self.axial) if part is not None and part.table is None]
+        found: list[Any] = [
+            name for x in parts for name in (x.ramp, x.amplitude, x.frequency, x.reversal, x.reversal_ramp)
+        ]
         if self.drive is not None and self.drive.kind == "ramp":
             found += [self.drive.first, self.drive.over]
         return (*(name for name in found if name is not None), *(_STICK_SLIP if self.stick_slip else ()))
@@ -79,18 +78,10 @@ class Programmes(eqx.Module):
         """Speed of the seat at time 0 [rad/s]."""
         return p["drive_speed"] if self.drive is None else jnp.asarray(self.drive.motion(jnp.zeros(()), "seat", p)[1])
 
-    def risen(self, p: Params) -> Array:
-        """When drive and loads have come to what they stay at, or swing about [s]."""
-        ends = [jnp.zeros(())]
-        for part in (self.torque, self.axial):
-            if part is not None and part.table is not None:
-                ends.append(jnp.asarray(part.table[0][-1]))
-            elif part is not None:
-                ends += [p[name] for name in (part.ramp,) if name is not None]  # pyright: ignore[reportArgumentType]
-                ends += [p["reversal_time"] + p["reversal_ramp"]] if part.reversal is not None else []
-        if self.drive is not None:
-            ends.append(p["drive_ramp"] if self.drive.kind == "ramp" else jnp.asarray(self.drive.table[0][-1]))  # pyright: ignore[reportOptionalSubscript]
-        return jnp.max(jnp.stack(ends))
+    def risen(self, p: Params) -> float:
+        """When drive and loads have come to what they stay at, or swing about [s]: after their last kink."""
+        kinks = [x for part in (self.torque, self.axial, self.drive) if part for x in part.kinks("", p) or ()]
+        return max((float(np.max(x)) for x in kinks), default=0.0)
 
     def largest_torque(self, p: Params, end: ArrayLike) -> Array:
         """Greatest size of the torque until ``end`` [N m]."""
@@ -125,11 +116,6 @@ def torque_at(programmes: Programmes, t: Array, head_spin: Array, p: Params) -> 
     return torque * falling(head_spin * jnp.sign(p["drive_speed"]), p)
 
 
-def torque_slope(programmes: Programmes, t: Array, head_spin: Array, p: Params) -> Array:
-    """Derivative of ``torque_at`` by the head's speed [N m s/rad]."""
-    return jax.jvp(lambda w: torque_at(programmes, t, w, p), (head_spin,), (jnp.ones_like(head_spin),))[1]
-
-
 def axial_at(programmes: Programmes, t: Array, p: Params) -> Array:
     """Axial load on the head [N] at a time."""
     return p["axial_load"] if programmes.axial is None else programmes.axial(t, "axial_load", p)
@@ -142,19 +128,11 @@ def drive_at(programmes: Programmes, t: Array, p: Params) -> tuple[Array, Array,
 
 
 def made(where: str, drive: JointDrive, loads: JointLoads) -> Programmes:
-    """Programmes from options.
-
-    Raises:
-        InputError: for a profile that is not known, a table without its profile or the other way round, and what does
-            not go together.
-    """
-    tables: dict[str, Table | None] = {}
-    greatest: dict[str, float] = {}
-    for load, (group, scaled) in {
-        "drive": (drive, "drive_speed"), "load": (loads, "load_torque"), "axial": (loads, "axial_load"),
-    }.items():  # fmt: skip
-        tables[load], top = _table(where, load, group, scaled)
-        greatest |= {} if top is None else {scaled: top}
+    """Programmes from options; InputError for what is not known, and what does not go together."""
+    groups = {"drive": (drive, "drive_speed"), "load": (loads, "load_torque"), "axial": (loads, "axial_load")}
+    found = {load: _table(where, load, *of) for load, of in groups.items()}
+    tables = {load: table for load, (table, _) in found.items()}
+    greatest = {groups[load][1]: top for load, (_, top) in found.items() if top is not None}
     swings = [loads.fluctuating] if isinstance(loads.fluctuating, str) else list(loads.fluctuating or ())
     for name in swings:
         if name not in FLUCTUATING:
@@ -168,14 +146,13 @@ def made(where: str, drive: JointDrive, loads: JointLoads) -> Programmes:
     torque = Programme("load_torque", "load_ramp", loads.load_profile, None, *swing, *back)
     if tables["load"]:
         torque = Programme("load_torque", table=tables["load"])
-    axial: Programme | None = None
+    axial = motion = None
     if tables["axial"]:
         axial = Programme("axial_load", table=tables["axial"])
     elif loads.axial_profile != "constant" or "axial" in swings:
         ramp, shape = ("axial_ramp", loads.axial_profile) if loads.axial_profile != "constant" else (None, "smooth")
         swing = ("axial_amplitude", "axial_frequency") if "axial" in swings else ()
         axial = Programme("axial_load", ramp, shape, None, *swing)
-    motion: Drive | None = None
     if tables["drive"]:
         motion = Drive("speeds", speed="drive_speed", table=tables["drive"])
     elif drive.drive_profile != "constant":

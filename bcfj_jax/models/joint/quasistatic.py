@@ -3,7 +3,7 @@
 At time t the seat stands at drive_speed t, the head bears its load, and every contact bears  laws.normal(d, 0).
 Unknown are the balls' places and, as far as the scene frees them, the head's place and turn, the cage's place and tilt.
 Clearances leave play, in which nothing decides where a part floats: weak springs to the zero-clearance position
-(``start.nominal``) do, see ``GROUND``. Without friction nothing turns the cage about its own axis: its azimuth is the
+(``kinematic.nominal``) do, see ``GROUND``. Without friction nothing turns the cage about its own axis: its azimuth is the
 seat's angle, about which balls swing evenly in their windows, and the windows' ends bear nothing.
 
 ``batched_newton`` searches; derivatives are those of the implicit function.
@@ -19,13 +19,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.batched_newton import Found, displaced, pull, search
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.equilibrium_residual import Places, Problem, balance, slices_of, solve, tilted_axis
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.observe import observe
+from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.xla.kept import kept
 
 # Stiffness of the grounding springs, in ball loads T/(z Rp) + |axial load| per metre (and 1e-3 N/m, so that no load
@@ -39,8 +39,7 @@ class QuasistaticSolution(NamedTuple):
     Attributes:
         states: (T, scene.states) as ``system`` reads them; NaN where not converged. Velocities are the equilibrium's
             own rates of change; a ball spins as the cage does.
-        converged: (T,) whether Newton's method did.
-        iterations: (T,) evaluations of the forces it took.
+        converged: (T,) whether Newton's method did; iterations: (T,) evaluations of the forces it took.
         places: displacements from the zero-clearance position, 0 where not converged; without derivatives.
     """
 
@@ -54,18 +53,12 @@ class QuasistaticSolution(NamedTuple):
 def quasistatic(
     scene: Joint, params: Params, times: Array, near: Places | None = None, rates: bool = True
 ) -> QuasistaticSolution:
-    """Equilibrium at each time. Compiled once a scene and number of times.
+    """Equilibrium at each time (T,) [s], in any order. Compiled once a scene and number of times.
 
     Differentiable in ``params`` and ``times``, forward and reverse, to any order, by the implicit function theorem;
-    ``vmap`` over ``params`` works. A kink (a contact that just touches) has the derivative of one side.
-
-    Args:
-        scene: any joint; its friction, damping, masses and drive compliance are not read.
-        params: its parameters [SI].
-        times: (T,) [s], in any order; the load ramp is read at them.
-        near: as ``quasistatic_places``.
-        rates: whether velocities are wanted; without, they are 0, and the program is half as large where it is
-            differentiated.
+    ``vmap`` over ``params`` works. A kink (a contact that just touches) has the derivative of one side. Friction, damping,
+    masses and drive compliance are not read. Without ``rates`` velocities are 0, and the program is half as large where it is
+    differentiated. ``near`` is as ``quasistatic_places`` has it.
     """
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times, near)
@@ -77,7 +70,7 @@ def quasistatic(
         states = _with_rates(scene, problem.c, value, rate)
     else:
         problem = posed(scene, params, times)
-        states = _at_rest(scene, problem, _equilibrium(scene)(problem, found.places))
+        states = still(scene, flat_places(scene, problem, _equilibrium(scene)(problem, found.places)))
     states = jnp.where(found.converged[:, None], states, jnp.nan)
     return QuasistaticSolution(states, found.converged, found.iterations, found.places)
 
@@ -86,14 +79,12 @@ def quasistatic(
 def quasistatic_places(scene: Joint, params: Params, times: Array, near: Places | None = None) -> Found:
     """The search for equilibrium and nothing else; without derivatives.
 
-    Args:
-        scene, params, times: as ``quasistatic``.
-        near: places at the same times in equilibrium under other parameters, from which to start.
+    ``near``: places at the same times in equilibrium under other parameters, from which to start.
     """
     params, times = jax.lax.stop_gradient((params, jnp.asarray(times, dtype=float)))
     found = search(scene, *_moving_problem(scene, params, times), times, near)
     # From zero where the search failed: a NaN would spoil the others' derivatives in reverse mode.
-    places, rates = (jax.tree.map(lambda x: jnp.where(found.converged, x, 0.0), p) for p in (found.places, found.rates))
+    places, rates = jax.tree.map(lambda x: jnp.where(found.converged, x, 0.0), (found.places, found.rates))
     return jax.lax.stop_gradient(Found(places, rates, found.converged, found.iterations))
 
 
@@ -101,17 +92,14 @@ def quasistatic_places(scene: Joint, params: Params, times: Array, near: Places 
 def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found | None = None) -> dict[str, Array]:
     """Normal force of every contact at each time [N], (T, balls) or (T,), as ``observe`` has it; NaN where none.
 
-    Differentiable as ``quasistatic`` is, in a program a fraction as large: there are no velocities in it.
-
-    Args:
-        scene, params, times: as ``quasistatic``.
-        found: ``quasistatic_places`` of the same, where it is at hand: a search need not be compiled with derivatives.
+    Differentiable as ``quasistatic`` is, in a program a fraction as large: there are no velocities in it. ``found``:
+    ``quasistatic_places`` of the same, where it is at hand: a search need not be compiled with derivatives.
     """
     times = jnp.asarray(times, dtype=float)
     found = quasistatic_places(scene, params, times) if found is None else found
     problem = posed(scene, params, times)
-    rest = _at_rest(scene, problem, _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places)))
-    readings = jax.vmap(lambda y: observe(scene, problem.c, y))(rest)
+    at = _equilibrium(scene)(problem, jax.lax.stop_gradient(found.places))
+    readings = jax.vmap(lambda y: observe(scene, problem.c, y))(still(scene, flat_places(scene, problem, at)))
     force = {name: reading.force[..., 0].T for name, reading in readings.items()}
     return {name: jnp.where(found.converged, x, jnp.nan).T for name, x in force.items()}
 
@@ -119,38 +107,21 @@ def quasistatic_forces(scene: Joint, params: Params, times: Array, found: Found 
 def posed(scene: Joint, params: Params, times: Array) -> Problem:
     """What equilibrium depends on at each time."""
     p, n = params, scene.balls
-    c = constants(scene, params)
-    seat = p["drive_speed"] * times
+    c, seat = constants(scene, params), p["drive_speed"] * times
     places = jax.vmap(lambda angle: nominal(scene, params, angle)[: 3 * n])(seat)
-    return Problem(
-        c,
-        jnp.transpose(places.reshape(-1, n, 3), (2, 1, 0)),
-        seat,
-        jax.vmap(lambda t: system.load_torque(c, t))(times),
-        GROUND * (jnp.abs(p["load_torque"]) / (n * p["pitch_radius"]) + jnp.abs(p["axial_load"])) + 1e-3,
-        p["pitch_radius"],
-    )
+    torque = jax.vmap(lambda t: torque_at(scene.programmes, t, jnp.zeros(()), c.programmes))(times)
+    spring = GROUND * (jnp.abs(p["load_torque"]) / (n * p["pitch_radius"]) + jnp.abs(p["axial_load"])) + 1e-3
+    return Problem(c, jnp.transpose(places.reshape(-1, n, 3), (2, 1, 0)), seat, torque, spring, p["pitch_radius"])
 
 
 def flat_places(scene: Joint, problem: Problem, at: Places) -> Array:
     """Places of the flat state (T, 3 n + coupling), from displacements."""
-    slices, seat = slices_of(scene), problem.seat
-    parts = {"head_turn": (seat + at.coupling[slices["turn"]][0] / problem.lever)[None], "seat_turn": seat[None]}
-    if "head" in slices:
-        parts["head"] = at.coupling[slices["head"]]
-    if "cage" in slices:
-        parts["cage"] = at.coupling[slices["cage"]]
-        parts["cage_turn"] = jax.vmap(partial(tilted_axis, problem.c), 1, 1)(
-            at.coupling[slices["tilt"]] / problem.lever
-        )[0]
+    parts, seat = {name: at.coupling[piece] for name, piece in slices_of(scene).items()}, problem.seat
+    parts |= {"head_turn": seat + parts["turn"] / problem.lever, "seat_turn": seat[None]}
+    if "tilt" in parts:
+        parts["cage_turn"] = jax.vmap(partial(tilted_axis, problem.c), 1, 1)(parts["tilt"] / problem.lever)[0]
     ball = jnp.transpose(problem.ball + at.ball, (2, 1, 0)).reshape(seat.size, -1)
-    coupling = [parts[name] for name, piece in scene.slices.items() if piece is not None]
-    return jnp.concatenate([ball, jnp.concatenate(coupling).T], 1)
-
-
-def _at_rest(scene: Joint, problem: Problem, at: Places) -> Array:
-    """Flat states (T, scene.states) of places, nothing moving."""
-    return still(scene, flat_places(scene, problem, at))
+    return jnp.concatenate([ball, scene.coupled(parts, 0).T], 1)
 
 
 def still(scene: Joint, value: Array) -> Array:
@@ -190,11 +161,11 @@ def _with_rates(scene: Joint, c: Any, value: Array, rate: Array) -> Array:
     """Flat states from places and their rates; the cage turns about its axis at the drive's speed."""
     n, count = scene.balls, value.shape[0]
     tilt = scene.slices["cage_turn"]
-    spin = jnp.broadcast_to(c.drive_speed * c.bisector, (count, 3))
+    spin = jnp.broadcast_to(c.programmes["drive_speed"] * c.bisector, (count, 3))
     if tilt is not None:
         at = slice(3 * n + tilt.start, 3 * n + tilt.stop)
         axis = value[:, at]
-        spin = jnp.cross(axis, rate[:, at]) + c.drive_speed * axis
+        spin = jnp.cross(axis, rate[:, at]) + c.programmes["drive_speed"] * axis
         rate = rate.at[:, at].set(spin)
     balls = rate[:, : 3 * n].reshape(count, n, 3)
     if scene.spin:

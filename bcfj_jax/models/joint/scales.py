@@ -8,9 +8,8 @@ from jax import Array
 
 from bcfj_jax.core.numerics import smooth_ramp
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint.bristles import flat
 from bcfj_jax.models.joint.constants import laws_of
-from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint
+from bcfj_jax.models.joint.scene import GROOVES, PILOTS, Joint, flat
 from bcfj_jax.xla.programs import ask
 
 # Load of a ball that nothing loads [N].

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,6 +33,9 @@ BODIES = ("seat", "head", "cage")
 # Which sphere is in which: (outer, inner).
 GUIDES = {"seat_cage": ("seat", "cage"), "head_cage": ("cage", "head")}
 OF_A_BALL = ("cage_ball", "seat_ball", "head_ball", "cage_window_end")
+# The body on which the first surface of a contact is, and with which its bristles turn.
+OUTER = {"seat_ball": "seat", "head_ball": "head", "cage_ball": "cage", "cage_window_end": "cage"}
+OUTER |= {name: outer for name, (outer, _) in GUIDES.items()}
 FLAT = ("cage_ball", "cage_window_end")
 FIDELITIES = ("kinematic", "quasistatic", "dynamic")
 # In place of one of them: ``bcfj_jax.models.joint.fidelity`` chooses.
@@ -49,7 +52,7 @@ STIFFNESSES = GIVEN, GEOMETRY = ("given", "geometry")
 class JointContact(eqx.Module):
     """One kind of contact: its name, its normal-force law, its friction law or None.
 
-    ``geometric``: its stiffness is that of its geometry (``coefficients.stiffness``), and no parameter.
+    ``geometric``: its stiffness is that of its geometry (``constants.stiffness``), and no parameter.
     """
 
     name: str = eqx.field(static=True)
@@ -80,16 +83,32 @@ class JointContact(eqx.Module):
     def derived(self) -> tuple[str, ...]:
         """Coefficients that the joint's geometry gives (``coefficients``). A flat window has no radius difference."""
         radii = ("radius",) if self.name in FLAT else ("radius", "radius_difference")
-        wanted = (*radii, "stiffness", "exponent") if self.geometric else radii
-        needs = self.needs
+        wanted, needs = (*radii, "stiffness", "exponent") if self.geometric else radii, self.needs
         return tuple(name for name in wanted if name in needs)
 
     @property
     def own(self) -> tuple[str, ...]:
         """Coefficients that are parameters: the others that it needs, and what a geometric stiffness is made of."""
-        derived = self.derived
-        rest = [name for name in self.needs if name not in derived]
-        return tuple(dict.fromkeys([*rest, *(["effective_modulus"] if self.geometric else [])]))
+        more = ("effective_modulus",) if self.geometric else ()
+        return tuple(dict.fromkeys(name for name in (*self.needs, *more) if name not in self.derived))
+
+
+class Flat(NamedTuple):
+    """Parts of a flat state or its rate: n balls of k velocities, b coupling coordinates, friction's states and azimuth.
+
+    Attributes:
+        place: (n, 3), at: (b,) of the coupling; twist: (n, k), rate: (b,); others: the rest.
+    """
+
+    place: Array
+    at: Array
+    twist: Array
+    rate: Array
+    others: Array
+
+    def whole(self) -> Array:
+        """The flat state."""
+        return jnp.concatenate([x.ravel() for x in self if x.size])
 
 
 class Joint(AbstractModel):
@@ -108,8 +127,6 @@ class Joint(AbstractModel):
         smoothing: whether contacts are regularised.
         fidelity: "dynamic", "quasistatic" or "kinematic"; "auto" for a scene that ``simulate`` alone can run.
         programmes: what of drive and loads is not constant.
-        longest_step: of a solver [s]; None: as long as its errors allow.
-        life: numbers of materials that are not those of steel (``materials``).
 
     Where a field is left out it is the plain joint's; ``model.joint`` gives every one.
     """
@@ -131,77 +148,52 @@ class Joint(AbstractModel):
     longest_step: float | None = eqx.field(static=True, default=None)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
+    def __check_init__(self):
+        stated = {x.name: x.friction for x in self.contacts if x.friction and (x.friction.bristles or x.friction.lags)}
+        if len({friction.lags for friction in stated.values()}) > 1:
+            found = ", ".join(f"{name} {type(friction).__name__}" for name, friction in stated.items())
+            remedy = "give bristles or friction that lags, not both in one joint"
+            raise InputError("scene 'joint' friction", found, remedy)
+
+    # Parameters.
+
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
         """Default values of the parameters the scene has."""
-        nominal = dict.fromkeys(self.each_ball, 0.0)
-        known = {name: nominal[name] if name in nominal else DEFAULTS.get(name, (None,))[0] for name in self.quantities}
+        known = {name: DEFAULTS.get(name, (None,))[0] for name in self.quantities} | dict.fromkeys(self.each_ball, 0.0)
         known |= {"smoothing": SMOOTHING_OF_SPHERES} if self.smoothing and not self.banded else {}
         known |= dict(self.programmes.greatest)
         return tuple((name, value) for name, value in known.items() if value is not None)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """Every parameter, by name: shared coefficients, each contact's own, clearances, bodies, drive and loads."""
+        """Shared coefficients, each contact's own, clearances, bodies, drive and loads."""
         return dict(_quantities(self))
 
     def _listed(self) -> dict[str, Quantity]:
-        shared = list(dict.fromkeys(name for contact in self.contacts for name in self._reads(contact)))
-        own = [f"{contact.name}.{name}" for contact in self.contacts for name in self._reads(contact)]
-        risen = [name for name in self.programmes.names if name == "load_ramp"]
-        names = ["drive_speed", "load_torque", *risen, "axial_load", "joint_angle"]
-        names += [name for name in self.programmes.names if name not in risen]
+        reads = {x.name: (*x.own, *(("smoothing",) if self.smoothing else ())) for x in self.contacts}
+        names = list(dict.fromkeys(name for read in reads.values() for name in read))
+        names += [f"{contact}.{name}" for contact, read in reads.items() for name in read]
+        names += ["drive_speed", "load_torque", *(name for name in self.programmes.names if name == "load_ramp")]
+        names += ["axial_load", "joint_angle", *(name for name in self.programmes.names if name != "load_ramp")]
         names += ["seat_radius", "head_radius", "ball_radius", "pitch_radius", "offset"]
         names += ["contact_angle", "conformity"] if self.track == "gothic" else []
         names += [f"clearance_{contact.name}" for contact in self.contacts]
-        names += self.each_ball
-        names += ["ball_mass", "head_mass", "head_inertia"]
+        names += [*self.each_ball, "ball_mass", "head_mass", "head_inertia"]
         names += ["pilot_band"] if self.banded else []
         names += ["cage_mass", "cage_inertia"] if self.cage == "free" else []
         names += ["seat_inertia", "drive_stiffness", "drive_damping"] if self.drive == "flexible" else []
         parts = [part for contact in self.contacts for part in (contact.law, contact.friction)]
         theirs = {name: quantity for part in parts for name, quantity in own_quantities(part).items()}
-        return {name: _quantity(name, theirs) for name in (*shared, *own, *names)}
+        return {name: _quantity(name, theirs) for name in names}
 
     @property
     def each_ball(self) -> list[str]:
         """Parameters of single balls."""
         if not self.unequal:
             return []
-        of_a_ball = [contact.name for contact in self.contacts if contact.name in OF_A_BALL]
-        pairs = [ball_sizes(self.balls, name) for name in of_a_ball]
+        pairs = [ball_sizes(self.balls, contact.name) for contact in self.contacts if contact.name in OF_A_BALL]
         return [*pairs[0][0], *(name for _, extra in pairs for name in extra)]
-
-    @property
-    def pitches(self) -> int:
-        """Pitches of a ball in which steady motion repeats itself; of unequal balls those of a turn."""
-        return self.balls if self.unequal else 1
-
-    def _reads(self, contact: JointContact) -> tuple[str, ...]:
-        return (*contact.own, *(("smoothing",) if self.smoothing else ()))
-
-    @property
-    def in_motion(self) -> bool:
-        """Whether its history is one of motion: each instant hangs on those before it."""
-        return self.fidelity in ("dynamic", AUTO)
-
-    def horizon(self, params: Params) -> Array:
-        """The paper's 3 s."""
-        del params
-        return jnp.asarray(3.0)
-
-    @property
-    def driven(self) -> bool:
-        """Whether the seat's speed is prescribed and not constant; its turn is the last of the coupling coordinates."""
-        return self.drive == "prescribed" and self.programmes.drive is not None
-
-    def has(self, name: str) -> bool:
-        """Whether a contact is in the program."""
-        return any(contact.name == name for contact in self.contacts)
-
-    def contact(self, name: str) -> JointContact:
-        """A contact by name."""
-        return next(contact for contact in self.contacts if contact.name == name)
 
     def clearance(self, params: Params, name: str) -> Array:
         """Clearance of every ball in one of its contacts, (balls,) [m] of unequal balls, else a scalar.
@@ -219,6 +211,36 @@ class Joint(AbstractModel):
             return shared
         oversize, extra = (jnp.stack([params[key] for key in keys]) for keys in ball_sizes(self.balls, name))
         return shared + extra - oversize
+
+    def horizon(self, params: Params) -> Array:
+        """The paper's 3 s."""
+        del params
+        return jnp.asarray(3.0)
+
+    # What is in it.
+
+    @property
+    def pitches(self) -> int:
+        """Pitches of a ball in which steady motion repeats itself; of unequal balls those of a turn."""
+        return self.balls if self.unequal else 1
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether its history is one of motion: each instant hangs on those before it."""
+        return self.fidelity in ("dynamic", AUTO)
+
+    @property
+    def driven(self) -> bool:
+        """Whether the seat's speed is prescribed and not constant; its turn is the last of the coupling coordinates."""
+        return self.drive == "prescribed" and self.programmes.drive is not None
+
+    def has(self, name: str) -> bool:
+        """Whether a contact is in the program."""
+        return any(contact.name == name for contact in self.contacts)
+
+    def contact(self, name: str) -> JointContact:
+        """A contact by name."""
+        return next(contact for contact in self.contacts if contact.name == name)
 
     @property
     def azimuths(self) -> np.ndarray:
@@ -249,6 +271,8 @@ class Joint(AbstractModel):
         """Whether it has pilots that are bands."""
         return self.bands and bool(self.pilots)
 
+    # The flat state.
+
     @property
     def twist(self) -> int:
         """Velocities of one ball: 3, or 6 with spin."""
@@ -257,19 +281,17 @@ class Joint(AbstractModel):
     @property
     def slices(self) -> Mapping[str, slice | None]:
         """Where each part of the coupling coordinates is, in order; None for what the scene fixes."""
-        sizes = {
-            "head": 3 if self.head == "free" else 0,
-            "head_turn": 1,
-            "cage": 3 if self.cage == "free" else 0,
-            "cage_turn": 3 if self.cage == "free" else 0,
-            "seat_turn": 1,
+        head, cage = (3 if held == "free" else 0 for held in (self.head, self.cage))
+        sizes = {"head": head, "head_turn": 1, "cage": cage, "cage_turn": cage, "seat_turn": 1}
+        ends = np.cumsum([*sizes.values()]).tolist()
+        return {
+            name: slice(end - size, end) if size else None
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
-        slices: dict[str, slice | None] = {}
-        start = 0
-        for name, size in sizes.items():
-            slices[name] = slice(start, start + size) if size else None
-            start += size
-        return slices
+
+    def coupled(self, parts: Mapping[str, Array], axis: int = -1) -> Array:
+        """Coupling coordinates from parts by name, of which those that the scene fixes are left out."""
+        return jnp.concatenate([parts[name] for name, piece in self.slices.items() if piece is not None], axis)
 
     @property
     def coupling(self) -> int:
@@ -293,14 +315,6 @@ class Joint(AbstractModel):
         """Numbers of a face's friction state: 3 of bristles, 1 of friction that lags."""
         return 1 if any(contact.friction and contact.friction.lags for contact in self.contacts) else 3
 
-    def __check_init__(self):
-        stated = {x.name: x.friction for x in self.contacts if x.friction and (x.friction.bristles or x.friction.lags)}
-        if len({friction.lags for friction in stated.values()}) > 1:
-            found = ", ".join(f"{name} {type(friction).__name__}" for name, friction in stated.items())
-            raise InputError(
-                "scene 'joint' friction", found, "give bristles or friction that lags, not both in one joint"
-            )
-
     @property
     def moving(self) -> int:
         """Length of the flat state without friction's states and the cage's azimuth."""
@@ -317,6 +331,13 @@ class Joint(AbstractModel):
     def azimuth(self) -> int | None:
         """Where the cage's azimuth stands in the flat state: last; None without window ends, which alone read it."""
         return self.states - 1 if self.has(WINDOW_END) else None
+
+    def parted(self, y: Array) -> Flat:
+        """The parts of a flat state."""
+        n, b, k = self.balls, self.coupling, self.twist
+        ends = np.cumsum([3 * n, b, k * n, b]).tolist()
+        place, at, twist, rate, others = (y[i:j] for i, j in zip([0, *ends], [*ends, y.shape[0]], strict=True))
+        return Flat(place.reshape(n, 3), at, twist.reshape(n, k), rate, others)
 
 
 @functools.lru_cache(maxsize=64)
@@ -338,3 +359,40 @@ def _quantity(name: str, theirs: Mapping[str, Quantity]) -> Quantity:
     if not contact:
         return quantity
     return quantity._replace(name=name, meaning=f"{quantity.meaning}; of {contact} alone")
+
+
+def split(scene: Joint, y: Array) -> dict[str, Array]:
+    """Friction's states in a flat state by contact, (balls, faces, width), of a pilot (1, width); local to a face.
+
+    They are bristles, three numbers a face, or the slip speed of late of friction that lags, one (``Joint.width``); the name
+    is "bristles" for either. The balls' come first, ball by ball, contact by contact in the order of ``Joint.bristles``, face
+    by face; then the pilots'.
+    """
+    each, first, found = scene.width, scene.moving, {}
+    faces = {name: count for name, count in scene.bristles.items() if name not in PILOTS}
+    width = each * sum(faces.values())
+    balls, column = y[first : first + scene.balls * width].reshape(scene.balls, width), 0
+    for name, count in faces.items():
+        found[name] = balls[:, column : column + each * count].reshape(scene.balls, count, each)
+        column += each * count
+    first += balls.size
+    for name in scene.bristles:
+        if name in PILOTS:
+            found[name] = y[first : first + each].reshape(1, each)
+            first += each
+    return found
+
+
+def flat(parts: Mapping[str, Array]) -> Array:
+    """The inverse of ``split``, for parts in the order of ``Joint.bristles``."""
+    balls = [x.reshape(x.shape[0], -1) for name, x in parts.items() if name not in PILOTS]
+    pilots = [x.ravel() for name, x in parts.items() if name in PILOTS]
+    return jnp.concatenate([*([jnp.concatenate(balls, 1).ravel()] if balls else []), *pilots])
+
+
+def beside(parts: Mapping[str, Array], names: tuple[str, ...]) -> Array | None:
+    """Friction's states of contacts side by side, (..., contact, face, width), 0 where there are none; None if nowhere."""
+    some = [parts[name] for name in names if name in parts]
+    if not some:
+        return None
+    return jnp.stack([parts.get(name, jnp.zeros_like(some[0])) for name in names], -3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -9,14 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.joint import energy
+from bcfj_jax.mechanism.model import Orbit, Params
+from bcfj_jax.models.joint import energy, engineering
 from bcfj_jax.models.joint.constants import constants
-from bcfj_jax.models.joint.moments import Moments, moments
+from bcfj_jax.models.joint.moments import NOTE, Moments, moments, quantities, table
 from bcfj_jax.models.joint.observe import resultants
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import GUIDES, Joint
 from bcfj_jax.models.joint.system import view
 from bcfj_jax.xla.programs import QUICK, program
+
+RESULTANTS, MOMENTS = "resultants.csv", "moments.csv"
 
 
 class Whole(NamedTuple):
@@ -112,4 +115,41 @@ def of_the_whole(times: np.ndarray, whole: Whole) -> dict[str, Any]:
             "largest_resultant": float(np.abs(on_cage).max()) if on_cage else 0.0,
             "units": {"largest_residual": "N", "largest_resultant": "N"},
         }
+    return found
+
+
+def of_the_run(scene: Joint, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+    """``AbstractModel.whole`` of the joint at the level that the run has."""
+    if not scene.in_motion:
+        return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
+    found = whole(scene, params, run.times, run.trajectory)
+    assert found.moments is not None
+    columns = {
+        f"{contact.name}.{axis} [N]": np.asarray(found.resultants[contact.name])[:, k]
+        for contact in scene.contacts
+        for k, axis in enumerate("xyz")
+    }
+    read = engineering.of_the_contacts(scene, params, run, found.rubbed)
+    read |= {"quantities": quantities(scene, run.times, found.moments), "quantities_note": NOTE}
+    tables = {RESULTANTS: columns, MOMENTS: table(scene, found.moments)}
+    return of_the_whole(run.times, found) | {"engineering": read}, tables
+
+
+def orbits(scene: Joint, params: Params, run: Any) -> dict[str, Orbit]:
+    """``AbstractModel.orbits``. The joint's plane holds both axes."""
+    if not scene.in_motion or run.trajectory is None:
+        return {}
+    coupling = run.trajectory[:, 3 * scene.balls :][:, : scene.coupling]
+    place = {"seat": 0.0, "head": 0.0, "cage": 0.0}
+    place |= {body: coupling[:, at] for body in ("head", "cage") if (at := scene.slices.get(body)) is not None}
+    angle, found = float(params["joint_angle"]), {}
+    for name in scene.pilots:
+        outer, inner = GUIDES[name]
+        apart = np.broadcast_to(place[inner] - place[outer], (len(run.times), 3))
+        # The head's axis leans to +x.
+        tilt = angle if "head" in (outer, inner) else 0.0
+        x = math.cos(tilt) * apart[:, 0] - math.sin(tilt) * apart[:, 2]
+        z = math.sin(tilt) * apart[:, 0] + math.cos(tilt) * apart[:, 2]
+        axes = ("in the joint's plane", "across the joint's plane")
+        found[name] = Orbit(x, apart[:, 1], float(params[f"clearance_{name}"]), f"{inner} in {outer}", axes, z)
     return found

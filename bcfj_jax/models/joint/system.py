@@ -6,9 +6,9 @@ coupling (everything that is not a ball) is, in this order and as far as the sce
     head place (3)   head turn (1)   cage place (3)   cage axis or spin (3)   seat turn (1)
 
 The state is flat: ball places, coupling places, ball twists (velocity, and spin where balls spin), coupling
-velocities, bristles (``bristles``), and the cage's azimuth where windows have ends. The cage's attitude is a unit axis and
-that azimuth (``attitude``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
-spherical shell (isotropic): no gyroscopic term, see ``attitude``.
+velocities, bristles (``scene.split``), and the cage's azimuth where windows have ends. The cage's attitude is a unit axis and
+that azimuth (``geometry``); without ends the cage is a body of revolution, and the axis is all. Its inertia is that of a
+spherical shell (isotropic): no gyroscopic term, see ``geometry``.
 A prescribed seat is a seat of infinite inertia, so that its turn is a state like any other and nothing depends on time
 but the load, and the drive where its speed is not constant (``programmes``).
 """
@@ -23,15 +23,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.numerics import smooth_rise
-from bcfj_jax.models.joint.attitude import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.bands import Band, act, band
-from bcfj_jax.models.joint.bristles import beside, flat, split
 from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import ContactForce, Geometry, grooves, join, pilots, windows
-from bcfj_jax.models.joint.law_pair import ContactLaws, LawPair
-from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at, torque_slope
-from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, PILOTS, WINDOW_END, Joint
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, LawPair, grooves, join, pilots, windows
+from bcfj_jax.models.joint.geometry import azimuth_rate, cage_axes, windows_around
+from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at
+from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, OUTER, WINDOW_END, Flat, Joint, beside, flat, split
 from bcfj_jax.xla.kept import kept
 
 
@@ -66,17 +63,14 @@ class ContactForces(NamedTuple):
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
     """Names for the parts of a flat state; what the scene fixes comes from the constants."""
-    n, k = scene.balls, scene.twist
-    places, twists = y[: 3 * n].reshape(n, 3), y[3 * n + scene.coupling :][: k * n].reshape(n, k)
-    at, rates = y[3 * n : 3 * n + scene.coupling], y[(3 + k) * n + scene.coupling : scene.moving]
-    where = scene.slices
-    zero = jnp.zeros(3)
+    parts, where, zero = scene.parted(y), scene.slices, jnp.zeros(3)
     head, turn, cage, tilt, seat = (where[name] for name in ("head", "head_turn", "cage", "cage_turn", "seat_turn"))
+    at, rates = parts.at, parts.rate
     axis = c.bisector if tilt is None else at[tilt]
     return State(
-        ball_place=places,
-        ball_velocity=twists[:, :3],
-        ball_spin=twists[:, 3:] if scene.spin else None,
+        ball_place=parts.place,
+        ball_velocity=parts.twist[:, :3],
+        ball_spin=parts.twist[:, 3:] if scene.spin else None,
         head_place=zero if head is None else at[head],
         head_velocity=zero if head is None else rates[head],
         head_turn=at[turn][0],
@@ -84,7 +78,7 @@ def view(scene: Joint, c: Constants, y: Array) -> State:
         cage_place=zero if cage is None else at[cage],
         cage_velocity=zero if cage is None else rates[cage],
         cage_axis=axis if tilt is None else axis / jnp.sqrt(axis @ axis),
-        cage_spin=c.drive_speed * c.bisector if tilt is None else rates[tilt],
+        cage_spin=c.programmes["drive_speed"] * c.bisector if tilt is None else rates[tilt],
         cage_azimuth=None if scene.azimuth is None else y[scene.azimuth],
         seat_turn=at[seat][0],
         seat_spin=rates[seat][0],
@@ -175,34 +169,28 @@ def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotion
     zero, planes = jnp.zeros(3), 0 if c.window_laws is None else 1 if c.cage_laws is None else 2
     place = jnp.stack([zero, state.head_place, *[state.cage_place] * planes])
     velocity = jnp.stack([zero, state.head_velocity, *[state.cage_velocity] * planes])
-    races = [state.seat_spin * c.axes[0], state.head_spin * c.axes[1]]
-    spins = jnp.stack([*races, *[state.cage_spin] * planes])
+    spins = jnp.stack([state.seat_spin * c.axes[0], state.head_spin * c.axes[1], *[state.cage_spin] * planes])
     motion = relative(state, place, velocity, spins)
     across = track_normals(scene, c, jnp.stack([state.seat_turn, state.head_turn]))
-
-    def in_grooves(arm: Array) -> Geometry:
-        return grooves(c.groove, arm - c.groove.offset[:, None] * c.axes, across)
-
-    if c.window_laws is None:
-        return RelativeMotions(motion, spins, across, ((c.groove_laws, in_grooves, 2),), state.bristles)
     laws, clearance, axis = c.window_laws, c.window_clearance, state.cage_axis
     if c.cage_laws is not None:
         around = windows_around(axis, state.cage_azimuth + scene.azimuths)
         laws, clearance = c.cage_laws, c.cage_clearance
         axis = jnp.stack([jnp.broadcast_to(axis, around.shape), around], 1)
 
+    def in_grooves(arm: Array) -> Geometry:
+        return grooves(c.groove, arm - c.groove.offset[:, None] * c.axes, across)
+
     def in_windows(arm: Array) -> Geometry:
         return windows(clearance, c.groove.ball, arm, axis)
 
+    def both(arm: Array) -> Geometry:
+        return join(in_grooves(arm[:, :2]), in_windows(arm[:, 2:]))
+
+    contacts: tuple[Any, ...] = ((c.groove_laws, in_grooves, 2), (laws, in_windows, planes))[: 2 if planes else 1]
     if c.ball_laws is not None:
-
-        def both(arm: Array) -> Geometry:
-            return join(in_grooves(arm[:, :2]), in_windows(arm[:, 2:]))
-
-        return RelativeMotions(motion, spins, across, ((c.ball_laws, both, 2 + planes),), state.bristles)
-    return RelativeMotions(
-        motion, spins, across, ((c.groove_laws, in_grooves, 2), (laws, in_windows, planes)), state.bristles
-    )
+        contacts = ((c.ball_laws, both, 2 + planes),)
+    return RelativeMotions(motion, spins, across, contacts, state.bristles)
 
 
 def _acted(part: Part) -> ContactForce:
@@ -290,28 +278,16 @@ def cross_columns(a: Array, matrix: Array) -> Array:
     return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)
 
 
-def load_torque(c: Constants, t: Array) -> Array:
-    """Resisting torque on the head [N m], raised from 0 over the load ramp with continuous second derivative."""
-    return c.load_torque * smooth_rise(t / c.load_ramp)
-
-
 def loads(scene: Joint, c: Constants, t: Array, state: State) -> tuple[Array, Array]:
     """Resisting torque [N m] and axial load [N] on the head."""
-    if scene.programmes.usual:
-        return load_torque(c, t), c.axial_load
     p = c.programmes
     return torque_at(scene.programmes, t, state.head_spin, p), axial_at(scene.programmes, t, p)
-
-
-def load_slope(scene: Joint, c: Constants, t: Array, state: State) -> Array:
-    """Derivative of a resisting torque that sticks and slips by the head's speed [N m s/rad]."""
-    return torque_slope(scene.programmes, t, state.head_spin, c.programmes)
 
 
 def drive_motion(scene: Joint, c: Constants, t: Array) -> tuple[Array, Array]:
     """Turn [rad] and speed [rad/s] that the drive prescribes."""
     if scene.programmes.drive is None:
-        return c.drive_speed * t, c.drive_speed
+        return c.programmes["drive_speed"] * t, c.programmes["drive_speed"]
     return drive_at(scene.programmes, t, c.programmes)[:2]
 
 
@@ -325,8 +301,7 @@ def applied(scene: Joint, c: Constants, t: Array, state: State) -> Array:
     torque, axial = loads(scene, c, t, state)
     parts = {"head": -axial * c.axes[1], "head_turn": -torque[None]}
     driven = drive_torque(scene, c, t, state)[None] if scene.drive == "flexible" else jnp.zeros(1)
-    parts |= {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": driven}
-    return jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
+    return scene.coupled(parts | {"cage": jnp.zeros(3), "cage_turn": jnp.zeros(3), "seat_turn": driven})
 
 
 def drive_torque(scene: Joint, c: Constants, t: Array, state: State) -> Array:
@@ -357,7 +332,7 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
     turning = jnp.sum(twist[:2] * c.axes, -1)
     cage = jnp.sum(push[2:], 0), jnp.sum(twist[2:], 0)
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
-    coupling = jnp.concatenate([parts[name] for name, piece in scene.slices.items() if piece is not None])
+    coupling = scene.coupled(parts)
     if found.pilots is not None:
         maps = guide_maps(scene, c, guided(scene, c, state)[0].arm).twist
         coupling = coupling + jnp.sum(maps * wrench(found.pilots)[..., None], (0, 1))
@@ -371,50 +346,39 @@ class Loads(NamedTuple):
     moment: Array
 
 
+def by_name(scene: Joint, found: ContactForces) -> dict[str, ContactForce]:
+    """By contact what it does: of all balls, or of one pilot."""
+    each: list[tuple[str, Any, Any]] = [(name, found.grooves, (slice(None), i)) for i, name in enumerate(GROOVES)]
+    each += [("cage_ball", found.windows, slice(None)), (WINDOW_END, found.ends, slice(None))]
+    each += [(name, found.pilots, i) for i, name in enumerate(scene.pilots)]
+    return {name: jax.tree.map(lambda x, at=at: x[at], touch) for name, touch, at in each if touch is not None}
+
+
 def on_parts(scene: Joint, c: Constants, state: State) -> dict[str, dict[str, Loads]]:
     """By body and contact what the contact exerts on the body, in world axes."""
-    found = contact_forces(scene, c, state)
     places = {"seat": jnp.zeros(3), "head": state.head_place, "cage": state.cage_place}
     exerted: dict[str, dict[str, Loads]] = {body: {} for body in places}
-
-    def by_balls(name: str, body: str, touch: ContactForce) -> None:
-        turning = jnp.cross(state.ball_place - places[body], touch.force)
-        turning = turning if touch.moment is None else turning + touch.moment
-        exerted[body][name] = Loads(-jnp.sum(touch.force, 0), -jnp.sum(turning, 0))
-
-    for i, name in enumerate(GROOVES):
-        groove = found.grooves
-        moment = None if groove.moment is None else groove.moment[:, i]
-        by_balls(name, name.removesuffix("_ball"), groove._replace(force=groove.force[:, i], moment=moment))
-    for name, touch in (("cage_ball", found.windows), (WINDOW_END, found.ends)):
-        if touch is not None:
-            by_balls(name, "cage", touch)
-    if found.pilots is not None:
-        arms = guided(scene, c, state)[0].arm
-        assert found.pilots.moment is not None
-        for i, (name, (outer, inner)) in enumerate(zip(scene.pilots, scene.pairs, strict=True)):
-            force, moment = found.pilots.force[i], found.pilots.moment[i]
+    pairs = dict(zip(scene.pilots, scene.pairs, strict=True))
+    for name, (force, moment, *_) in by_name(scene, contact_forces(scene, c, state)).items():
+        if name in pairs:
+            assert moment is not None
+            outer, inner = pairs[name]
             exerted[inner][name] = Loads(force, moment)
-            exerted[outer][name] = Loads(-force, -moment - jnp.cross(arms[i], force))
+            exerted[outer][name] = Loads(-force, -moment - jnp.cross(places[inner] - places[outer], force))
+            continue
+        turning = jnp.cross(state.ball_place - places[OUTER[name]], force)
+        turning = turning if moment is None else turning + moment
+        exerted[OUTER[name]][name] = Loads(-jnp.sum(force, 0), -jnp.sum(turning, 0))
     return exerted
 
 
 def _bending(scene: Joint, c: Constants, state: State, found: ContactForces) -> Array:
     """Rates of all friction's states; bristles turn with the outer body of their contact; flat."""
     spins = {"seat": state.seat_spin * c.axes[0], "head": state.head_spin * c.axes[1], "cage": state.cage_spin}
-    rates = {}
-    for name in scene.bristles:
-        if name in PILOTS:
-            outer, touch, member = GUIDES[name][0], found.pilots, scene.pilots.index(name)
-        else:
-            race = name in GROOVES
-            outer = name.removesuffix("_ball") if race else "cage"
-            touch = found.grooves if race else found.windows if name == "cage_ball" else found.ends
-            member = (slice(None), *([BALLS.index(name)] if race else []))
-        assert touch is not None and touch.bending is not None
-        rates[name] = touch.bending[member]
-        if scene.width == 3:
-            rates[name] = rates[name] + jnp.cross(spins[outer], state.bristles[name])
+    touches = by_name(scene, found)
+    rates: dict[str, Any] = {name: touches[name].bending for name in scene.bristles}
+    if scene.width == 3:
+        rates = {name: rate + jnp.cross(spins[OUTER[name]], state.bristles[name]) for name, rate in rates.items()}
     return flat(rates)
 
 
@@ -425,24 +389,15 @@ def field(t: Array, y: Array, args: tuple[Joint, Constants]) -> Array:
     found = contact_forces(scene, c, state)
     ball, coupling = on_bodies(scene, c, state, found)
     coupling = coupling + applied(scene, c, t, state)
-    n = scene.balls
-    rates = y[(3 + scene.twist) * n + scene.coupling : scene.moving]
-    tilt = scene.slices["cage_turn"]
+    parts, tilt = scene.parted(y), scene.slices["cage_turn"]
+    rates = parts.rate
     if tilt is not None:
-        axis = y[3 * n : 3 * n + scene.coupling][tilt]
-        rates = rates.at[tilt].set(jnp.cross(state.cage_spin, axis))
+        rates = rates.at[tilt].set(jnp.cross(state.cage_spin, parts.at[tilt]))
     changes = coupling * c.coupling_inverse_mass
     if scene.driven:
         changes = changes.at[-1].set(seat_rate(scene, c, t))
     others = [_bending(scene, c, state, found)] if scene.bristles else []
     if scene.azimuth is not None:
         others.append(azimuth_rate(state.cage_axis, state.cage_spin)[None])
-    return jnp.concatenate(
-        [
-            state.ball_velocity.ravel(),
-            rates,
-            (ball * c.ball_inverse_mass).ravel(),
-            changes,
-            *others,
-        ]
-    )
+    rest = jnp.concatenate(others) if others else jnp.zeros(0)
+    return Flat(state.ball_velocity, rates, ball * c.ball_inverse_mass, changes, rest).whole()

@@ -39,26 +39,26 @@ def _each(scene: Joint, params: Mapping[str, Array]) -> Iterator[Variant]:
     else:
         yield option("balls roll", "balls turn, and so roll in their grooves", spin=True)
     if scene.cage == "free":
-        left = [contact.name for contact in scene.contacts if contact.name not in ("seat_cage", WINDOW_END)]
-        without = {"contacts": left, "window_ends": False, "bands": False}
-        yield option("cage fixed", "the cage stays on the bisecting plane", cage="fixed", **without)
+        names = [contact.name for contact in scene.contacts if contact.name != WINDOW_END]
+        left = {"contacts": [x for x in names if x != "seat_cage"], "window_ends": False, "bands": False}
+        yield option("cage fixed", "the cage stays on the bisecting plane", cage="fixed", **left)
         if scene.has(WINDOW_END):
-            faces = [contact.name for contact in scene.contacts if contact.name != WINDOW_END]
             physics = "the cage slips through its own windows"
-            yield option("windows without ends", physics, contacts=faces, window_ends=False)
+            yield option("windows without ends", physics, contacts=names, window_ends=False)
         else:
             yield option("windows with ends", "windows end around the cage, so that it cannot slip", window_ends=True)
         if scene.bands:
             yield option("pilots all round", "the cage's pilots are full spheres", bands=False)
         elif scene.pilots:
             yield option("pilots as bands", "the cage's pilots end at a latitude, with an edge", bands=True)
-    head = "fixed" if scene.head == "free" else "free"
-    yield option(
-        f"head {head}", "the head cannot shift" if head == "fixed" else "the head shifts in its play", head=head
-    )
-    track = "circular" if scene.track == "gothic" else "gothic"
-    flanks = "one flank, as wide as ball and clearance" if track == "circular" else "two flanks at the contact angle"
-    yield option(f"{track} track", f"grooves have {flanks}", track=track)
+    if scene.head == "free":
+        yield option("head fixed", "the head cannot shift", head="fixed")
+    else:
+        yield option("head free", "the head shifts in its play", head="free")
+    if scene.track == "gothic":
+        yield option("circular track", "grooves have one flank, as wide as ball and clearance", track="circular")
+    else:
+        yield option("gothic track", "grooves have two flanks at the contact angle", track="gothic")
     speeds = {name: _HONEST_SPEED for name in params if name.rpartition(".")[2] == "friction_speed"}
     if speeds and any(float(params[name]) > _HONEST_SPEED for name in speeds):
         physics = f"the greatest friction acts at {_HONEST_SPEED:g} m/s, as measured of lubricated steel: both coefficients count"

@@ -18,10 +18,9 @@ from bcfj_jax.cli import app
 from bcfj_jax.io.scenefile import from_table, quickest
 from bcfj_jax.models.joint import fidelity, periodic, system
 from bcfj_jax.models.joint.constants import constants
-from bcfj_jax.models.joint.kinematic import kinematic_states
+from bcfj_jax.models.joint.kinematic import kinematic_states, nominal
 from bcfj_jax.models.joint.model_error import statics
 from bcfj_jax.models.joint.observe import observe
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.solve.simulation import Run
 
 AUTO = plain_joint(fidelity="auto")

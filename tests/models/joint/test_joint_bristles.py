@@ -14,9 +14,8 @@ from scipy.integrate import solve_ivp
 import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.models.joint import energy, system
-from bcfj_jax.models.joint.bristles import flat, split
-from bcfj_jax.models.joint.contacts import act, windows
-from bcfj_jax.models.joint.law_pair import RELAX
+from bcfj_jax.models.joint.contacts import RELAX, act, windows
+from bcfj_jax.models.joint.scene import flat, split
 
 ROUGH = plain_joint(friction="lugre")
 # 30 um into the upper face of a window, at whose middle the cage's axis is z.

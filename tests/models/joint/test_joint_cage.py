@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.models.joint import attitude, deflection, geometry, periodic, system
+from bcfj_jax.models.joint import checks, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import quasistatic
@@ -148,12 +148,12 @@ def turned(axis, spin, azimuth):
     """Axes of a cage and their rates; derivative of the azimuth's rate by the axis, forward and in closed form."""
 
     def axes(b, psi):
-        return attitude.cage_axes(b / jnp.sqrt(b @ b), psi)
+        return geometry.cage_axes(b / jnp.sqrt(b @ b), psi)
 
-    rate = attitude.azimuth_rate(axis, spin)
+    rate = geometry.azimuth_rate(axis, spin)
     moved = jax.jvp(axes, (axis, azimuth), (jnp.cross(spin, axis), rate))
-    slope = jax.grad(lambda b: attitude.azimuth_rate(b / jnp.sqrt(b @ b), spin))(axis)
-    return *moved, slope, attitude.rate_by_axis(axis, spin)
+    slope = jax.grad(lambda b: geometry.azimuth_rate(b / jnp.sqrt(b @ b), spin))(axis)
+    return *moved, slope, geometry.rate_by_axis(axis, spin)
 
 
 @given(seed=SEEDS)
@@ -176,9 +176,9 @@ def test_windows_stand_around_the_cage_at_their_azimuths():
     azimuths = draw.uniform(-9.0, 9.0, 7)
     first = np.cross([0.0, 1.0, 0.0], axis) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], axis))
     turn = Rotation.from_rotvec((azimuths + 0.5 * np.pi)[:, None] * axis)
-    assert np.allclose(attitude.windows_around(axis, azimuths), turn.apply(first), rtol=0, atol=1e-14)
+    assert np.allclose(geometry.windows_around(axis, azimuths), turn.apply(first), rtol=0, atol=1e-14)
     middle = Rotation.from_rotvec(azimuths[0] * axis).apply(first)
-    assert np.allclose(attitude.cage_axes(axis, azimuths[0])[:, 0], middle, rtol=0, atol=1e-14)
+    assert np.allclose(geometry.cage_axes(axis, azimuths[0])[:, 0], middle, rtol=0, atol=1e-14)
 
 
 def test_balls_swing_in_their_windows_as_the_check_says():
@@ -190,11 +190,11 @@ def test_balls_swing_in_their_windows_as_the_check_says():
     radius = geometry.track_radius(pitch, offset)
     places = np.asarray(geometry.ball_centre(turns + scene.azimuths, beta, radius, offset))
     axis = geometry.bisector(beta)
-    around = jax.vmap(lambda turn: attitude.windows_around(axis, turn + scene.azimuths))(turns[:, 0])
+    around = jax.vmap(lambda turn: geometry.windows_around(axis, turn + scene.azimuths))(turns[:, 0])
     swing = np.sum(places * around, -1)
     swing = np.asarray(swing)
     need = 0.5 * float(np.max(swing.max(1) - swing.min(1)))
-    assert deflection.swing(5.0, pitch, offset, beta) == within(need, 1e-3)
+    assert checks.swing(5.0, pitch, offset, beta) == within(need, 1e-3)
     # The check asks for it; and something must be left between windows.
     scene.check(scene.parameters(clearance_cage_window_end=1.01 * need))
     with pytest.raises(InputError, match=r"clearance_cage_window_end.*joint_angle of at most"):

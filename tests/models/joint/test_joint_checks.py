@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles import within
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.models.joint import checks, deflection, geometry
+from bcfj_jax.models.joint import checks, geometry
 from bcfj_jax.models.joint.checks import check_geometry
 
 CLEARANCES = [f"clearance_{pair}" for pair in ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")]
@@ -125,7 +125,7 @@ def test_plain_formulas_are_those_of_the_geometry(rp, ratio, beta):
     rc = float(geometry.track_radius(rp, e))
     p = np.asarray(geometry.ball_centre(AROUND, beta, rc, e))
     reach = np.linalg.norm(p, axis=-1)
-    assert deflection.distances(rp, e, beta) == within((reach.min(), reach.max()), 1e-12)
+    assert checks.distances(rp, e, beta) == within((reach.min(), reach.max()), 1e-12)
 
 
 @given(**SHAPES, balls=st.integers(2, 14), radius=st.floats(0.002, 0.02))
@@ -137,7 +137,7 @@ def test_balls_are_refused_exactly_where_they_overlap(rp, ratio, beta, balls, ra
     nearest = np.linalg.norm(p - q, axis=-1).min()
     # The grid misses the nearest place by up to an eighth of a degree.
     assume(abs(nearest - 2.0 * radius) > 1e-4 * rp)
-    assert (deflection.apart(balls, radius, rp, e, beta) is None) == (nearest > 2.0 * radius)
+    assert (checks.apart(balls, radius, rp, e, beta) is None) == (nearest > 2.0 * radius)
 
 
 @given(**SHAPES, alpha=st.floats(0.1, 1.5), radius=st.floats(0.002, 0.02), thick=st.floats(1.0, 1.3))
@@ -152,7 +152,7 @@ def test_a_deflection_is_refused_exactly_where_no_mouth_is_left(rp, ratio, beta,
     free = np.arctan2(np.sqrt(seat**2 - mouths**2), mouths) > beta
     left = seat * np.cos(beta) - min(height.max(), -height.min())
     assume(abs(left) > seat / 2000)
-    assert (deflection.mouth_open(seat, radius, rp, e, alpha, beta) is None) == bool(np.any(behind & free))
+    assert (checks.mouth_open(seat, radius, rp, e, alpha, beta) is None) == bool(np.any(behind & free))
 
 
 @pytest.mark.parametrize("alpha", [40.0, None])

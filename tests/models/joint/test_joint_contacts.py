@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from bcfj_jax.models.joint import contacts, system
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.contacts import Geometry, act
-from bcfj_jax.models.joint.start import nominal
+from bcfj_jax.models.joint.kinematic import nominal
 
 grooves, windows = jax.jit(contacts.grooves), jax.jit(contacts.windows)
 acted = jax.jit(act)

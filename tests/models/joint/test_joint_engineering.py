@@ -9,7 +9,7 @@ import pytest
 from joints import plain_joint
 
 from bcfj_jax.analysis.simulation.page import contact_rows
-from bcfj_jax.models.joint.coefficients import patch
+from bcfj_jax.models.joint.constants import patch
 from bcfj_jax.models.joint.engineering import of_the_contacts
 
 # Physics sheet 1.4: r = 8 mm, Rc = 35.8 mm, 45 degrees, f = 0.52.

@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from bcfj_jax.core.vectors import array
 from bcfj_jax.mechanism.bodies import _attitude
 from bcfj_jax.mechanism.model import Flows
-from bcfj_jax.models.joint.attitude import cage_axes
-from bcfj_jax.models.joint.bristles import split
+from bcfj_jax.models.joint.geometry import cage_axes
 from bcfj_jax.models.joint.parts import as_mechanism
-from bcfj_jax.models.joint.scene import PILOTS
+from bcfj_jax.models.joint.scene import PILOTS, split
 from bcfj_jax.models.joint.system import drive_motion
 
 OPTIONS = {

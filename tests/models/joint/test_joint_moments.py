@@ -15,7 +15,7 @@ from oracles import within
 from bcfj_jax import scenes
 from bcfj_jax.analysis.simulation import page
 from bcfj_jax.models.joint import energy, moments, system
-from bcfj_jax.models.joint.attitude import cage_axes
+from bcfj_jax.models.joint.geometry import cage_axes
 
 VARIANTS = {
     "all": {"window_ends": True, "bands": True, "spin": True},

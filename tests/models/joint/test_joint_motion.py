@@ -13,10 +13,10 @@ from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, solved
 from oracles import within
 
 from bcfj_jax.models.joint import energy, system
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scales import scales
 from bcfj_jax.models.joint.scene import GUIDES
-from bcfj_jax.models.joint.start import nominal
 
 # Neither drive nor load: the spring is too weak to notice, and there must be one.
 FREED = {"drive_stiffness": 1e-12, "drive_damping": 0.0, "load_torque": 0.0, "joint_angle": 0.0}
@@ -57,7 +57,7 @@ def transmission(params, states, times):
     def one(t, y):
         state, flow = system.view(JOINT, c, y), energy.power(JOINT, c, t, y)
         error, ratio = state.head_turn - state.seat_turn, state.head_spin / state.seat_spin
-        return error, ratio, system.load_torque(c, t), flow.drive + flow.hold, flow.load
+        return error, ratio, system.loads(JOINT, c, t, state)[0], flow.drive + flow.hold, flow.load
 
     error, ratio, outward, given, passed = jax.vmap(one)(times, states)
     return error, ratio, outward, jnp.trapezoid(passed, times) / jnp.trapezoid(given, times)

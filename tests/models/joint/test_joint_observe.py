@@ -29,8 +29,8 @@ from bcfj_jax.mechanism.readings import (
 )
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.energy import Power, Stored
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.observe import motions, observe, resultants
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.models.joint.summary import Whole, of_the_whole
 from bcfj_jax.solve.simulation import Run
 

@@ -17,7 +17,8 @@ from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.contact import laws
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.scenefile import from_table
-from bcfj_jax.models.joint import coefficients, engineering, system
+from bcfj_jax.models.joint import constants as numbers
+from bcfj_jax.models.joint import engineering, system
 from bcfj_jax.models.joint.periodic import pitch_before
 
 E = 113e9
@@ -29,7 +30,7 @@ E = 113e9
 def test_stiffness_from_geometry_is_that_of_the_formulas():
     scene = plain_joint(stiffness="geometry", window_ends=True)
     params = scene.parameters({"clearance_seat_cage": 40e-6, "cage_ball.effective_modulus": 2 * E})
-    found = {x.name: float(coefficients.stiffness(scene, params, x.name)) for x in scene.contacts}
+    found = {x.name: float(numbers.stiffness(scene, params, x.name)) for x in scene.contacts}
     socket = lambda outer, gap: 4 / 3 * E * np.sqrt(outer * (outer - gap) / gap)  # noqa: E731
     assert found["seat_cage"] == within(socket(0.040, 40e-6), 1e-10)
     assert found["head_cage"] == within(socket(0.031 + 50e-6, 50e-6), 1e-10)
@@ -53,7 +54,7 @@ def test_stiffness_from_geometry_is_that_of_the_formulas():
     given = dict(plain_joint().defaults)
     usual = scene.parameters()
     for name, stated in (("seat_cage", given["seat_cage.stiffness"]), ("cage_ball", given["cage_ball.stiffness"])):
-        assert float(coefficients.stiffness(scene, usual, name)) == within(stated, 1e-3)
+        assert float(numbers.stiffness(scene, usual, name)) == within(stated, 1e-3)
 
 
 def test_stiffness_from_geometry_moves_with_clearance_conformity_and_radii():
@@ -62,11 +63,9 @@ def test_stiffness_from_geometry_moves_with_clearance_conformity_and_radii():
 
     @jax.jit
     def both(params):
-        told = {
-            name: coefficients.coefficients(scene, params, name) for name in ("seat_cage", "seat_ball", "cage_ball")
-        }
+        told = {name: numbers.coefficients(scene, params, name) for name in ("seat_cage", "seat_ball", "cage_ball")}
         stiffness = jnp.stack([told[name]["stiffness"] for name in told])
-        liu = coefficients.coefficients(scene, params, "head_cage")
+        liu = numbers.coefficients(scene, params, "head_cage")
         return jnp.append(stiffness, scene.contact("head_cage").law.force(jnp.asarray(1e-5), jnp.zeros(()), liu))
 
     slopes = jax.jit(jax.jacfwd(both))(params)
@@ -86,7 +85,7 @@ def test_stiffness_from_geometry_moves_with_clearance_conformity_and_radii():
 def test_an_elastic_part_of_one_contact_reads_that_contacts_radii():
     scene = plain_joint(elastics={"seat_cage": "liu_sphere", "seat_ball": "bai_zhao", "cage_ball": "liu"})
     params = scene.parameters({"clearance_seat_cage": 30e-6, "clearance_seat_ball": 12e-6})
-    told = {x.name: coefficients.coefficients(scene, params, x.name) for x in scene.contacts}
+    told = {x.name: numbers.coefficients(scene, params, x.name) for x in scene.contacts}
     assert float(told["seat_cage"]["radius"]) == 0.040 and float(told["seat_cage"]["radius_difference"]) == 30e-6
     assert float(told["seat_ball"]["radius_difference"]) == within(0.008 * 0.04 + 12e-6, 1e-12)
     # A window is flat: what stands for its radius difference remains a parameter. The others are power laws.

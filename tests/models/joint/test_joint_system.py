@@ -13,9 +13,9 @@ from oracles import within
 
 from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.law_pair import LawPair
+from bcfj_jax.models.joint.contacts import LawPair
+from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import USUAL
-from bcfj_jax.models.joint.start import nominal
 from bcfj_jax.xla.small import inverse, inverse3, inverse6
 
 UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
