@@ -12,7 +12,6 @@ How well it converged stands in its settings, by a tighter tolerance and by LSOD
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT, save
+from benchmarks.common import ROOT, options, save
 
 PATH = ROOT / "tests" / "data" / "joint_3s.npz"
 TOLERANCE, TIGHTER, LSODA_TOLERANCE = 1e-9, 1e-10, 1e-8
@@ -145,4 +144,4 @@ def check() -> None:
 
 
 if __name__ == "__main__":
-    check() if sys.argv[1:] == ["check"] else make()
+    check() if options(__doc__, {"what": "make"}).what == "check" else make()

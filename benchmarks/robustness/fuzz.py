@@ -40,7 +40,8 @@ import numpy as np
 import tomli_w
 from scipy.optimize import brentq
 
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+import benchmarks.common as harness
+from benchmarks.common import ROOT, known, publish, save
 from benchmarks.robustness import kept, records, wholes
 from benchmarks.robustness.mutations import of_bytes, of_lines, of_nodes, of_toml
 
@@ -207,18 +208,8 @@ def good_scenes() -> list[str]:
     """Texts of scene files that load."""
     from bcfj_jax.io.scenetemplate import template
 
-    kinds = (
-        "impact",
-        "impact",
-        "impact",
-        "bounce",
-        "oblique_impact",
-        "backlash",
-        "chain",
-        "slider_crank",
-        "joint",
-        "mechanism",
-    )
+    others = ("bounce", "oblique_impact", "backlash", "chain", "slider_crank", "joint", "mechanism")
+    kinds = (*("impact",) * 3, *others)
     return [template(kind) for kind in kinds] + [(ROOT / "examples/chung_ooi_test1.toml").read_text()]
 
 
@@ -381,15 +372,14 @@ def one_kind(target: str, how: Target, folder: Path, seed: int) -> dict[str, Any
 
 def keep(target: str, row: dict[str, Any], seed: int) -> None:
     """Put one kind's row among those kept before, each with its seed."""
-    rows = load("fuzz")["rows"] if (RESULTS / "fuzz.json").exists() else {}
-    rows |= {target: {"seed": seed, **row}}
+    rows = known("fuzz").get("rows", {}) | {target: {"seed": seed, **row}}
     save("fuzz", {"rows": rows})
-    put_in_readme("fuzz", table(rows), "docs/trust.md")
+    publish("fuzz", table(rows), "docs/trust.md")
 
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """Kinds of files and what became of them, as a table in Markdown."""
-    names = (
+    counts = (
         "cases",
         "accepted",
         "refused",
@@ -399,7 +389,8 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
         "compared",
         "highest memory [GB]",
     )
-    return markdown([["files", *names], *([kind, *(str(row[name]) for name in names)] for kind, row in rows.items())])
+    columns = {"files": "{kind}", **{name: lambda row, name=name: row[name] for name in counts}}
+    return harness.table(columns, ({"kind": kind, **row} for kind, row in rows.items()))
 
 
 def main(arguments: list[str] | None = None) -> int:
