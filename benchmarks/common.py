@@ -125,6 +125,25 @@ def told(counts: Mapping[Any, int]) -> str:
     return ", ".join(f"{value} {count}" for value, count in counts.items())
 
 
+def keep_arrays(path: Path, settings: Mapping[str, Any], times: Any, arrays: Mapping[str, Any]) -> None:
+    """Keep histories of a reference at times [s] as 32-bit numbers, with the settings that they were made with."""
+    import numpy as np
+
+    short = {name: np.asarray(one, dtype=np.float32) for name, one in arrays.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, times=times, settings=np.array(json.dumps(settings)), **short)  # pyright: ignore
+    print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")
+
+
+def kept_arrays(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Kept histories as 64-bit numbers, "times" among them, and their settings."""
+    import numpy as np
+
+    with np.load(path, allow_pickle=False) as kept:
+        settings = json.loads(str(kept["settings"]))
+        return {name: kept[name].astype(float) for name in kept if name != "settings"}, settings
+
+
 def publish(name: str, text: str, page: str = "README.md") -> None:
     """Print a table, and put it between its markers in the README or another page."""
     print(text, flush=True)

@@ -9,10 +9,7 @@ keep the budget: as it is advised, and by the scene's own errors alone.
 
 from __future__ import annotations
 
-import os
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp

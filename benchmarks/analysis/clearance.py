@@ -14,13 +14,10 @@ from __future__ import annotations
 
 import os
 import tempfile
-from pathlib import Path
-from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr

@@ -14,10 +14,7 @@ of runs without derivatives confirm it (``tests/analysis/test_contact_events.py`
 
 from __future__ import annotations
 
-import os
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

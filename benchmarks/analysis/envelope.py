@@ -10,11 +10,8 @@ what error they had as a share of the promise. Of the levels' joints those that 
 
 from __future__ import annotations
 
-import os
 import textwrap
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import matplotlib.pyplot as plt
 import numpy as np

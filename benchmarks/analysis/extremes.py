@@ -14,15 +14,12 @@ go to benchmarks/results/extremes.json.
 from __future__ import annotations
 
 import json
-import os
 import re
 import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import equinox as eqx
 import jax

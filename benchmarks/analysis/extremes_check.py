@@ -11,14 +11,11 @@ are counted apart.
 from __future__ import annotations
 
 import json
-import os
 import random
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import equinox as eqx
 import jax

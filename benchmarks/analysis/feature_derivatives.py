@@ -11,13 +11,10 @@ below 0.01 % per 1 % counts as that much. The duration is end less begin, and it
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp

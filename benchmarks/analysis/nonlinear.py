@@ -15,13 +15,9 @@ writes results/nonlinear.json (costs in CPU seconds), the tables in docs/nonline
 from __future__ import annotations
 
 import math
-import os
 import time
-from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np

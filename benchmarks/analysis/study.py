@@ -18,8 +18,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import numpy as np
 
 from bcfj_jax import scenes, simulate

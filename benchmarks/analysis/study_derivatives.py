@@ -21,8 +21,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import numpy as np
 
 from bcfj_jax.analysis.derivatives import batch as derivatives

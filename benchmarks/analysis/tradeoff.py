@@ -10,10 +10,7 @@ the load has risen. A study goes on where it was cut off (build/tradeoff).
 
 from __future__ import annotations
 
-import os
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

@@ -9,11 +9,8 @@ of a quantisation, so many off the highest peak of a saturation). Fifty have non
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

@@ -53,7 +53,7 @@ def record() -> Record:
     """A drop on a pad, 12 ms of flight before the contact, 1 % noise; by SciPy."""
     times = np.arange(0.0, 0.04, 2.5e-4)
     drop = contact(LAW, MASS, SPEED, begin=12.1e-3)
-    assert drop is not None
+
     force, place = drop.force(times), drop.depth(times)
     force += 0.01 * force.max() * np.random.default_rng(7).standard_normal(times.size)
     return Record(

@@ -10,12 +10,8 @@ alone, on all data at once, from starts all over the bounds, where a spiky resid
 
 from __future__ import annotations
 
-import os
-from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import itertools
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc

@@ -8,10 +8,7 @@ the event that ends them. A case draws stiffness, exponent and restitution; 60 s
 
 from __future__ import annotations
 
-import os
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

@@ -13,16 +13,13 @@ keeps results/imperfect.json; ``--more`` goes on from the replicates that it hol
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Collection
 from concurrent.futures import as_completed
 from functools import cache
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import itertools
 
 import numpy as np
 from scipy.integrate import solve_ivp

@@ -45,7 +45,7 @@ class File(NamedTuple):
 def record() -> tuple[np.ndarray, np.ndarray]:
     """Clock (N,) [s] from -5 ms and force (N,) [N] at 20 kHz with 2 N of noise; by SciPy."""
     clock, hit = np.arange(500) / RATE - 5e-3, contact(LAW, MASS, SPEED)
-    assert hit is not None
+
     return clock, hit.force(clock) + 2.0 * np.random.default_rng(3).standard_normal(clock.size)
 
 

@@ -11,13 +11,9 @@ writes results/joint_calibration.json and docs/fits_measured.md. Walls are of th
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from typing import Any
-
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

@@ -17,11 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-import os
 from typing import Any
-
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 from scipy.stats import chi2, norm

@@ -30,7 +30,7 @@ def record(samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Clock (N,) [s] and force (N,) [N]: the contact of ``instruments`` in the middle, by SciPy."""
     clock = STEP * np.arange(samples)
     hit = contact(instruments.LAW, instruments.MASS, instruments.SPEED, begin=0.5 * float(clock[-1]))
-    assert hit is not None
+
     return clock, hit.force(clock) + NOISE * np.random.default_rng(7).standard_normal(samples)
 
 

@@ -12,13 +12,9 @@ python -m benchmarks.calibration.trap [SEEDS] [--minutes M] [--workers N] [--con
 from __future__ import annotations
 
 import csv
-import os
+import itertools
 import time
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import itertools
 
 import jax.numpy as jnp
 import numpy as np

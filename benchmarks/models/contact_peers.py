@@ -15,11 +15,8 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import math
-import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import exudyn as exu
 import jax.numpy as jnp

@@ -18,7 +18,6 @@ import sys
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 

@@ -23,9 +23,6 @@ import tempfile
 from collections.abc import Callable
 from typing import Any
 
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, NamedTuple
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 # Exudyn's build without checks of ranges.
 os.environ.setdefault("EXUDYN_MODULE", "fast")
 
@@ -76,6 +75,7 @@ class Case(NamedTuple):
 
 
 CASES = {"friction": Case(True, RUBBING, TURNS), "no friction": Case(False, {}, 1)}
+Crank = reference.SliderCrank
 
 
 # The equations, for the peers
@@ -120,25 +120,25 @@ def _forces(times, y, p):
     return found
 
 
-def of(case: Case, clearance: float) -> reference.SliderCrank:
+def of(case: Case, clearance: float) -> Crank:
     """The reference's mechanism."""
     return dataclasses.replace(B6, bearing_radius=B6.journal_radius + clearance, **case.options)
 
 
-def numbers(made: reference.SliderCrank) -> np.ndarray:
+def numbers(made: Crank) -> np.ndarray:
     """What ``pull`` reads, and the inertia of the rod about the crank's pin and the slider's mass, shape (13,)."""
     sizes = [made.crank, made.rod, made.rod_mass, made.clearance, made.journal_radius, made.speed]
     law = [made.stiffness, made.damping, made.friction_static, made.friction_dynamic, made.friction_speed]
     return np.array([*sizes, *law, made.rod_inertia + 0.25 * made.rod_mass * made.rod**2, made.slider_mass])
 
 
-def started(made: reference.SliderCrank) -> np.ndarray:
+def started(made: Crank) -> np.ndarray:
     """Angle, place and their rates at time 0."""
     at = reference.ideal(made, np.zeros(()))
     return np.array([at.angle, at.position, at.angle_rate, at.velocity], float)
 
 
-def instants(made: reference.SliderCrank, turns: int) -> np.ndarray:
+def instants(made: Crank, turns: int) -> np.ndarray:
     """Times [s], ``SAMPLES`` a turn."""
     return np.linspace(0.0, turns * made.period, turns * SAMPLES + 1)
 
@@ -153,31 +153,28 @@ def truth(name: str, clearance: float, turns: int) -> np.ndarray:
 # The tools. Each takes a mechanism, times and a tolerance, and returns normal forces with their times.
 
 Forces = tuple[np.ndarray, np.ndarray]
-Tool = Callable[[reference.SliderCrank, np.ndarray, float], Forces]
+Tool = Callable[[Crank, np.ndarray, float], Forces]
+Weights = Callable[..., dict[str, Any]]
 
 
-def scaled(made: reference.SliderCrank, tol: float) -> dict[str, Any]:
+def scaled(made: Crank, tol: float) -> dict[str, Any]:
     """Absolute tolerances by the sizes of the play."""
     speed = made.crank * made.speed
     return {"rtol": 1e-12, "atol": tol * np.array([made.clearance / made.rod, made.clearance, speed / made.rod, speed])}
 
 
-def plain(ratio: float, made: reference.SliderCrank, tol: float) -> dict[str, Any]:
+def plain(ratio: float, made: Crank, tol: float) -> dict[str, Any]:
     """One relative and one absolute tolerance."""
     return {"rtol": tol, "atol": ratio * tol}
 
 
-def by_odeint(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_odeint(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p = numbers(made)
     y = odeint(_field, started(made), times, (p,), tfirst=True, mxstep=10**6, **weights(made, tol))
     return times, _forces(times, y, p)
 
 
-def by_solve_ivp(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_solve_ivp(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p, ends = numbers(made), (times[0], times[-1])
     y = solve_ivp(_field, ends, started(made), "LSODA", times, args=(p,), **weights(made, tol)).y
     return times, _forces(times, np.ascontiguousarray(y.T), p)
@@ -194,12 +191,9 @@ def _signature() -> Any:
     return rate
 
 
-def by_numbalsoda(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_numbalsoda(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p = numbers(made)
-    asked = weights(made, tol)
-    y, _ = numbalsoda.lsoda(_signature().address, started(made), times, p, mxstep=10**6, **asked)
+    y, _ = numbalsoda.lsoda(_signature().address, started(made), times, p, mxstep=10**6, **weights(made, tol))
     return times, _forces(times, y, p)
 
 
@@ -231,7 +225,7 @@ class Exudyn:
             self.system.AddSensor(SensorNode("", self.node, False, "", kind, storeInternal=True)) for kind in kinds
         ]
 
-    def __call__(self, solver: str, ratio: float, made: reference.SliderCrank, times: np.ndarray, tol: float) -> Forces:
+    def __call__(self, solver: str, ratio: float, made: Crank, times: np.ndarray, tol: float) -> Forces:
         """Forces at the steps; ``tol`` of generalised alpha is the step in 1/300 turn."""
         self.p, self.left, start = numbers(made), CALLS, started(made)
         self.system.SetNodeParameter(self.node, "initialCoordinates", start[:2])
@@ -258,7 +252,7 @@ class Exudyn:
         self.states = np.hstack([q[:, 1:], v[:, 1:]])
         return own, _forces(own, self.states, self.p)
 
-    def at(self, own: np.ndarray, made: reference.SliderCrank, times: np.ndarray) -> np.ndarray:
+    def at(self, own: np.ndarray, made: Crank, times: np.ndarray) -> np.ndarray:
         """Forces of the last run at the times, its steps interpolated by polynomials of fifth degree."""
         p, keep = numbers(made), np.append(True, np.diff(own) > 0.0)
         own, states = own[keep], self.states[keep]
@@ -298,7 +292,7 @@ class Package:
         self.program, took = clocked(lambda: jax.jit(self.force).lower(*shapes).compile())
         self.compile_s = took["cpu_s"]
 
-    def values(self, made: reference.SliderCrank) -> dict[str, Any]:
+    def values(self, made: Crank) -> dict[str, Any]:
         """Parameters of the scene."""
         return self.scene.parameters(clearance_journal=made.clearance)
 
@@ -307,11 +301,11 @@ class Package:
         how = Plan(tol, BUDGET)
         return bj.force_history(self.scene, params, self.times, accuracy=how)["journal"]
 
-    def __call__(self, made: reference.SliderCrank, times: np.ndarray, tol: float) -> Forces:
+    def __call__(self, made: Crank, times: np.ndarray, tol: float) -> Forces:
         """A tool."""
         return times, np.asarray(self.program(self.values(made), jnp.asarray(tol)))[:, 0]
 
-    def as_asked(self, made: reference.SliderCrank, times: np.ndarray, asked: float) -> Forces:
+    def as_asked(self, made: Crank, times: np.ndarray, asked: float) -> Forces:
         """A tool: the whole call of a user, at the tolerance that the package takes for a force error."""
         return times, bj.simulate(self.scene, self.values(made), times, accuracy=asked).force["journal"][:, 0]
 

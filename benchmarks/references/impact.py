@@ -7,6 +7,7 @@ that of the undamped impact. Flights are closed forms.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,10 +42,12 @@ def power_law(law: Mapping[str, float], depth: Any, rate: Any) -> Any:
     return k * np.maximum(depth, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
 
 
-def contact(
-    law: Mapping[str, float], mass: float, speed: float, gravity: float = 0.0, begin: float = 0.0
-) -> Contact | None:
-    """The contact of a mass [kg] that arrives with a speed [m/s]; None where it stays, pressed by gravity [m/s^2]."""
+class Stays(ArithmeticError):
+    """The mass does not leave again: gravity presses it deeper than it bounces."""
+
+
+def contact(law: Mapping[str, float], mass: float, speed: float, gravity: float = 0.0, begin: float = 0.0) -> Contact:
+    """The contact of a mass [kg] that arrives with a speed [m/s] under gravity [m/s^2]."""
     n = law["exponent"]
     depth = (mass * speed**2 * (n + 1.0) / (2.0 * law["stiffness"])) ** (1.0 / (n + 1.0))
     unit, sizes = depth / speed, np.array([[depth], [speed]])
@@ -60,7 +63,7 @@ def contact(
         motion, (0.0, 1e3), (1e-11, 1.0), "DOP853", rtol=1e-12, atol=1e-15, events=apart, dense_output=True
     )
     if not run.t_events[0].size:
-        return None
+        raise Stays
     end, rebound = begin + unit * float(run.t_events[0][0]), -speed * float(run.y_events[0][0][1])
     return Contact(law, begin, end, speed, rebound, lambda times: sizes * run.sol((times - begin) / unit))
 
@@ -69,7 +72,8 @@ def bounces(law: Mapping[str, float], mass: float, height: float, gravity: float
     """The first contacts of a mass that is dropped from a height [m]; fewer where it comes to rest."""
     begin, speed = float(np.sqrt(2.0 * height / gravity)), float(np.sqrt(2.0 * gravity * height))
     found: list[Contact] = []
-    while len(found) < count and (one := contact(law, mass, speed, gravity, begin)):
-        found.append(one)
-        begin, speed = one.end + 2.0 * one.rebound / gravity, one.rebound
+    with suppress(Stays):
+        while len(found) < count:
+            found.append(contact(law, mass, speed, gravity, begin))
+            begin, speed = found[-1].end + 2.0 * found[-1].rebound / gravity, found[-1].rebound
     return found

@@ -20,7 +20,6 @@ A refusal must be an ``InputError`` that names the file, quotes at most 200 char
 
 from __future__ import annotations
 
-import argparse
 import collections
 import faulthandler
 import resource
@@ -41,7 +40,7 @@ import tomli_w
 from scipy.optimize import brentq
 
 import benchmarks.common as harness
-from benchmarks.common import ROOT, known, publish, save
+from benchmarks.common import ROOT, known, options, publish, save
 from benchmarks.robustness import kept, records, wholes
 from benchmarks.robustness.mutations import of_bytes, of_lines, of_nodes, of_toml
 
@@ -393,14 +392,10 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
     return harness.table(columns, ({"kind": kind, **row} for kind, row in rows.items()))
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main() -> int:
     """Run the cases, print the table, say every fault once; whether there are any."""
-    options = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    options.add_argument("--cases", type=int, default=2000)
-    options.add_argument("--only", default="")
-    options.add_argument("--seed", type=int, default=0)
-    options.add_argument("--keep", action="store_true", help="keep the rows in benchmarks/results/fuzz.json")
-    given = options.parse_args(arguments)
+    keeping = (False, "keep the rows in benchmarks/results/fuzz.json")
+    given = options(__doc__, cases=2000, only="", seed=0, keep=keeping)
     import bcfj_jax as bj
 
     bj.use_cache()
@@ -416,8 +411,7 @@ def main(arguments: list[str] | None = None) -> int:
             if given.keep:
                 keep(target, found[target], given.seed)
     print(table(found))
-    faults = sum(row["faults"] for row in found.values())
-    return min(faults, 1)
+    return int(any(row["faults"] for row in found.values()))
 
 
 if __name__ == "__main__":

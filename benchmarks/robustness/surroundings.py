@@ -31,8 +31,6 @@ _MB = 1 << 20
 # Takes from an administrator's process the rights that other users do not have.
 _BOUND = ("setpriv", "--bounding-set=-all", "--inh-caps=-all")
 PLAIN = "plain"
-# Verbs that write into no folder.
-SILENT = ("validate", "schema", "doctor", "verify")
 
 
 class Case(NamedTuple):

@@ -10,10 +10,7 @@ constant (``mechanism.EXPLICIT``, ``IMPLICIT``) that the case would bear.
 
 from __future__ import annotations
 
-import os
 from typing import Any, NamedTuple
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax.numpy as jnp
 import numpy as np

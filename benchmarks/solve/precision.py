@@ -8,7 +8,6 @@ its own runs the batches in each; the parent compares.
 
 from __future__ import annotations
 
-import os
 import statistics
 import tempfile
 import time
@@ -17,10 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bcfj_jax.models.joint.scene import PLAIN
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -28,6 +23,7 @@ import numpy as np
 
 import benchmarks.common as harness
 from bcfj_jax import scenes
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.clock import keep_programs, seconds

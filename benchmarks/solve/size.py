@@ -10,13 +10,10 @@ do not touch. Memory is what the compiled program reserves beside its input and 
 
 from __future__ import annotations
 
-import os
 import resource
 import time
 from collections.abc import Callable
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp

@@ -14,15 +14,11 @@ its step differs from it by more than a tenth of the limit, the draw is not judg
 
 from __future__ import annotations
 
-import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-from collections import Counter
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
