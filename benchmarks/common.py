@@ -30,10 +30,11 @@ def options(doc: str | None, positional: Mapping[str, Any] | None = None, **name
 
     A number, text or path is the default of one value, a type stands for one value without a default, False for a switch.
     Of a list or table any number of its names is taken, all by default; of ``Some`` any values. (default, help) says more.
+    What is positional and has no default must be given.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, given in (positional or {}).items():
-        parser.add_argument(name, **_option(given, {"nargs": "?"}))
+        parser.add_argument(name, **_option(given, {} if isinstance(given, type) else {"nargs": "?"}))
     for name, given in named.items():
         parser.add_argument("--" + name.replace("_", "-"), dest=name, **_option(given, {}))
     return parser.parse_args()

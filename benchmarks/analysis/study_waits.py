@@ -59,6 +59,8 @@ def waited(checkout: Path, study: Path, cache: Path) -> float:
 
 def main() -> None:
     given = options(__doc__, against=Path, rounds=3, only=STUDIES)
+    if given.against is None:
+        raise SystemExit("--against DIR is missing: a checkout of an older commit")
     trees = {"before": given.against.resolve(), "now": ROOT}
     found: dict[str, Any] = known("study_waits")["studies"] if set(given.only) < set(STUDIES) else {}
     for name in given.only:
