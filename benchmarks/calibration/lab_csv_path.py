@@ -8,6 +8,7 @@ Every command, its exit code, its time and the last line that it said are printe
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
@@ -25,7 +26,7 @@ def main() -> int:
     steps: list[dict[str, Any]] = []
 
     def step(*words: str) -> Done:
-        done = bcfj(words, folder)
+        done = bcfj(words, folder, {"BCFJ_CACHE": os.environ.get("BCFJ_CACHE")})
         said = [line for line in (done.out + done.err).splitlines() if line.strip()]
         steps.append({"command": " ".join(["bcfj", *words]), "exit_code": done.code, "wall_s": done.wall_s})
         steps[-1]["said"] = said[-1] if said else ""

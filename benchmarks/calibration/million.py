@@ -9,6 +9,7 @@ each a process of its own. With ``--keep`` the table is kept in ``benchmarks/res
 from __future__ import annotations
 
 import json
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from benchmarks import common
 from benchmarks.calibration import instruments
 from benchmarks.common import options
-from benchmarks.processes import Done, bcfj
+from benchmarks.processes import bcfj
 from benchmarks.references.impact import contact
 
 # Step of the clock [s], noise [N].
@@ -50,7 +51,8 @@ def main() -> int:
     """Time both files, print and keep the table."""
     given, rows = options(__doc__, samples=1_000_000, keep=False), {}
 
-    def row(done: Done) -> dict[str, Any]:
+    def row(*words: str) -> dict[str, Any]:
+        done = bcfj(words, variables={"BCFJ_CACHE": os.environ.get("BCFJ_CACHE")})
         return {"exit": done.code, "cpu_s": round(done.cpu_s, 1), "peak_mb": round(done.peak_mb)}
 
     with tempfile.TemporaryDirectory() as name:
@@ -60,8 +62,8 @@ def main() -> int:
             known = ("--mass", "0.8 kg", "--speed", "1.2 m/s", "--out", str(problem))
             rows[kind] = {
                 "megabytes": round(path.stat().st_size / 1e6, 1),
-                "init": row(bcfj(["init", "calibration", str(path), *known])),
-                "calibrate": row(bcfj(["calibrate", str(problem), "--out", str(out), "-q"])),
+                "init": row("init", "calibration", str(path), *known),
+                "calibrate": row("calibrate", str(problem), "--out", str(out), "-q"),
             }  # fmt: skip
             fit = json.loads((out / "fit.json").read_text()) if (out / "fit.json").exists() else {}
             rows[kind]["verdict"] = fit.get("verdict")

@@ -102,7 +102,7 @@ def growth(processes: int, checkout: Path) -> dict[str, dict[str, dict[str, floa
         rows: dict[str, list[list[float]]] = {str(count): [] for count in counts}
         for _ in range(processes):
             for count, row in rows.items():
-                ran = done([sys.executable, "-c", made + _MEASURED, count], ROOT, surroundings)
+                ran = done([sys.executable, "-c", made + _MEASURED, count], checkout, surroundings)
                 row.append([float(x) for x in ran.out.split()])
         found[name] = {
             count: dict(zip(("first", "run"), map(statistics.median, zip(*row, strict=True)), strict=True))
