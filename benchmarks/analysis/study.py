@@ -36,24 +36,28 @@ LOW, HIGH = 1e-5, 1e-4
 FEATURES = ["seat_cage.peak", "seat_ball.peak"]
 
 
-def dynamic(points: int) -> dict[str, Any]:
+# Of equilibria one ball's pitch at 100 r/min, after the ramp of the load.
+PITCH: dict[str, Any] = {"time": {"end": 0.1, "samples": 13}, "parameters": {"load_ramp": 1e-6}}
+STILL = ["seat_ball.peak", "cage_ball.peak"]
+
+
+def clearances(
+    points: int, options: dict[str, Any], features: list[str], derivatives: list[str] | None = None, **scene: Any
+) -> dict[str, Any]:
+    """A study of clearances of the joint's seat pilot over a decade."""
     return {
-        "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.6, "samples": 601}},
+        "scene": {"scene": {"kind": "joint", **options}, **scene},
         "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
-        "results": {"features": FEATURES},
+        "results": {"features": features, **({"derivatives": derivatives} if derivatives else {})},
     }
 
 
+def dynamic(points: int) -> dict[str, Any]:
+    return clearances(points, PLAIN, FEATURES, time={"end": 0.6, "samples": 601})
+
+
 def static(points: int) -> dict[str, Any]:
-    return {
-        # One ball's pitch at 100 r/min, after the ramp of the load.
-        "scene": {
-            "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN}, "time": {"end": 0.1, "samples": 13},
-            "parameters": {"load_ramp": 1e-6},
-        },
-        "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
-        "results": {"features": ["seat_ball.peak", "cage_ball.peak"]},
-    }  # fmt: skip
+    return clearances(points, {"fidelity": "quasistatic", **PLAIN}, STILL, **PITCH)
 
 
 def kept() -> None:

@@ -27,7 +27,7 @@ from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import Study, from_table
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.analysis.study import between, kept, watched
+from benchmarks.analysis.study import FEATURES, PITCH, STILL, between, clearances, kept, watched
 from benchmarks.clock import clocked
 from benchmarks.common import known, options, publish, save, table
 
@@ -38,7 +38,7 @@ SETTLED = 0.5
 
 def cases(points: int) -> dict[str, dict[str, Any]]:
     """Study tables by name."""
-    joint = {"lower": 1e-5, "upper": 1e-4, "steps": points, "scale": "log"}
+    wrt = ["stiffness", "clearance_seat_cage"]
     return {
         "impact, 0.3 ms": {
             "scene": {"scene": {"kind": "impact"}, "time": {"end": 3e-4, "samples": 301}},
@@ -53,26 +53,10 @@ def cases(points: int) -> dict[str, dict[str, Any]]:
                 "derivatives": ["stiffness", "clearance_journal"],
             },
         },
-        "joint in equilibrium, 13 instants": {
-            "scene": {
-                "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN},
-                "time": {"end": 0.1, "samples": 13},
-                "parameters": {"load_ramp": 1e-6},
-            },
-            "vary": {"clearance_seat_cage": joint},
-            "results": {
-                "features": ["seat_ball.peak", "cage_ball.peak"],
-                "derivatives": ["stiffness", "clearance_seat_cage"],
-            },
-        },
-        "joint, 0.2 s": {
-            "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.2, "samples": 301}},
-            "vary": {"clearance_seat_cage": joint},
-            "results": {
-                "features": ["seat_cage.peak", "seat_ball.peak"],
-                "derivatives": ["stiffness", "clearance_seat_cage"],
-            },
-        },
+        "joint in equilibrium, 13 instants": clearances(
+            points, {"fidelity": "quasistatic", **PLAIN}, STILL, wrt, **PITCH
+        ),
+        "joint, 0.2 s": clearances(points, PLAIN, FEATURES, wrt, time={"end": 0.2, "samples": 301}),
     }
 
 

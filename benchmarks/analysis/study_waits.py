@@ -15,26 +15,14 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.io.outputs import write_toml
+from benchmarks.analysis.study import PITCH, STILL, clearances
 from benchmarks.common import ROOT, known, options, publish, save, table
 from benchmarks.processes import bcfj, commit
 
-
-def clearances(points: int, **scene: Any) -> dict[str, Any]:
-    """Clearances of the joint's seat pilot over a decade."""
-    return {
-        "scene": {"scene": {"kind": "joint", **scene.pop("options", {})}, **scene},
-        "vary": {"clearance_seat_cage": {"lower": 1e-5, "upper": 1e-4, "steps": points, "scale": "log"}},
-        "results": {"features": ["seat_ball.peak", "cage_ball.peak"]},
-    }
-
-
 STUDIES: dict[str, dict[str, Any]] = {
-    "joint, 0.6 s, 256 points": clearances(256, time={"end": 0.6, "samples": 601}),
-    "joint, 0.1 s, 256 points": clearances(256, time={"end": 0.1, "samples": 101}),
-    # One ball's pitch, after the ramp of the load.
-    "joint in equilibrium, 13 instants, 20 000 points": clearances(
-        20_000, options={"fidelity": "quasistatic"}, time={"end": 0.1, "samples": 13}, parameters={"load_ramp": 1e-6}
-    ),
+    "joint, 0.6 s, 256 points": clearances(256, {}, STILL, time={"end": 0.6, "samples": 601}),
+    "joint, 0.1 s, 256 points": clearances(256, {}, STILL, time={"end": 0.1, "samples": 101}),
+    "joint in equilibrium, 13 instants, 20 000 points": clearances(20_000, {"fidelity": "quasistatic"}, STILL, **PITCH),
     "slider-crank with friction, two turns, 2 048 points": {
         "scene": {"scene": {"kind": "slider_crank", "friction": True}, "time": {"end": 0.024, "samples": 601}},
         "vary": {"clearance_journal": {"lower": 1e-4, "upper": 5e-4, "steps": 2048}},

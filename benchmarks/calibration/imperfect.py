@@ -29,7 +29,7 @@ from scipy.signal import lfilter
 import bcfj_jax as bj
 import benchmarks.common as harness
 from benchmarks.clock import pool, until
-from benchmarks.common import Some, known, markdown, options, publish, save, told
+from benchmarks.common import Some, known, options, publish, save, told
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 from calibration.uncertainty.estimates import placed
 
@@ -298,29 +298,30 @@ def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
 
 def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
     """By number of runs: worlds that priors were chosen on, and the others."""
-    rows = [["worlds", "runs", "fits", "noise holds", "quoted holds", "force holds", "cells below .88",
-             "width over the former budget's", "over an oracle's: damping", "stiffness", "exponent"]]  # fmt: skip
-    for name, new in (("chosen on", False), ("judged on", True)):
-        for runs in SPEEDS:
-            own = {
-                k: list(v.values()) for k, v in cells.items()
-                if int(k.rpartition("|")[2]) == runs and (k.split("|")[0] in (*OTHER, *NOISES)) == new
-            }  # fmt: skip
-            fits = [of for found in own.values() for of in found]
-            if not fits:
-                continue
-            held = [shares(fits, kind) for kind in KINDS]
-            low = sum(shares(v, "quoted")[0] < 0.88 * shares(v, "quoted")[1] for v in own.values())
-            ratios = [
-                np.median(w) / former[k] for k, v in own.items() if k in former and (w := every(v, "widths", "quoted"))
-            ]
-            over = [every(fits, "oracle", name) for name in ("damping", "stiffness", "exponent")]
-            rows.append([
-                name, str(runs), str(sum(of["fits"] for of in fits)), *(f"{a / max(b, 1):.1%} of {b}" for a, b in held),
-                f"{low} of {len(own)}", f"{np.median(ratios):.2f}" if ratios else "",
-                *(f"{np.median(w):.2f}" if w else "" for w in over),
-            ])  # fmt: skip
-    return markdown(rows)
+    rows = []
+    for (name, new), runs in itertools.product((("chosen on", False), ("judged on", True)), SPEEDS):
+        own = {
+            k: list(v.values()) for k, v in cells.items()
+            if int(k.rpartition("|")[2]) == runs and (k.split("|")[0] in (*OTHER, *NOISES)) == new
+        }  # fmt: skip
+        fits = [of for found in own.values() for of in found]
+        if not fits:
+            continue
+        low = sum(shares(v, "quoted")[0] < 0.88 * shares(v, "quoted")[1] for v in own.values())
+        wide = {k: every(v, "widths", "quoted") for k, v in own.items() if k in former}
+        ratios = [np.median(w) / former[k] for k, w in wide.items() if w]
+        over = {parameter: every(fits, "oracle", parameter) for parameter in TRUTH}
+        rows.append({
+            "worlds": name, "runs": runs, "fits": sum(of["fits"] for of in fits), "low": f"{low} of {len(own)}",
+            "ratio": f"{np.median(ratios):.2f}" if ratios else "",
+            **{kind: f"{a / max(b, 1):.1%} of {b}" for kind, (a, b) in ((kind, shares(fits, kind)) for kind in KINDS)},
+            **{parameter: f"{np.median(w):.2f}" if w else "" for parameter, w in over.items()},
+        })  # fmt: skip
+    return harness.table({
+        "worlds": "{worlds}", "runs": "{runs}", "fits": "{fits}", "noise holds": "{noise}", "quoted holds": "{quoted}",
+        "force holds": "{force}", "cells below .88": "{low}", "width over the former budget's": "{ratio}",
+        "over an oracle's: damping": "{damping}", "stiffness": "{stiffness}", "exponent": "{exponent}",
+    }, rows)  # fmt: skip
 
 
 def main() -> None:
