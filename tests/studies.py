@@ -9,9 +9,9 @@ import numpy as np
 from bcfj_jax.analysis.axes import Axis
 from bcfj_jax.analysis.studies.finished import Finished
 from bcfj_jax.analysis.studies.specification import Study, from_table
-from benchmarks.robustness import running
+from benchmarks import processes
 
-STUDY = running.STUDY.format(steps=7)
+STUDY = processes.STUDY.format(steps=7)
 
 # An impact without damping, whose peak is a product of powers: K^(1/(n+1)) ((n+1)/2 m v^2)^(n/(n+1)), n = 3/2.
 IMPACT = """

@@ -48,8 +48,8 @@ def test_a_table_is_put_between_its_markers_and_nowhere_else(tmp_path, monkeypat
     readme = tmp_path / "README.md"
     readme.write_text("before\n<!-- x: begin -->\n<!-- x: end -->\nafter\n")
     for table in ("first", "second"):
-        common.put_in_readme("x", table)
+        common.publish("x", table)
         assert readme.read_text() == f"before\n<!-- x: begin -->\n{table}\n<!-- x: end -->\nafter\n"
     with pytest.raises(ValueError, match=r"README\.md: the markers '<!-- y: begin"):
-        common.put_in_readme("y", "lost")
+        common.publish("y", "lost")
     assert "second" in readme.read_text()

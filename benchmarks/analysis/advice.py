@@ -9,21 +9,19 @@ keep the budget: as it is advised, and by the scene's own errors alone.
 
 from __future__ import annotations
 
-import argparse
-import os
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import benchmarks.common as harness
 from bcfj_jax.analysis.tradeoff import advice
 from bcfj_jax.analysis.tradeoff.settings import ERRORS, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
 from bcfj_jax.solve.plan import Plan, plan
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import options, publish, save
 from benchmarks.solve.levels import BUDGET, LOST, SAMPLES, off, runner
 from benchmarks.solve.random_scenes import LAWS, springs
 
@@ -93,25 +91,23 @@ def counted(found: np.ndarray) -> list[dict[str, Any]]:
     return rows
 
 
+def table(kinds: dict[str, list[dict[str, Any]]]) -> str:
+    """The rows of both kinds."""
+    return harness.table([
+        ("scene", "{kind}"), ("budget", lambda row: f"{100 * row['budget']:g} %"),
+        ("as advised: variants within", "{advised[kept]} of {advised[variants]}"), ("worst over budget", "{advised[worst]:.2g}"),
+        ("loosest: within", "{loosest[kept]} of {loosest[variants]}"), ("worst", "{loosest[worst]:.2g}"),
+    ], ({"kind": kind, **row} for kind, rows in kinds.items() for row in rows))  # fmt: skip
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=8, help="of each kind and law")
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    results = {}
-    table = [["scene", "budget", "as advised: variants within", "worst over budget", "loosest: within", "worst"]]
-    for kind in ("impact", "bounce"):
-        results[kind] = counted(np.concatenate([ladder(kind, law, asked.scenes) for law in LAWS]))
-        for row in results[kind]:
-            cells = [
-                text
-                for each in (row[name] for name in WAYS)
-                for text in (f"{each['kept']} of {each['variants']}", f"{each['worst']:.2g}")
-            ]
-            table.append([kind, f"{100 * row['budget']:g} %", *cells])
-    save("advice", {"variants": VARIANTS, "spread": SPREAD, "safety": advice.SAFETY, **results})
-    put_in_readme("advice", markdown(table), "docs/tradeoff.md")
-    print(markdown(table))
+    scenes = options(__doc__, scenes=(8, "of each kind and law")).scenes
+    keep_programs()
+    kinds = {
+        kind: counted(np.concatenate([ladder(kind, law, scenes) for law in LAWS])) for kind in ("impact", "bounce")
+    }
+    save("advice", {"variants": VARIANTS, "spread": SPREAD, "safety": advice.SAFETY, **kinds})
+    publish("advice", table(kinds), "docs/tradeoff.md")
 
 
 if __name__ == "__main__":

@@ -12,23 +12,21 @@ here was fitted to the paper, and most of the joint's numbers are guesses (docs/
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis.features import residual_oscillation
-from bcfj_jax.io import plots
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.common import ROOT, drawing, options, publish, save
 
 NORMAL, AXIAL = (1.18, 1.82), (1.52, 2.75)
 LOW, HIGH, SAMPLES = 1e-6, 2e-4, 3001
@@ -99,65 +97,51 @@ def claims(found: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drawn(found: dict[str, dict[str, Any]], path: Path) -> None:
-    with plots.style():
-        figure = Figure(figsize=(11, 4.2), layout="constrained")
-        for axes, (title, one) in zip(figure.subplots(1, 2, sharey=True), found.items(), strict=True):
+def drawn(found: dict[str, dict[str, Any]]) -> None:
+    with drawing("clearance.png", (11, 4.2), 2, sharey=True) as both:
+        for axes, (title, one) in zip(both, found.items(), strict=True):
             x = np.array(one["clearance"]) * 1e6
             for name in (n for n in one if isinstance(one[n], dict)):
                 (line,) = axes.plot(x, np.array(one[name]["normal"]) / 1e3, label=name)
                 axes.plot(x, np.array(one[name]["axial"]) / 1e3, "--", lw=0.9, color=line.get_color())
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-            axes.set_xlabel("radial clearance of the seat's pilot [um]")
-            axes.set_title(title)
-        figure.axes[0].set_ylabel("residual oscillation [kN]")
-        figure.axes[0].legend(fontsize=8, title="normal; dashed: axial")
-        figure.savefig(path, dpi=110)
+            axes.set(xscale="log", yscale="log", xlabel="radial clearance of the seat's pilot [um]", title=title)
+        both[0].set_ylabel("residual oscillation [kN]")
+        both[0].legend(fontsize=8, title="normal; dashed: axial")
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
     """Claims against the model, as Markdown."""
-    rows = [["the paper says", *found]]
-    made = [claims(one) for one in found.values()]
 
-    def said(words: str, of: Any) -> None:
-        rows.append([words, *map(of, made)])
+    def grows(name: str, c: dict[str, Any]) -> str:
+        rank, last = c["grows_spearman"][name], c["last_over_first"][name]
+        return f"{'yes' if rank > 0.5 else 'no'}: rank correlation {rank:.2f}, last over first {last:.3g}"
 
-    for name in ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball"):
-        said(
-            f"oscillation grows with clearance: {name}",
-            lambda c, name=name: (
-                f"{'yes' if c['grows_spearman'][name] > 0.5 else 'no'}: rank correlation "
-                f"{c['grows_spearman'][name]:.2f}, last over first {c['last_over_first'][name]:.3g}"
-            ),
-        )
-    said(
-        "axial less than normal (0.14 at cage and seat)",
-        lambda c: (
-            f"{', '.join(f'{n} {v:.0%}' for n, v in c['axial_less_than_normal'].items())} of points; "
-            f"median {c['axial_over_normal_seat_cage']:.2f} at cage and seat"
-        ),
-    )
-    said(
-        "ball and groove less than cage and seat",
-        lambda c: f"{c['ball_less_than_cage']:.0%} of points; median ratio {c['ball_over_cage']:.2f}",
-    )
-    said(
-        "fewer, higher impacts of cage and seat",
-        lambda c: (
-            (f"{c['impacts'][0]:.0f} to {c['impacts'][1]:.0f} onsets" if c["impacts"][1] else "none: it never lets go")
-            + f"; rank correlation of the peak {c['higher_impacts_spearman']:.2f}"
-        ),
-    )
-    return markdown(rows)
+    def axial(c: dict[str, Any]) -> str:
+        shares = ", ".join(f"{n} {v:.0%}" for n, v in c["axial_less_than_normal"].items())
+        return f"{shares} of points; median {c['axial_over_normal_seat_cage']:.2f} at cage and seat"
+
+    def impacts(c: dict[str, Any]) -> str:
+        least, most = c["impacts"]
+        onsets = f"{least:.0f} to {most:.0f} onsets" if most else "none: it never lets go"
+        return f"{onsets}; rank correlation of the peak {c['higher_impacts_spearman']:.2f}"
+
+    said: dict[str, Callable[[dict[str, Any]], str]] = {
+        **{
+            f"oscillation grows with clearance: {name}": partial(grows, name)
+            for name in ("seat_cage", "head_cage", "cage_ball", "seat_ball", "head_ball")
+        },
+        "axial less than normal (0.14 at cage and seat)": axial,
+        "ball and groove less than cage and seat":
+            "{ball_less_than_cage:.0%} of points; median ratio {ball_over_cage:.2f}".format_map,
+        "fewer, higher impacts of cage and seat": impacts,
+    }  # fmt: skip
+    made = {title: claims(one) for title, one in found.items()}
+    models = {title: lambda row, c=c: row[1](c) for title, c in made.items()}
+    return harness.table({"the paper says": lambda row: row[0], **models}, said.items())
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--points", type=int, default=24)
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
+    given = options(__doc__, points=24, workers=2)
     os.environ.setdefault("BCFJ_CACHE", str(ROOT / "build" / "jax-cache"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -166,9 +150,8 @@ def main() -> None:
             "all clearances together": studied(given.points, given.workers, True, folder / "all"),
         }
     save("clearance", {"found": found, "claims": {k: claims(v) for k, v in found.items()}})
-    drawn(found, ROOT / "docs" / "images" / "clearance.png")
-    print(table(found))
-    put_in_readme("clearance", table(found), "docs/studies.md")
+    drawn(found)
+    publish("clearance", table(found), "docs/studies.md")
 
 
 if __name__ == "__main__":

@@ -14,16 +14,12 @@ of runs without derivatives confirm it (``tests/analysis/test_contact_events.py`
 
 from __future__ import annotations
 
-import argparse
-import os
-import time
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import apart as differing
@@ -35,7 +31,8 @@ from bcfj_jax.core.dual import Dual
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
 from bcfj_jax.xla.programs import program
-from benchmarks.common import load, markdown, put_in_readme, save
+from benchmarks.clock import seconds as took
+from benchmarks.common import load, options, publish, save
 from benchmarks.references.bounce_events import KINDS, NAMES, closed, integrated
 
 SCENE = bj.scenes.bounce(smoothing=False)
@@ -84,14 +81,9 @@ def from_samples(scene: Any, params: dict, end: float, wrt: tuple[str, ...], exa
 
 
 def seconds(run: Any, repeats: int = REPEATS) -> float:
-    """CPU seconds, the median of a few."""
+    """CPU seconds, the median of a few, after one that compiles."""
     run()
-    spent = []
-    for _ in range(repeats):
-        begin = time.process_time()
-        run()
-        spent.append(time.process_time() - begin)
-    return float(np.median(spent))
+    return float(np.median(took(run, repeats)))
 
 
 def case(name: str, count: int, by_bdf: bool = False) -> dict[str, Any]:
@@ -188,22 +180,18 @@ def joint() -> list[dict[str, Any]]:
 
 
 def joint_table(rows: list[dict[str, Any]]) -> str:
-    head = [
-        "accuracy",
-        *(TITLES.get(k, k) for k in EVENTS),
-        "error below `apart`",
-        "`trusted` in a sensitivity",
-        "error at most as stated",
-        "worst error over stated",
-    ]
-    shown = [[*head, "steps", "CPU s"]]
-    for r in rows:
-        own = [f"{r['off'][k][0]:.0e} ({r['off'][k][1]:.0e})" for k in EVENTS]
-        bound = [f"{100 * r[k]:.1f} %" for k in ("bounded", "trusted", "bounded_of_trusted")]
-        bound.append(f"{r['worst_of_trusted']:.1f}")
-        name = f"{r['accuracy'] * r['looser']:.0e} (a fit's)" if r["looser"] > 1.0 else str(r["accuracy"])
-        shown.append([name, *own, *bound, str(r["steps"]), f"{r['events_s']:.1f}"])
-    return markdown(shown)
+    def percent(key: str) -> Any:
+        return lambda r: f"{100 * r[key]:.1f} %"
+
+    def name(r: dict[str, Any]) -> str:
+        return f"{r['accuracy'] * r['looser']:.0e} (a fit's)" if r["looser"] > 1.0 else str(r["accuracy"])
+
+    return harness.table({
+        "accuracy": name, **{TITLES.get(k, k): f"{{off[{k}][0]:.0e}} ({{off[{k}][1]:.0e}})" for k in EVENTS},
+        "error below `apart`": percent("bounded"), "`trusted` in a sensitivity": percent("trusted"),
+        "error at most as stated": percent("bounded_of_trusted"), "worst error over stated": "{worst_of_trusted:.1f}",
+        "steps": "{steps}", "CPU s": "{events_s:.1f}",
+    }, rows)  # fmt: skip
 
 
 def shape() -> dict[str, Any]:
@@ -220,27 +208,17 @@ def shape() -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    head = [
-        "law",
-        "contacts",
-        "contact over flight",
-        *(TITLES.get(k, k) for k in KINDS),
-        "stated",
-        "begins from samples",
-    ]
-    shown = [[*head, "steps", "CPU, over a run without derivatives"]]
-    for r in rows:
-        own = [f"{r['given'][k]:.0e} ({r['level'][k]:.0e})" for k in KINDS]
-        ratio = f"{r['events_s'] / r['values_s']:.1f}"
-        few = [r["case"], str(r["contacts"]), f"1/{1.0 / r['contact_over_flight']:.0f}"]
-        shown.append([*few, *own, f"{r['stated']:.0e}", f"{r['from_samples']:.2g}", str(r["steps"]["given"]), ratio])
-    return markdown(shown)
+    return harness.table({
+        "law": "{case}", "contacts": "{contacts}", "contact over flight": lambda r: f"1/{1.0 / r['contact_over_flight']:.0f}",
+        **{TITLES.get(k, k): f"{{given[{k}]:.0e}} ({{level[{k}]:.0e}})" for k in KINDS}, "stated": "{stated:.0e}",
+        "begins from samples": "{from_samples:.2g}", "steps": "{steps[given]}",
+        "CPU, over a run without derivatives": lambda r: f"{r['events_s'] / r['values_s']:.1f}",
+    }, rows)  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--joint", action="store_true", help="the joint alone; the bounces are those that are kept")
-    if parser.parse_args().joint:
+    alone = options(__doc__, joint=(False, "the joint alone; the bounces are those that are kept")).joint
+    if alone:
         kept = load("contact_events")
         rows, of_shape = kept["cases"], kept["shape"]
     else:
@@ -249,9 +227,8 @@ def main() -> None:
         of_shape = shape()
     of_joint = joint()
     save("contact_events", {"cases": rows, "least": LEAST, "shape": of_shape, "joint": of_joint})
-    put_in_readme("contact-events", table(rows), "docs/derivatives.md")
-    put_in_readme("contact-events-joint", joint_table(of_joint), "docs/derivatives.md")
-    print(table(rows), joint_table(of_joint), sep="\n\n")
+    publish("contact-events", table(rows), "docs/derivatives.md")
+    publish("contact-events-joint", joint_table(of_joint), "docs/derivatives.md")
 
 
 if __name__ == "__main__":

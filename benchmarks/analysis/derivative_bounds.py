@@ -13,20 +13,17 @@ are seeds 2 and 3.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.certificate import averaged, norm
 from bcfj_jax.analysis.derivatives.jacobian import Histories, level
@@ -36,7 +33,7 @@ from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan
 from benchmarks.analysis.variational import Variational
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.common import ROOT, known, options, publish, save
 from benchmarks.solve.random_scenes import LAWS, joints, springs
 
 KINDS = ("impact", "bounce", "oblique_impact", "slider_crank", "joint", "joint_plain")
@@ -279,45 +276,32 @@ def summary(rows: Sequence[Row]) -> Row:
 
 def table(kinds: dict[str, Row]) -> str:
     """The table of docs/derivatives.md."""
-    head = ["scene", "derivatives", "`trusted`", "error at most as stated", "worst error over stated",
-            "stated over error, median",
-"`averaged only`", "bounded", "features `trusted`", "bounded"]  # fmt: skip
-    rows = [head]
-    for kind, s in kinds.items():
-        if not s["trusted"]:
-            continue
-        rows.append(
-            [
-                kind.replace("_", " "), str(s["derivatives"]), str(s["trusted"]), f"{100 * s['bounded'][0]:.1f} %",
-                f"{s['worst'][0]:.2f}", f"{s['overestimate'][0]:.2f}", str(s["averaged only"]),
-                "-" if s["averaged bounded"] is None else f"{100 * s['averaged bounded']:.1f} %",
-                str(s["features trusted"]), "-" if s["features bounded"] is None else f"{100 * s['features bounded']:.1f} %",
-            ]
-        )  # fmt: skip
-    return markdown(rows)
+
+    def percent(of: Any) -> Any:
+        return lambda s: "-" if of(s) is None else f"{100 * of(s):.1f} %"
+
+    columns = [
+        ("scene", lambda s: s["kind"].replace("_", " ")), ("derivatives", "{derivatives}"), ("`trusted`", "{trusted}"),
+        ("error at most as stated", percent(lambda s: s["bounded"][0])), ("worst error over stated", "{worst[0]:.2f}"),
+        ("stated over error, median", "{overestimate[0]:.2f}"), ("`averaged only`", "{averaged only}"),
+        ("bounded", percent(lambda s: s["averaged bounded"])), ("features `trusted`", "{features trusted}"),
+        ("bounded", percent(lambda s: s["features bounded"])),
+    ]  # fmt: skip
+    return harness.table(columns, ({"kind": kind, **s} for kind, s in kinds.items() if s["trusted"]))
 
 
 def main() -> None:
     """Collect, sum up, save."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--scenes", type=int, default=100)
-    parser.add_argument("--only", nargs="*", default=KINDS, choices=KINDS)
-    parser.add_argument("--table", action="store_true", help="of what is kept already")
-    options = parser.parse_args()
-    if not options.table:
-        for kind in options.only:
-            collect(kind, options.scenes)
-    kept = load("derivative_bounds")["kinds"] if (RESULTS / "derivative_bounds.json").exists() else {}
+    given = options(__doc__, scenes=100, only=list(KINDS), table=(False, "of what is kept already"))
+    for kind in () if given.table else given.only:
+        collect(kind, given.scenes)
+    kept = known("derivative_bounds").get("kinds", {})
     for kind in KINDS:
-        files = sorted((FOLDER / kind).glob("*.json")) if (FOLDER / kind).exists() else []
-        if files:
+        if files := sorted((FOLDER / kind).glob("*.json")):
             kept[kind] = summary([json.loads(path.read_text()) for path in files])
-    save(
-        "derivative_bounds",
-        {"seed": SEED, "seeds": SEEDS, "kinds": {kind: kept[kind] for kind in KINDS if kind in kept}},
-    )
-    put_in_readme("bounds", table({kind: kept[kind] for kind in KINDS if kind in kept}), "docs/derivatives.md")
-    print(table(kept))
+    kinds = {kind: kept[kind] for kind in KINDS if kind in kept}
+    save("derivative_bounds", {"seed": SEED, "seeds": SEEDS, "kinds": kinds})
+    publish("bounds", table(kinds), "docs/derivatives.md")
 
 
 if __name__ == "__main__":

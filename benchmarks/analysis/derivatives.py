@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT
+from benchmarks.common import ROOT, keep_arrays, kept_arrays
 
 if TYPE_CHECKING:
     from benchmarks.references.joint_sensitive import Sensitive
@@ -51,9 +51,8 @@ class Reference(NamedTuple):
 
 def load(path: Path = PATH) -> Reference:
     """The kept file."""
-    with np.load(path, allow_pickle=False) as kept:
-        settings = json.loads(str(kept["settings"]))
-        return Reference(kept["times"], kept["force"].astype(float), kept["slope"].astype(float), settings)
+    kept, settings = kept_arrays(path)
+    return Reference(kept["times"], kept["force"], kept["slope"], settings)
 
 
 def moved(params: Mapping[str, Any], logs: Any) -> dict[str, Any]:
@@ -193,13 +192,8 @@ def make() -> None:
         "scene": "joint, every option at its default",
         "values": {name: float(value) for name, value in params.items()},
     }
-    PATH.parent.mkdir(parents=True, exist_ok=True)
-    kept_settings: Any = np.array(json.dumps(settings))
-    np.savez_compressed(
-        PATH, times=times, force=force.astype(np.float32), slope=slope.astype(np.float32), settings=kept_settings
-    )
+    keep_arrays(PATH, settings, times, {"force": force, "slope": slope})
     print(json.dumps({key: settings[key] for key in ("influence", "largest", "convergence")}, indent=1))
-    print(f"{PATH.name}: {PATH.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -11,17 +11,20 @@ risen and a pitch has passed. Ranges are those of the physics sheet, 5.1; tolera
 
 from __future__ import annotations
 
-import sys
-import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis.designs import result
 from bcfj_jax.analysis.designs.confirm import By, confirm
 from bcfj_jax.analysis.designs.objective import objective
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked
+from benchmarks.common import IMAGES, Some, known, load, options, publish, save
 
 # Lower, upper, tolerance. PCR/r_ball 3.8 to 4.6 would leave the spheres: the pitch circle stays 1 mm about its place.
 FREE = {
@@ -50,56 +53,50 @@ def main(names: list[str]) -> None:
     params = scene.parameters()
     t, results = times(params), {}
     for name in names or OBJECTIVES:
-        begin = time.process_time()
-        found = bj.design(scene, params, t, name, FREE, starts=STARTS)
-        wall = time.process_time() - begin
-        print(f"{name}: {found.status}, {wall:.0f} s of one core\n  {found.reason}", flush=True)
+        found, took = clocked(lambda name=name: bj.design(scene, params, t, name, FREE, starts=STARTS))
+        print(f"{name}: {found.status}, {took['cpu_s']:.0f} s of one core\n  {found.reason}", flush=True)
         wanted = objective(name, (), motion.members)
         designs = (params, t), ({**params, **found.values}, t)
         other = confirm(scene, By(motion, "sdirk2", 1e-4), designs, wanted, found.gain)
         print(f"  {found.values}\n  {found.confirmation}\n  {other}\n  {found.robustness}")
-        images = ROOT / "docs" / "images"
         if name == OBJECTIVES[0]:
-            result.draw_starts(found, images / "design_starts.png")
-            result.draw_slices(found, images / "design.png")
-        results[name] = {**found.content(), "by_sdirk2": other._asdict(), "seconds": wall}
+            result.draw_starts(found, IMAGES / "design_starts.png")
+            result.draw_slices(found, IMAGES / "design.png")
+        results[name] = {**found.content(), "by_sdirk2": other._asdict(), "seconds": took["cpu_s"]}
     # Objectives may be run apart.
-    kept = load("design")["designs"] if (RESULTS / "design.json").exists() else {}
-    designs = {name: one for name, one in {**kept, **results}.items() if name in OBJECTIVES}
+    designs = {**known("design").get("designs", {}), **results}
     save("design", {"designs": {name: designs[name] for name in OBJECTIVES if name in designs}})
-    draw()
+    publish("design", table(load("design")["designs"]), "docs/design.md")
 
 
-def draw() -> None:
+def table(kept: dict[str, Any]) -> str:
     """The table of the page."""
-    kept = load("design")["designs"]
-    rows = [["", *(f"`{name}`" for name in kept)]]
 
-    def row(text: str, of) -> None:
-        rows.append([text, *(of(one) for one in kept.values())])
+    def gain(key: str) -> Callable[[dict[str, Any]], str]:
+        return lambda one: _less(one.get(key, one)["after"], one.get(key, one)["gain"], one.get(key, one)["before"])
 
-    for name in FREE:
-        row(f"`{name}`", lambda one, name=name: _value(one, name))
-    row("status", lambda one: one["status"])
-    row("equilibrium, before", lambda one: f"{one['before']:.0f} N")
-    row("after", lambda one: _less(one["after"], one["gain"], one["before"]))
-    for key, text in (("confirmation", "motion, RODAS3 at 1e-6"), ("by_sdirk2", "motion, SDIRK2 at 1e-4")):
-        row(f"{text}, before", lambda one, key=key: f"{one[key]['before']:.0f} N")
-        row("after", lambda one, key=key: _less(one[key]["after"], one[key]["gain"], one[key]["before"]))
-    row("worst over tolerances, by gradient", lambda one: f"{one['robustness']['linear_worst']:.0f} N")
-    row("by runs", lambda one: f"{one['robustness']['sampled_worst']:.0f} N")
-    row("standard deviation, by gradient", lambda one: f"{one['robustness']['linear_deviation']:.1f} N")
-    row("by runs", lambda one: f"{one['robustness']['sampled_deviation']:.1f} N")
-    row("starts that agree", lambda one: f"{one['agree']} of {len(one['starts'])}")
-    row("CPU seconds, programs at hand", lambda one: f"{one['seconds']:.0f}")
-    put_in_readme("design", markdown(rows), "docs/design.md")
+    rows: list[tuple[str, Any]] = [
+        *((f"`{name}`", partial(_value, name)) for name in FREE), ("status", "{status}"),
+        ("equilibrium, before", "{before:.0f} N"), ("after", gain("")),
+        ("motion, RODAS3 at 1e-6, before", "{confirmation[before]:.0f} N"), ("after", gain("confirmation")),
+        ("motion, SDIRK2 at 1e-4, before", "{by_sdirk2[before]:.0f} N"), ("after", gain("by_sdirk2")),
+        ("worst over tolerances, by gradient", "{robustness[linear_worst]:.0f} N"),
+        ("by runs", "{robustness[sampled_worst]:.0f} N"),
+        ("standard deviation, by gradient", "{robustness[linear_deviation]:.1f} N"),
+        ("by runs", "{robustness[sampled_deviation]:.1f} N"),
+        ("starts that agree", lambda one: f"{one['agree']} of {len(one['starts'])}"),
+        ("CPU seconds, programs at hand", "{seconds:.0f}"),
+    ]  # fmt: skip
+    cell = lambda of, one: of.format_map(one) if isinstance(of, str) else of(one)  # noqa: E731
+    columns = {f"`{name}`": lambda row, one=one: cell(row[1], one) for name, one in kept.items()}
+    return harness.table({"": lambda row: row[0], **columns}, rows)
 
 
 def _less(after: float, gain: float, before: float) -> str:
     return f"{after:.0f} N ({-100.0 * gain / before:+.1f} %)"
 
 
-def _value(one: dict, name: str) -> str:
+def _value(name: str, one: dict) -> str:
     value, before, unit = one["values"][name], one["before_values"][name], one["free"][name]["unit"]
     scale, shown = (np.degrees(1.0), "deg") if unit == "rad" else (1e6, "um") if "clearance" in name else (1e3, "mm")
     side = one["at_bound"].get(name)
@@ -107,4 +104,5 @@ def _value(one: dict, name: str) -> str:
 
 
 if __name__ == "__main__":
-    draw() if sys.argv[1:] == ["draw"] else main(sys.argv[1:])
+    names = options(__doc__, {"names": Some()}).names
+    publish("design", table(load("design")["designs"]), "docs/design.md") if names == ["draw"] else main(names)

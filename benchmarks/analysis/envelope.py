@@ -10,14 +10,9 @@ what error they had as a share of the promise. Of the levels' joints those that 
 
 from __future__ import annotations
 
-import argparse
-import os
 import textwrap
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -25,7 +20,8 @@ from bcfj_jax import scenes
 from bcfj_jax.analysis.envelope import KEPT, MEANING
 from bcfj_jax.io.outputs import write_json
 from bcfj_jax.solve.plan import LEVELS, plan
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import IMAGES, ROOT, load, markdown, options, publish, save
 from benchmarks.solve.levels import CERTAIN, LADDER, PROMISES, calm, joints_down, springs_down
 from benchmarks.solve.random_scenes import LAWS
 
@@ -98,7 +94,7 @@ def picture(kind: str, inside: list[Row], wider: list[Row]) -> None:
         row[0].set_ylabel("error over promise")
     axes[0, 0].legend(fontsize=7)
     figure.suptitle(f"{kind} at the level balanced")
-    figure.savefig(ROOT / "docs" / "images" / f"envelope_{kind}.png", dpi=100)
+    figure.savefig(IMAGES / f"envelope_{kind}.png", dpi=100)
     plt.close(figure)
 
 
@@ -120,12 +116,8 @@ def section(kind: str, inside: list[Row], wider: list[Row]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=40, help="wider ones of each law")
-    parser.add_argument("--joints", type=int, default=20, help="wider ones")
-    parser.add_argument("--drawn", action="store_true")
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    asked = options(__doc__, scenes=(40, "wider ones of each law"), joints=(20, "wider ones"), drawn=False)
+    keep_programs()
     levels = load("levels")
     wider = load("envelope")["wider"] if asked.drawn else {}
     for kind in () if asked.drawn else SCENES:
@@ -142,7 +134,7 @@ def main() -> None:
         inside, beyond = ([row for row in rows if calm(row) == yes] for yes in (True, False))
         picture(kind, inside, beyond + wider[kind])
         sections.append(section(kind, inside, beyond + wider[kind]))
-    put_in_readme("guaranteed", "\n\n".join(sections), PAGE)
+    publish("guaranteed", "\n\n".join(sections), PAGE)
 
 
 if __name__ == "__main__":

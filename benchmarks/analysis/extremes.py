@@ -13,17 +13,13 @@ go to benchmarks/results/extremes.json.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import re
 import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import equinox as eqx
 import jax
@@ -39,7 +35,8 @@ from bcfj_jax.models.joint.system import view
 from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import outcome
 from benchmarks.analysis.extremes_box import VARIANTS, Variant, corners, sobol
-from benchmarks.common import RESULTS, ROOT, load, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import ROOT, known, options, save
 
 KEPT = ROOT / "build" / "extremes"
 ACCURACY = "balanced"
@@ -281,24 +278,21 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    scenes = list(CASES)
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # pyright: ignore[reportOptionalMemberAccess]
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=", ".join(scenes))
-    parser.add_argument("--cases", type=int, help="Sobol cases of a scene; a quarter as many corners come on top")
-    parser.add_argument("--fresh", action="store_true", help="measure kept pieces again")
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    results = load("extremes")["scenes"] if (RESULTS / "extremes.json").exists() else {}
-    for name in asked.scenes or scenes:
+    given = options(
+        __doc__, {"scenes": CASES}, cases=(int, "Sobol cases of a scene; a quarter as many corners come on top"),
+        fresh=(False, "measure kept pieces again"),
+    )  # fmt: skip
+    keep_programs()
+    results = known("extremes").get("scenes", {})
+    for name in given.scenes:
         mine = [variant for variant in VARIANTS if variant.scene == name]
-        total = asked.cases or CASES[name]
+        total = given.cases or CASES[name]
         begin = time.process_time()
-        found = {v.name: measure(v, round(v.share * total), asked.fresh) for v in mine}
-        everything = [row for rows in found.values() for row in rows]
+        found = {v.name: measure(v, round(v.share * total), given.fresh) for v in mine}
         results[name] = {
             "accuracy": ACCURACY,
             "max_steps": {v.name: v.budget for v in mine},
-            "all": summary(everything),
+            "all": summary([row for rows in found.values() for row in rows]),
             **{key: summary(rows) for key, rows in found.items()},
         }
         save("extremes", {"scenes": results})

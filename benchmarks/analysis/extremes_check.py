@@ -10,16 +10,12 @@ are counted apart.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import random
 import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import equinox as eqx
 import jax
@@ -36,7 +32,8 @@ from benchmarks.analysis.extremes_box import VARIANTS, Variant
 from benchmarks.analysis.extremes_joint import KNOWN, apart, balanced, differences, moved, shared, stacked
 from benchmarks.analysis.extremes_mass import CONTACTS, Case, slope, touches
 from benchmarks.analysis.extremes_mass import SAMPLES as FINE
-from benchmarks.common import ROOT, load, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import load, options, save
 
 # What ``balanced`` promises, and what is solved to rounding.
 PROMISED, ROUNDING = 1e-2, 1e-6
@@ -241,12 +238,9 @@ def drawn(scene: str) -> list[tuple[Variant, dict[str, Any]]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # pyright: ignore[reportOptionalMemberAccess]
-    parser.add_argument("checks", nargs="*", metavar="CHECK", help=", ".join(CHECKS))
-    parser.add_argument("--cases", type=int, help="cases with a verdict")
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    for name in asked.checks or CHECKS:
+    asked = options(__doc__, {"checks": CHECKS}, cases=(int, "cases with a verdict"))
+    keep_programs()
+    for name in asked.checks:
         scene, check, against, allowed, wanted = CHECKS[name]
         wanted, begin = asked.cases or wanted, time.process_time()
         good: list[dict[str, Any]] = []

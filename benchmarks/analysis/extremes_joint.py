@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import root
 
 from benchmarks.analysis.extremes_mass import Case
+from benchmarks.references.joint_casadi import settings
 from benchmarks.references.joint_casadi_field import expressions
 
 Numbers = Mapping[str, float]
@@ -192,13 +193,8 @@ def moved(options: Mapping[str, Any], p: Numbers, times: np.ndarray, tolerance: 
     unit = np.where(turning, 1.0 / 0.0355, 1.0)
     scales = np.concatenate([5e-5 * unit, 0.1 * unit])
     rate = ca.substitute([e.rate / scales], [e.y], [e.y * scales])[0]
-    settings = {
-        "abstol": tolerance, "reltol": 1e-6 * tolerance, "max_num_steps": 100_000, "newton_scheme": "direct",
-        "linear_solver": "csparse", "disable_internal_warnings": True,
-    }  # fmt: skip
-    solver = ca.integrator(
-        "motion", "cvodes", {"t": e.t, "x": e.y, "ode": rate}, 0.0, [*map(float, times[1:])], settings
-    )
+    problem = {"t": e.t, "x": e.y, "ode": rate}
+    solver = ca.integrator("motion", "cvodes", problem, 0.0, [*map(float, times[1:])], settings(tolerance, 100_000))
     start = nominal(p) / scales
     try:
         later = np.asarray(solver(x0=start)["xf"]).T

@@ -14,6 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import gamma
 
+from benchmarks.references import laws
+
 GRAVITY = 9.81
 # Contacts of a bounce that are followed, and instants of each.
 CONTACTS, SAMPLES = 3, 301
@@ -37,10 +39,7 @@ class Case(NamedTuple):
 
     def onset(self, d: float) -> tuple[float, float]:
         """Smoothed depth [m] and its slope."""
-        if self.w <= 0:
-            return max(d, 0.0), float(d > 0)
-        s = min(max((d + self.w) / (2 * self.w), 0.0), 1.0)
-        return (d if d >= self.w else 2 * self.w * s**4 * (2.5 - 3 * s + s * s)), s**3 * (10 - 15 * s + 6 * s * s)
+        return laws.onset(d, self.w) if self.w > 0 else (max(d, 0.0), float(d > 0))
 
     def damping(self, approach: float) -> float:
         """a of f(d) (1 + a d')."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.analysis.extremes_box import VARIANTS, Axis
-from benchmarks.common import load, markdown, put_in_readme
+from benchmarks.common import load, markdown, publish, table
 
 
 def spread(axis: Axis) -> str:
@@ -31,40 +31,44 @@ def ranges() -> list[list[str]]:
     ]
 
 
-def counts(scenes: dict[str, Any]) -> list[list[str]]:
-    """Rows: scene, cases, ok, failed, refused, defects, the most energy created."""
-    rows = [["scene", "cases", "ok", "failed, told why", "refused", "defects", "energy created"]]
-    for name, found in scenes.items():
-        total = found["all"]
-        told = {**total["classes"], "failed": sum(total["classes"].get(kind, 0) for kind in ("failed", "void"))}
-        kinds = [str(told.get(kind, 0)) for kind in ("ok", "failed", "refused", "defect")]
-        energy = f"{total['most_energy_created']:.1%} at most" if total["most_energy_created"] else ""
-        rows.append([name, str(total["cases"]), *kinds, energy])
-    return rows
+def counts(scenes: dict[str, Any]) -> str:
+    """Scene, cases, ok, failed, refused, defects, the most energy created."""
+
+    def of(kind: str) -> Any:
+        return lambda found: found["all"]["classes"].get(kind, 0)
+
+    def energy(found: dict[str, Any]) -> str:
+        most = found["all"]["most_energy_created"]
+        return f"{most:.1%} at most" if most else ""
+
+    failed, void = of("failed"), of("void")
+    return table({
+        "scene": "{name}", "cases": "{all[cases]}", "ok": of("ok"),
+        "failed, told why": lambda found: failed(found) + void(found), "refused": of("refused"), "defects": of("defect"),
+        "energy created": energy,
+    }, ({"name": name, **found} for name, found in scenes.items()))  # fmt: skip
 
 
-def checks(scenes: dict[str, Any]) -> list[list[str]]:
-    """Rows: what was checked against what, its promise, how many kept it, the errors, and what checked nothing."""
-    rows = [["what", "against", "allowed", "kept it", "error: median, worst", "no verdict"]]
-    for found in scenes.values():
-        for name, one in found.get("checked", {}).items():
-            errors = [f"{key} {mid:.1g}, {most:.1g}" for key, (_, mid, most) in one["count_median_worst"].items()]
-            allowed = "; ".join(f"{key} {value:g}" for key, value in one["allowed"].items())
-            beside = "; ".join(f"{count} {why}" for why, count in one["beside"].items())
-            rows.append(
-                [name, one["against"], allowed, f"{one['within']} of {one['cases']}", "; ".join(errors), beside]
-            )
-    return rows
+def checks(scenes: dict[str, Any]) -> str:
+    """What was checked against what, its promise, how many kept it, the errors, and what checked nothing."""
+    rows = [{"name": name, **one} for found in scenes.values() for name, one in found.get("checked", {}).items()]
+    errors = lambda one: (f"{k} {mid:.1g}, {most:.1g}" for k, (_, mid, most) in one["count_median_worst"].items())  # noqa: E731
+    return table({
+        "what": "{name}", "against": "{against}",
+        "allowed": lambda one: "; ".join(f"{key} {value:g}" for key, value in one["allowed"].items()),
+        "kept it": "{within} of {cases}", "error: median, worst": lambda one: "; ".join(errors(one)),
+        "no verdict": lambda one: "; ".join(f"{count} {why}" for why, count in one["beside"].items()),
+    }, rows)  # fmt: skip
 
 
 def main() -> None:
     scenes = load("extremes")["scenes"]
-    put_in_readme("ranges", markdown(ranges()), "docs/extremes.md")
-    put_in_readme("counts", markdown(counts(scenes)), "docs/extremes.md")
-    put_in_readme("checks", markdown(checks(scenes)), "docs/extremes.md")
-    reasons = [["scene", "how it ended", "cases"]]
-    reasons += [[name, text, str(n)] for name, found in scenes.items() for text, n in found["all"]["reasons"].items()]
-    put_in_readme("reasons", markdown(reasons), "docs/extremes.md")
+    reasons = [(name, text, n) for name, found in scenes.items() for text, n in found["all"]["reasons"].items()]
+    for name, text in {
+        "ranges": markdown(ranges()), "counts": counts(scenes), "checks": checks(scenes),
+        "reasons": markdown([("scene", "how it ended", "cases"), *reasons]),
+    }.items():  # fmt: skip
+        publish(name, text, "docs/extremes.md")
 
 
 if __name__ == "__main__":

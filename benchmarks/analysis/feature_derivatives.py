@@ -11,14 +11,10 @@ below 0.01 % per 1 % counts as that much. The duration is end less begin, and it
 
 from __future__ import annotations
 
-import argparse
-import os
 import zlib
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +29,7 @@ from bcfj_jax.contact.laws import FRICTION, LAWS
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.solve.plan import Plan, plan
 from benchmarks.analysis import chosen
-from benchmarks.common import load, save
+from benchmarks.common import load, options, save
 
 # Of the run, columns of ``Histories.curve``; of its only contact.
 RUN, EVENTS = ("peak", "impulse", "dissipated_work", "penetration.peak"), ("begin_1", "end_1", "peak_time_1")
@@ -209,10 +205,7 @@ def judged(name: str, scene: Mechanism, wrt: tuple[str, ...], channel: str, para
 
 def main() -> None:
     """Judge, print and keep."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--draws", type=int, default=1)
-    parser.add_argument("--only", default="", help="scenes whose name holds this; others stay as they were kept")
-    given = parser.parse_args()
+    given = options(__doc__, draws=1, only=("", "scenes whose name holds this; others stay as they were kept"))
     rows = [r for r in load("feature_derivatives")["rows"] if given.only not in r["scene"]] if given.only else []
     for name, scene, wrt, channel, which in cases():
         if given.only not in name:

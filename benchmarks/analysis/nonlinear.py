@@ -14,15 +14,11 @@ writes results/nonlinear.json (costs in CPU seconds), the tables in docs/nonline
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
 import time
+from functools import partial
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -31,10 +27,9 @@ from bcfj_jax.analysis.nonlinear.exponents import advance
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate, problem
 from bcfj_jax.solve.plan import Plan
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked, keep_programs
+from benchmarks.common import IMAGES, add, markdown, options, publish
 
-CACHE = ROOT / "build" / "jax-cache"
-IMAGES = ROOT / "docs" / "images"
 PAGE = "docs/nonlinear.md"
 SHARP = 1e-6
 GRAVITY, HEIGHT, DAMPING = 9.81, 0.1, 20.0
@@ -94,7 +89,7 @@ def known() -> dict[str, Any]:
     for e, one in bounces.items():
         name = f"bouncing ball, e = {e}: worst of 6 speeds, time of rest"
         table.append((name, f"{one['worst']:.1e}, {one['rest_s']:.4f} s", f"0, {one['zeno_s']:.4f} s"))
-    put_in_readme("known", markdown(table), PAGE)
+    publish("known", markdown(table), PAGE)
     return {"exponents": rows, "doublings": doublings, "doubling_step": step, "bounces": bounces}
 
 
@@ -145,26 +140,25 @@ def exponents() -> dict[str, Any]:
     table: list[tuple[str, ...]] = [("joint", "force error 1e-3", "1e-4", "1e-5", "1e-6", "two trajectories")]
     for name, smoothing in ONSETS.items():
         params, row = scene.parameters(smoothing=smoothing), {}
-        for accuracy in (1e-3, 1e-4, 1e-5, 1e-6):
-            begin = time.process_time()
-            one = nonlinear.scene_exponent(scene, params, 36, settle=1.2, accuracy=accuracy, batches=6)
-            row[f"{accuracy:g}"] = {
-                "found": one.value, "standard_error": one.standard_error, "cpu_s": time.process_time() - begin,
-            }  # fmt: skip
-            if accuracy == 1e-6:
-                shown[name] = one
-        begin = time.process_time()
         # Two pitches of the rattle, whose separation grows; six of the calm joint.
-        interval, count, apart = (0.1, 6, 1e-3) if smoothing > SHARP else (0.005, 40, 1e-4)
-        pair = pair_of_runs(smoothing, interval, count, apart, 1e-6)
-        row["two trajectories"] = {
-            "found": pair.value, "standard_error": pair.standard_error, "cpu_s": time.process_time() - begin,
-        }  # fmt: skip
+        pair = (0.1, 6, 1e-3) if smoothing > SHARP else (0.005, 40, 1e-4)
+        ways: dict[str, Any] = {
+            f"{accuracy:g}": partial(
+                nonlinear.scene_exponent, scene, params, 36, settle=1.2, accuracy=accuracy, batches=6
+            )
+            for accuracy in (1e-3, 1e-4, 1e-5, 1e-6)
+        }
+        ways["two trajectories"] = partial(pair_of_runs, smoothing, *pair, 1e-6)
+        for way, run in ways.items():
+            one, took = clocked(run)
+            row[way] = {"found": one.value, "standard_error": one.standard_error, "cpu_s": took["cpu_s"]}
+            if way == "1e-06":
+                shown[name] = one
         result[name] = row
         table.append((name, *(f"{x['found']:.4g} ± {x['standard_error']:.1g} 1/s" for x in row.values())))
         print(name, row, flush=True)
     nonlinear.draw_exponent(shown, IMAGES / "nonlinear_exponents.png")
-    put_in_readme("exponents", markdown(table), PAGE)
+    publish("exponents", markdown(table), PAGE)
     return result
 
 
@@ -207,7 +201,7 @@ def scatter() -> dict[str, Any]:
         result[f"{accuracy:g}"] = spread.tolist()
         table.append((f"{accuracy:g}", *(f"{1e6 * one:.2g} µm" for one in spread)))
         print(accuracy, spread, flush=True)
-    put_in_readme("scatter", markdown(table), PAGE)
+    publish("scatter", markdown(table), PAGE)
     return {"clearances_m": values.tolist(), "spread_m": result}
 
 
@@ -221,7 +215,7 @@ def crossing() -> dict[str, Any]:
         print(value, found[-1].value, found[-1].standard_error, flush=True)
     table = [("clearance of the windows", *(f"{1e6 * value:.0f} µm" for value in values))]
     table.append(("exponent [1/s]", *(f"{one.value:.4g} ± {one.standard_error:.1g}" for one in found)))
-    put_in_readme("crossing", markdown(table), PAGE)
+    publish("crossing", markdown(table), PAGE)
     return {
         "clearances_m": values.tolist(), "found": [one.value for one in found],
         "standard_error": [one.standard_error for one in found],
@@ -244,28 +238,18 @@ def portraits() -> dict[str, Any]:
 
 
 PARTS = {
-    "known": known,
-    "exponents": exponents,
-    "clearance": clearance,
-    "scatter": scatter,
-    "crossing": crossing,
+    "known": known, "exponents": exponents, "clearance": clearance, "scatter": scatter, "crossing": crossing,
     "portraits": portraits,
-}
+}  # fmt: skip
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS))
-    chosen = options.parse_args().only
-    jax.config.update("jax_compilation_cache_dir", str(CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    for name in chosen:
-        begin = time.process_time()
-        part = PARTS[name]() | {"part_cpu_s": time.process_time() - begin}
-        result = load("nonlinear") if (RESULTS / "nonlinear.json").exists() else {}
-        result.pop("environment", None)
-        save("nonlinear", result | {name: part})
-        print(f"{name}: {part['part_cpu_s']:.0f} s", flush=True)
+    only = options(__doc__, only=PARTS).only
+    keep_programs(0.2)
+    for name in only:
+        part, took = clocked(PARTS[name])
+        add("nonlinear", {name: part | {"part_cpu_s": took["cpu_s"]}})
+        print(f"{name}: {took['cpu_s']:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,22 +11,14 @@ writes results/study.json and the table in docs/studies.md. Side by side in one 
 
 from __future__ import annotations
 
-import argparse
-import json
-import multiprocessing
 import os
 import resource
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import numpy as np
-from matplotlib.figure import Figure
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis.derivatives.names import feature
@@ -34,77 +26,84 @@ from bcfj_jax.analysis.studies import api, batch
 from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import facts_of
-from bcfj_jax.io import plots
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import clocked, keep_programs, on_core, pool
+from benchmarks.common import ROOT, drawing, markdown, options, publish, save
 
-CACHE = ROOT / "build" / "jax-cache"
 TIMES = np.linspace(0.0, 0.6, 601)
 LOW, HIGH = 1e-5, 1e-4
 FEATURES = ["seat_cage.peak", "seat_ball.peak"]
 
 
-def dynamic(points: int) -> dict[str, Any]:
+# Of equilibria one ball's pitch at 100 r/min, after the ramp of the load.
+PITCH: dict[str, Any] = {"time": {"end": 0.1, "samples": 13}, "parameters": {"load_ramp": 1e-6}}
+STILL = ["seat_ball.peak", "cage_ball.peak"]
+
+
+def clearances(
+    points: int, options: dict[str, Any], features: list[str], derivatives: list[str] | None = None, **scene: Any
+) -> dict[str, Any]:
+    """A study of clearances of the joint's seat pilot over a decade."""
     return {
-        "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.6, "samples": 601}},
+        "scene": {"scene": {"kind": "joint", **options}, **scene},
         "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
-        "results": {"features": FEATURES},
+        "results": {"features": features, **({"derivatives": derivatives} if derivatives else {})},
     }
 
 
+def dynamic(points: int) -> dict[str, Any]:
+    return clearances(points, PLAIN, FEATURES, time={"end": 0.6, "samples": 601})
+
+
 def static(points: int) -> dict[str, Any]:
-    return {
-        # One ball's pitch at 100 r/min, after the ramp of the load.
-        "scene": {
-            "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN}, "time": {"end": 0.1, "samples": 13},
-            "parameters": {"load_ramp": 1e-6},
-        },
-        "vary": {"clearance_seat_cage": {"lower": LOW, "upper": HIGH, "steps": points, "scale": "log"}},
-        "results": {"features": ["seat_ball.peak", "cage_ball.peak"]},
-    }  # fmt: skip
+    return clearances(points, {"fidelity": "quasistatic", **PLAIN}, STILL, **PITCH)
 
 
 def kept() -> None:
     """Keep compiled programs, here and in workers."""
-    os.environ["BCFJ_CACHE"] = str(CACHE)
-    jax.config.update("jax_compilation_cache_dir", str(CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    os.environ["BCFJ_CACHE"] = str(ROOT / "build" / "jax-cache")
+    keep_programs(0.2)
 
 
 def singles(task: tuple[list[float], int]) -> float:
     """Wall seconds of single runs one after the other, compiling left out."""
     clearances, core = task
     kept()
-    if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[core % len(cores)]})
+    on_core(core)
     scene = scenes.joint_of_keys(**PLAIN)
     simulate(scene, scene.parameters(), TIMES)
-    begin = time.perf_counter()
-    for clearance in clearances:
-        simulate(scene, scene.parameters(clearance_seat_cage=clearance), TIMES)
-    return time.perf_counter() - begin
+    every = [scene.parameters(clearance_seat_cage=clearance) for clearance in clearances]
+    return clocked(lambda: [simulate(scene, params, TIMES) for params in every])[1]["wall_s"]
+
+
+def watched(table: dict[str, Any], out: Path, **how: Any) -> tuple[Any, list[tuple[float, int]]]:
+    """A study, and when [s] how many of its blocks were done."""
+    seen: list[tuple[float, int]] = []
+    found = api.study(table, out, progress=lambda done, _: seen.append((time.perf_counter(), done)), **how)
+    return found, seen
+
+
+def between(seen: list[tuple[float, int]], least: int, total: int) -> tuple[float, int]:
+    """Seconds from when so many blocks were done to when all were, and how many blocks came between."""
+    first, before = next((at, done) for at, done in seen if done >= least)
+    return next(at for at, done in seen if done == total) - first, total - before
 
 
 def study(table: dict[str, Any]) -> dict[str, Any]:
     """A study in a fresh folder, twice: the second time its programs are kept. Seconds between first and last block."""
     found: dict[str, Any] = {}
-    threads = api.default_workers()
+    threads, blocks = api.default_workers(), Blocks(from_table(table))
     for _ in range(2):
         with tempfile.TemporaryDirectory() as folder:
-            seen: list[tuple[float, int]] = []
-            begin = time.perf_counter()
-            result = api.study(table, Path(folder) / "out", progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023  # fmt: skip
-            blocks = Blocks(from_table(table))
-            facts = [facts_of(p) for p in sorted((Path(folder) / "out" / "blocks").glob("*.parquet"))]
+            out = Path(folder) / "out"
+            (result, seen), took = clocked(lambda out=out: watched(table, out))
+            facts = [facts_of(p) for p in sorted((out / "blocks").glob("*.parquet"))]
             steps, rounds = sum(sum(f["steps"]) for f in facts), sum(f["rounds"] for f in facts)
-            first = next(at for at, done in seen if done >= threads)
-            last, done = next((at, done) for at, done in seen if done == len(blocks))
+            seconds, many = between(seen, threads, len(blocks))
             found = {
-                "points": result.table.num_rows, "failed": result.failed, "whole_s": time.perf_counter() - begin,
-                "blocks": len(blocks), "size": blocks.size,
-                "rate": (done - threads) * blocks.size / (last - first),
+                "points": result.table.num_rows, "failed": result.failed, "whole_s": took["wall_s"], "blocks": len(blocks),
+                "size": blocks.size, "rate": many * blocks.size / seconds,
                 "efficiency": steps / (rounds * min(blocks.size, batch.places())) if rounds else None,
             }  # fmt: skip
     return found
@@ -122,25 +121,20 @@ def by_places(count: int) -> list[dict[str, float]]:
         # Another size for each: the program's key does not know the slots.
         args = (scene, batch.Points(params, np.full(count, 0.6), TIMES / 0.6), wanted, plan(scene), count + places)
         batch.run(*args)
-        begin = time.perf_counter()
-        batch.run(*args)
-        rows.append({"slots": places, "rate": count / (time.perf_counter() - begin)})
+        rows.append({"slots": places, "rate": count / clocked(lambda args=args: batch.run(*args))[1]["wall_s"]})
         print(rows[-1], flush=True)
     batch.places = given
     return rows
 
 
-def drawn(rows: list[dict[str, float]], path: Path) -> None:
-    with plots.style():
-        figure = Figure(figsize=(5.5, 3.4), layout="constrained")
-        axes = figure.subplots()
-        axes.plot([r["slots"] for r in rows], [r["rate"] for r in rows], "o-")
+def drawn(rows: list[dict[str, float]]) -> None:
+    slots = [r["slots"] for r in rows]
+    with drawing("study_slots.png", (5.5, 3.4)) as axes:
+        axes.plot(slots, [r["rate"] for r in rows], "o-")
         axes.set_xscale("log", base=2)
-        axes.set_xticks([r["slots"] for r in rows], [f"{r['slots']}" for r in rows])
+        axes.set_xticks(slots, [f"{one}" for one in slots])
         axes.set_ylim(0.0)
-        axes.set_xlabel("slots of a batch")
-        axes.set_ylabel("joints of 0.6 s a second, one core")
-        figure.savefig(path, dpi=110)
+        axes.set(xlabel="slots of a batch", ylabel="joints of 0.6 s a second, one core")
 
 
 def spread() -> dict[str, Any]:
@@ -155,55 +149,54 @@ def spread() -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--points", type=int, default=256)
-    parser.add_argument("--singles", type=int, default=12)
-    parser.add_argument("--static", type=int, default=20_000)
-    given = parser.parse_args()
+    given = options(__doc__, points=256, singles=12, static=20_000)
     kept()
     some = np.geomspace(LOW, HIGH, given.singles).tolist()
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(singles, [(some[:1], 0), (some[:1], 1)]))
-        loop = [given.singles / pool.submit(singles, (some, 0)).result()]
-        two = max(pool.map(singles, [(some[::2], 0), (some[1::2], 1)]))
+    with pool(2) as processes:
+        list(processes.map(singles, [(some[:1], 0), (some[:1], 1)]))
+        loop = [given.singles / processes.submit(singles, (some, 0)).result()]
+        two = max(processes.map(singles, [(some[::2], 0), (some[1::2], 1)]))
         joint = study(dynamic(given.points))
         # The loop again: the machine may have changed in between.
-        loop.append(given.singles / pool.submit(singles, (some, 0)).result())
+        loop.append(given.singles / processes.submit(singles, (some, 0)).result())
     one, pair = float(np.mean(loop)), given.singles / two
     print("loop", loop, "pool", pair, "study", joint, flush=True)
     still = study(static(given.static))
     print("quasistatic", still, flush=True)
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    on_core(0)
     wide, places = spread(), by_places(128)
-    drawn(places, ROOT / "docs" / "images" / "study_slots.png")
+    drawn(places)
     content = {
         "loop_points_s": loop, "pool_points_s": pair, "dynamic": joint, "over_loop": joint["rate"] / one,
         "over_pool": joint["rate"] / pair, "quasistatic": still, "spread": wide, "slots": places,
         "largest_worker_mb": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
     }  # fmt: skip
     save("study", content)
+    publish("study", text(content, given.points, given.static), "docs/studies.md")
+
+
+def text(content: dict[str, Any], points: int, static: int) -> str:
+    """What docs/studies.md shows."""
+    one, pair = float(np.mean(content["loop_points_s"])), content["pool_points_s"]
+    joint, still, wide, places = (content[key] for key in ("dynamic", "quasistatic", "spread", "slots"))
     rows = [
         ["what", "points a second", "against"],
         ["dynamic joint, 0.6 s, single runs in a loop", f"{one:.3g}", ""],
         ["the same, a pool of two processes", f"{pair:.3g}", f"{pair / one:.1f} times the loop"],
         [
-            f"the same as a study of {given.points} clearances, 2 threads", f"{joint['rate']:.3g}",
+            f"the same as a study of {points} clearances, 2 threads", f"{joint['rate']:.3g}",
             f"**{joint['rate'] / one:.1f} times the loop, {joint['rate'] / pair:.1f} times the pool**",
         ],
-        [f"quasistatic joint, 13 instants, {given.static} points, 2 threads", f"{still['rate']:.4g}", ""],
+        [f"quasistatic joint, 13 instants, {static} points, 2 threads", f"{still['rate']:.4g}", ""],
     ]  # fmt: skip
-    more = [
-        ["slots", *(str(r["slots"]) for r in places)],
-        ["points a second, one core", *(f"{r['rate']:.3g}" for r in places)],
-    ]
-    text = f"{markdown(rows)}\n\n{markdown(more)}\n\n![points a second against slots](images/study_slots.png)\n\n"
-    text += (
+    more = [["slots", *(r["slots"] for r in places)]]
+    more.append(["points a second, one core", *(f"{r['rate']:.3g}" for r in places)])
+    said = (
         f"Runs that cost up to {wide['largest_over_least']:.0f} times as much as others keep {wide['efficiency']:.0%} "
     )
-    text += f"of the slots at work; those of the joint above {joint['efficiency']:.0%}."
-    put_in_readme("study", text, "docs/studies.md")
-    print(json.dumps(content, indent=1))
+    said += f"of the slots at work; those of the joint above {joint['efficiency']:.0%}."
+    image = "![points a second against slots](images/study_slots.png)"
+    return "\n\n".join((markdown(rows), markdown(more), image, said))
 
 
 if __name__ == "__main__":

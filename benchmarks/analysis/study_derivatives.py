@@ -15,27 +15,22 @@ Everything is compiled before it is timed. The largest difference of a column be
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import numpy as np
 
 from bcfj_jax.analysis.derivatives import batch as derivatives
-from bcfj_jax.analysis.studies import api, block
+from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import Study, from_table
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.analysis.study import FEATURES, PITCH, STILL, between, clearances, kept, watched
+from benchmarks.clock import clocked
+from benchmarks.common import known, options, publish, save, table
 
-CACHE = ROOT / "build" / "jax-cache"
 ROUNDS = 3
 # The motion of the steady study has forgotten its start by then [s].
 SETTLED = 0.5
@@ -43,7 +38,7 @@ SETTLED = 0.5
 
 def cases(points: int) -> dict[str, dict[str, Any]]:
     """Study tables by name."""
-    joint = {"lower": 1e-5, "upper": 1e-4, "steps": points, "scale": "log"}
+    wrt = ["stiffness", "clearance_seat_cage"]
     return {
         "impact, 0.3 ms": {
             "scene": {"scene": {"kind": "impact"}, "time": {"end": 3e-4, "samples": 301}},
@@ -58,34 +53,11 @@ def cases(points: int) -> dict[str, dict[str, Any]]:
                 "derivatives": ["stiffness", "clearance_journal"],
             },
         },
-        "joint in equilibrium, 13 instants": {
-            "scene": {
-                "scene": {"kind": "joint", "fidelity": "quasistatic", **PLAIN},
-                "time": {"end": 0.1, "samples": 13},
-                "parameters": {"load_ramp": 1e-6},
-            },
-            "vary": {"clearance_seat_cage": joint},
-            "results": {
-                "features": ["seat_ball.peak", "cage_ball.peak"],
-                "derivatives": ["stiffness", "clearance_seat_cage"],
-            },
-        },
-        "joint, 0.2 s": {
-            "scene": {"scene": {"kind": "joint", **PLAIN}, "time": {"end": 0.2, "samples": 301}},
-            "vary": {"clearance_seat_cage": joint},
-            "results": {
-                "features": ["seat_cage.peak", "seat_ball.peak"],
-                "derivatives": ["stiffness", "clearance_seat_cage"],
-            },
-        },
+        "joint in equilibrium, 13 instants": clearances(
+            points, {"fidelity": "quasistatic", **PLAIN}, STILL, wrt, **PITCH
+        ),
+        "joint, 0.2 s": clearances(points, PLAIN, FEATURES, wrt, time={"end": 0.2, "samples": 301}),
     }
-
-
-def clocked(task: Callable[[], Any]) -> tuple[float, float, Any]:
-    """CPU and wall seconds of this process, and what the task gave."""
-    cpu, wall = time.process_time(), time.perf_counter()
-    found = task()
-    return time.process_time() - cpu, time.perf_counter() - wall, found
 
 
 def one_by_one(study: Study, at: np.ndarray) -> np.ndarray:
@@ -98,20 +70,24 @@ def one_by_one(study: Study, at: np.ndarray) -> np.ndarray:
         derivatives.possible = possible
 
 
+def whole_batch(study: Study) -> tuple[list[Any], dict[str, float]]:
+    """All blocks of a study, one after the other, and their seconds."""
+    blocks = block.Blocks(study)
+    return clocked(lambda: [block.compute(study, blocks.points(k), blocks.size) for k in range(len(blocks))])
+
+
 def compared(study: Study, singles: int) -> dict[str, Any]:
     """Loop and batch in this process, in turns."""
     blocks = block.Blocks(study)
     some = np.linspace(0, study.count - 1, singles).astype(int)
-    compiling = [clocked(lambda: one_by_one(study, some[:1]))[1]]
-    compiling.append(clocked(lambda: block.compute(study, blocks.points(0), blocks.size))[1])
+    first = [clocked(lambda: one_by_one(study, some[:1]))[1]]
+    first.append(clocked(lambda: block.compute(study, blocks.points(0), blocks.size))[1])
     loop, batch, columns, tables = [], [], np.zeros(0), []
     for _ in range(ROUNDS):
-        cpu, wall, columns = clocked(lambda: one_by_one(study, some))
-        loop.append((cpu / singles, wall / singles))
-        cpu, wall, tables = clocked(
-            lambda: [block.compute(study, blocks.points(k), blocks.size) for k in range(len(blocks))]
-        )
-        batch.append((cpu / study.count, wall / study.count))
+        columns, took = clocked(lambda: one_by_one(study, some))
+        loop.append((took["cpu_s"] / singles, took["wall_s"] / singles))
+        tables, took = whole_batch(study)
+        batch.append((took["cpu_s"] / study.count, took["wall_s"] / study.count))
     point = np.concatenate([table.point for table in tables])
     results = np.concatenate([table.results for table in tables])[np.argsort(point)]
     largest = np.nanmax(np.abs(columns), axis=0)
@@ -125,7 +101,7 @@ def compared(study: Study, singles: int) -> dict[str, Any]:
         "loop_cpu_s": loop_cpu, "loop_wall_s": loop_wall, "batch_cpu_s": batch_cpu, "batch_wall_s": batch_wall,
         "cpu_ratio": loop_cpu / batch_cpu, "wall_ratio": loop_wall / batch_wall,
         "steps": float(steps.mean()), "slots_at_work": float(steps.sum() / slots) if slots else None,
-        "first_s": compiling, "load": os.getloadavg()[0],
+        "first_s": [took["wall_s"] for took in first], "load": os.getloadavg()[0],
         "off": dict(zip(study.columns, off.tolist(), strict=True)),
     }  # fmt: skip
 
@@ -133,19 +109,13 @@ def compared(study: Study, singles: int) -> dict[str, Any]:
 def whole(table: dict[str, Any], loop_wall: float) -> dict[str, Any]:
     """The study on all cores, twice: the second time its programs are kept."""
     found: dict[str, Any] = {}
+    blocks = block.Blocks(from_table(table))
     for _ in range(2):
         with tempfile.TemporaryDirectory() as folder:
-            seen: list[tuple[float, int]] = []
-            begin = time.perf_counter()
-            study = from_table(table)
-            size, total = block.Blocks(study).size, len(block.Blocks(study))
-            api.study(table, Path(folder) / "out", progress=lambda done, _: seen.append((time.perf_counter(), done)))  # noqa: B023  # fmt: skip
-            first, before = next((at, done) for at, done in seen if done >= 2)
-            last = next(at for at, done in seen if done == total)
-            each = (last - first) / ((total - before) * size) if total > before else float("nan")
-            found = {
-                "whole_s": time.perf_counter() - begin, "blocks": total, "wall_s": each, "over_loop": loop_wall / each
-            }  # fmt: skip
+            (_, seen), took = clocked(lambda folder=folder: watched(table, Path(folder) / "out"))
+            seconds, many = between(seen, 2, len(blocks))
+            each = seconds / (many * blocks.size) if many else float("nan")
+            found = {"whole_s": took["wall_s"], "blocks": len(blocks), "wall_s": each, "over_loop": loop_wall / each}
     return found
 
 
@@ -162,56 +132,41 @@ def steady(points: int) -> dict[str, Any]:
     study = from_table(table)
     blocks = block.Blocks(study)
     block.compute(study, blocks.points(0), blocks.size)
-    cpu, wall, tables = clocked(
-        lambda: [block.compute(study, blocks.points(k), blocks.size) for k in range(len(blocks))]
-    )
+    tables, took = whole_batch(study)
     return {
-        "points": points, "cpu_s": cpu / points, "wall_s": wall / points,
+        "points": points, "cpu_s": took["cpu_s"] / points, "wall_s": took["wall_s"] / points,
         "failed": [reason for table in tables for reason in table.reason if reason],
     }  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--points", type=int, default=256)
-    parser.add_argument("--singles", type=int, default=16)
-    parser.add_argument("--steady", type=int, default=4)
-    parser.add_argument("--only", default="")
-    given = parser.parse_args()
-    os.environ["BCFJ_CACHE"] = str(CACHE)
-    jax.config.update("jax_compilation_cache_dir", str(CACHE))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    content: dict[str, Any] = {"cases": {}}
-    if given.only:
-        kept = load("study_derivatives")
-        content = {"cases": kept["cases"], "steady": kept["steady"]}
-    for name, table in cases(given.points).items():
+    given = options(__doc__, points=256, singles=16, steady=4, only="")
+    kept()
+    content: dict[str, Any] = {"cases": {}} | (known("study_derivatives") if given.only else {})
+    for name, one in cases(given.points).items():
         if not name.startswith(given.only):
             continue
-        found = compared(from_table(table), given.singles)
-        print(name, json.dumps(found, indent=1), flush=True)
+        content["cases"][name] = found = compared(from_table(one), given.singles)
         # Blocks that end at once tell nothing of the time between them.
         long = found["batch_wall_s"] * found["block"] > 0.2
-        found["study"] = whole(table, found["loop_wall_s"]) if long else None
-        print(name, json.dumps(found["study"], indent=1), flush=True)
-        content["cases"][name] = found
+        found["study"] = whole(one, found["loop_wall_s"]) if long else None
+        print(name, json.dumps(found, indent=1), flush=True)
     if not given.only or given.only == "steady":
         content["steady"] = steady(given.steady)
         print("steady", content["steady"], flush=True)
     save("study_derivatives", content)
-    told(content)
+    publish("study_derivatives", text(content), "docs/studies.md")
 
 
-def told(content: dict[str, Any]) -> None:
-    """Put the table into docs/studies.md."""
-    ways = ["loop, CPU ms a point", "batch", "ratio", "study on two cores, wall"]
-    rows = [["study of 256 points", *ways, "largest difference of a derivative"]]
-    for name, one in content["cases"].items():
-        off = max(x for column, x in one["off"].items() if column.startswith("d("))
-        ways = [f"{1e3 * one[way]:.3g}" for way in ("loop_cpu_s", "batch_cpu_s")]
-        study = f"**{one['study']['over_loop']:.1f}**" if one["study"] else ""
-        rows.append([name, *ways, f"**{one['cpu_ratio']:.1f}**", study, f"{off:.0e}"])
-    put_in_readme("study_derivatives", markdown(rows), "docs/studies.md")
+def text(content: dict[str, Any]) -> str:
+    """The table of docs/studies.md."""
+    return table({
+        "study of 256 points": "{name}", "loop, CPU ms a point": lambda one: f"{1e3 * one['loop_cpu_s']:.3g}",
+        "batch": lambda one: f"{1e3 * one['batch_cpu_s']:.3g}", "ratio": "**{cpu_ratio:.1f}**",
+        "study on two cores, wall": lambda one: f"**{one['study']['over_loop']:.1f}**" if one["study"] else "",
+        "largest difference of a derivative":
+            lambda one: f"{max(x for column, x in one['off'].items() if column.startswith('d(')):.0e}",
+    }, ({"name": name, **one} for name, one in content["cases"].items()))  # fmt: skip
 
 
 if __name__ == "__main__":

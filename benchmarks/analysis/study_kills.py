@@ -7,7 +7,6 @@ go on (or resumes it), and compares ``results.parquet`` byte for byte with that 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import random
@@ -19,8 +18,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.common import ROOT, load, save
+import psutil
 
+from benchmarks.common import load, options, save
+from benchmarks.processes import environment
+
+_VARIABLES = {"EQX_ON_ERROR": "nan"}
 STUDY = """
 scene = { scene = { kind = "bounce" }, time = { end = 1.0, samples = 2001 } }
 [design]
@@ -38,28 +41,13 @@ features = ["contact.peak", "contact.impulse"]
 """
 
 
-def environment() -> dict[str, str]:
-    return {
-        **os.environ, "BCFJ_CACHE": str(ROOT / "build" / "jax-cache"), "EQX_ON_ERROR": "nan",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-    }  # fmt: skip
-
-
 def start(*arguments: str, module: str = "bcfj_jax") -> subprocess.Popen:
     command = [sys.executable, "-m", module, *arguments]
     # A session of its own, so that all of it can be killed.
-    return subprocess.Popen(command, env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: E501  # fmt: skip
-
-
-def children(parent: int) -> list[int]:
-    """Processes that a process has started."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            fields = path.read_text().rpartition(")")[2].split()
-            if int(fields[1]) == parent:
-                found.append(int(path.parent.name))
-    return found
+    nothing = subprocess.DEVNULL
+    return subprocess.Popen(
+        command, env=environment(_VARIABLES), start_new_session=True, stdout=nothing, stderr=nothing
+    )
 
 
 def free_port() -> int:
@@ -68,15 +56,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def cluster(port: int) -> list[subprocess.Popen]:
-    """A scheduler and a worker."""
-    address = f"tcp://127.0.0.1:{port}"
-    scheduler = start(
-        "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", module="distributed.cli.dask_scheduler"
-    )
-    time.sleep(2.0)
-    worker = start(address, "--nthreads", "1", "--no-nanny", "--no-dashboard", module="distributed.cli.dask_worker")
-    return [scheduler, worker]
+def cluster(port: int, workers: int = 1, begin_s: tuple[float, float] = (2.0, 0.0)) -> list[subprocess.Popen]:
+    """A scheduler and workers; seconds that it and they are given to begin."""
+    host = ("--host", "127.0.0.1", "--port", str(port))
+    jobs = [start(*host, "--no-dashboard", module="distributed.cli.dask_scheduler")]
+    time.sleep(begin_s[0])
+    words = (f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    jobs += [start(*words, module="distributed.cli.dask_worker") for _ in range(workers)]
+    time.sleep(begin_s[1])
+    return jobs
 
 
 def end(process: subprocess.Popen) -> None:
@@ -95,10 +83,8 @@ def trial(kind: str, study: Path, folder: Path, last: float, draw: random.Random
     time.sleep(moment)
     there = len(list(folder.glob("blocks/*.parquet")))
     if kind == "worker":
-        team = children(job.pid)
-        if team:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(draw.choice(team), signal.SIGKILL)
+        with contextlib.suppress(psutil.Error, IndexError):
+            draw.choice(psutil.Process(job.pid).children()).kill()
         job.wait()
     elif kind == "run":
         end(job)
@@ -117,11 +103,8 @@ def trial(kind: str, study: Path, folder: Path, last: float, draw: random.Random
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("trials", type=int, nargs="?", default=100)
-    parser.add_argument("--add", action="store_true", help="to the trials that are kept, at other moments")
-    parser.add_argument("--kinds", nargs="+", default=["worker", "run", "scheduler"])
-    given = parser.parse_args()
+    more = (False, "to the trials that are kept, at other moments")
+    given = options(__doc__, {"trials": 100}, add=more, kinds=["worker", "run", "scheduler"])
     rows = load("study_kills")["trials"] if given.add else []
     draw = random.Random(len(rows))
     with tempfile.TemporaryDirectory() as place:

@@ -11,39 +11,27 @@ writes results/study_scale.json and the table in docs/studies.md; every part by 
 
 from __future__ import annotations
 
-import argparse
 import hashlib
-import json
-import os
 import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import bcfj_jax as bj
-from benchmarks.analysis.study import dynamic, static
-from benchmarks.analysis.study_kills import environment, free_port, start
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.analysis.study import dynamic, static, watched
+from benchmarks.analysis.study_kills import cluster, end, free_port
+from benchmarks.common import known, options, parts, publish
+from benchmarks.common import table as tabled
+from benchmarks.processes import Done, bcfj
 
-NAME = "study_scale"
 FULL = 5
 
 
-def ran(words: list[str]) -> tuple[int, str, float, float]:
-    """``bcfj study`` in its own process: exit code, what it said, seconds, megabytes of the largest process."""
-    begin = time.perf_counter()
-    with tempfile.TemporaryFile("w+") as said:
-        job = subprocess.Popen(
-            [sys.executable, "-m", "bcfj_jax", "study", *words], env=environment(), stdout=said, stderr=said
-        )
-        _, status, used = os.wait4(job.pid, 0)
-        job.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        return job.returncode, said.read(), time.perf_counter() - begin, used.ru_maxrss / 1024
+def ran(*words: str) -> Done:
+    """``bcfj study`` in its own process."""
+    return bcfj(["study", *words], variables={"EQX_ON_ERROR": "nan"})
 
 
 def written(table: dict[str, Any], folder: Path) -> Path:
@@ -68,18 +56,18 @@ def memory() -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             path = written(static(points), folder)
-            code, said, seconds, largest = ran(["run", str(path), "--out", str(folder / "out"), "--workers", "1"])
-            assert code == 0, said
+            done = ran("run", str(path), "--out", str(folder / "out"), "--workers", "1")
+            assert done.code == 0, done.err
             table = folder / "out" / "results.parquet"
             frame = pandas.read_parquet(table)
             query = f"select count(*), max(\"seat_ball.peak\") from '{table}' where status = 'ok'"
             good, peak = duckdb.execute(query).fetchall()[0]
             assert len(frame) == points and good == (frame["status"] == "ok").sum()
             assert np.isclose(peak, frame["seat_ball.peak"].max(), rtol=0)
-            rows.append(
-                {"points": points, "failed": points - good, "seconds": seconds, "largest_mb": largest,
-                 "disk_mb": sum(p.stat().st_size for p in (folder / "out").rglob("*") if p.is_file()) / 1e6}
-            )  # fmt: skip
+            used = sum(p.stat().st_size for p in (folder / "out").rglob("*") if p.is_file()) / 1e6
+            rows.append({
+                "points": points, "failed": points - good, "seconds": done.wall_s, "largest_mb": done.peak_mb, "disk_mb": used,
+            })  # fmt: skip
             print(rows[-1], flush=True)
     return {"rows": rows, "growth_mb": rows[1]["largest_mb"] - rows[0]["largest_mb"]}
 
@@ -99,25 +87,20 @@ def disk() -> dict[str, Any]:
         if mounted.returncode:
             return {"mounted": False, "why": mounted.stderr.decode().strip()}
         try:
-            code, said, *_ = ran(["run", str(path), "--out", str(small / "out"), "--workers", "1"])
+            cut = ran("run", str(path), "--out", str(small / "out"), "--workers", "1")
             blocks = len(list((small / "out" / "blocks").glob("*.parquet")))
             subprocess.run(["mount", "-o", "remount,size=100m", small], check=True)
-            resumed, after, *_ = ran(["resume", str(path), "--out", str(small / "out"), "--workers", "1"])
-            assert resumed == 0, after
-            undisturbed, _, *_ = ran(["run", str(path), "--out", str(folder / "whole"), "--workers", "1"])
-            assert undisturbed == 0
+            resumed = ran("resume", str(path), "--out", str(small / "out"), "--workers", "1")
+            assert resumed.code == 0, resumed.err
+            assert ran("run", str(path), "--out", str(folder / "whole"), "--workers", "1").code == 0
             same = digest(small / "out") == digest(folder / "whole")
         finally:
             subprocess.run(["umount", small], check=True)
+    said = cut.out + cut.err
     message = next((line for line in reversed(said.splitlines()) if "full" in line or "space" in line), said[-200:])
     return {
-        "mounted": True,
-        "exit": code,
-        "said": message,
-        "blocks_kept": blocks,
-        "resumed": resumed,
-        "same_bytes": same,
-    }
+        "mounted": True, "exit": cut.code, "said": message, "blocks_kept": blocks, "resumed": resumed.code, "same_bytes": same,
+    }  # fmt: skip
 
 
 def dask(points: int = 2048) -> dict[str, Any]:
@@ -128,38 +111,14 @@ def dask(points: int = 2048) -> dict[str, Any]:
         here = bj.study(table, folder / "here", workers=1)
         for workers in (1, 2, 1, 2):
             port = free_port()
-            address = f"tcp://127.0.0.1:{port}"
-            jobs = [
-                start(
-                    "--host",
-                    "127.0.0.1",
-                    "--port",
-                    str(port),
-                    "--no-dashboard",
-                    module="distributed.cli.dask_scheduler",
-                )
-            ]
-            time.sleep(3.0)
-            jobs += [
-                start(address, "--nthreads", "1", "--no-nanny", "--no-dashboard", module="distributed.cli.dask_worker")
-                for _ in range(workers)
-            ]
-            time.sleep(8.0)
+            jobs, out = cluster(port, workers, (3.0, 8.0)), folder / f"{workers}-{port}"
             try:
-                out, seen = folder / f"{workers}-{port}", []
-                run = bj.study(
-                    table,
-                    out,
-                    scheduler=address,
-                    progress=lambda done, _: seen.append((time.perf_counter(), done)),  # noqa: B023
-                )
+                run, seen = watched(table, out, scheduler=f"tcp://127.0.0.1:{port}")
             finally:
                 for job in reversed(jobs):
-                    job.kill()
-                    job.wait()
+                    end(job)
             # From when every worker has its program to the end.
-            first, last = (at for at in seen if at[1] >= workers), seen[-1]
-            begin = next(first)
+            begin, last = next(at for at in seen if at[1] >= workers), seen[-1]
             size = points / last[1]
             found.setdefault(str(workers), []).append((last[1] - begin[1]) * size / (last[0] - begin[0]))
             found["identical"] = found.get("identical", True) and digest(out) == digest(folder / "here")
@@ -173,41 +132,26 @@ PARTS = {"memory": memory, "disk": disk, "dask": dask}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=list(PARTS))
-    given = parser.parse_args()
-    path = ROOT / "benchmarks" / "results" / f"{NAME}.json"
-    content = {k: v for k, v in load(NAME).items() if k in PARTS} if path.exists() else {}
-    for part in given.parts:
-        content[part] = PARTS[part]()
-        save(NAME, content)
-    print(json.dumps(content, indent=1))
-    put_in_readme(NAME, text(content), "docs/studies.md")
+    parts("study_scale", PARTS, options(__doc__, {"parts": PARTS}).parts)
+    publish("study_scale", text(known("study_scale")), "docs/studies.md")
 
 
 def text(content: dict[str, Any]) -> str:
     """What was measured, as Markdown."""
     said = []
     if found := content.get("memory"):
-        head = [["quasistatic points", "failed", "seconds", "largest process", "on disk"]]
-        body = [
-            [f"{r['points']}", f"{r['failed']}", f"{r['seconds']:.0f}", f"{r['largest_mb']:.0f} MB",
-             f"{r['disk_mb']:.1f} MB"] for r in found["rows"]
-        ]  # fmt: skip
-        said.append(
-            markdown(head + body)
-            + "\n\nThe smaller one, which came first, compiled. pandas and DuckDB read the table as it stands."
-        )
+        said += [tabled({
+            "quasistatic points": "{points}", "failed": "{failed}", "seconds": "{seconds:.0f}",
+            "largest process": "{largest_mb:.0f} MB", "on disk": "{disk_mb:.1f} MB",
+        }, found["rows"])]  # fmt: skip
+        said += ["The smaller one, which came first, compiled. pandas and DuckDB read the table as it stands."]
     if (found := content.get("disk")) and found["mounted"]:
-        said.append(
-            f"A full disk: exit code {found['exit']}, “{found['said'].strip()}”; resumed with room, the table is "
-            + ("byte for byte that of an undisturbed run." if found["same_bytes"] else "**another one**.")
-        )
+        end = "byte for byte that of an undisturbed run." if found["same_bytes"] else "**another one**."
+        full = f"A full disk: exit code {found['exit']}, “{found['said'].strip()}”"
+        said.append(f"{full}; resumed with room, the table is {end}")
     if found := content.get("dask"):
-        said.append(
-            f"Two Dask workers do {found['gain']:.2f} times the points of one"
-            + (", byte for byte what one process does." if found["identical"] else ", **with other results**.")
-        )
+        end = ", byte for byte what one process does." if found["identical"] else ", **with other results**."
+        said.append(f"Two Dask workers do {found['gain']:.2f} times the points of one{end}")
     return "\n\n".join(said)
 
 

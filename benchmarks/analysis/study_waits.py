@@ -7,38 +7,22 @@ Python, in turns, each with programs of its own, kept by a run before. Wall seco
 
 from __future__ import annotations
 
-import argparse
-import os
 import shutil
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bcfj_jax.io.outputs import write_toml
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
-
-
-def clearances(points: int, **scene: Any) -> dict[str, Any]:
-    """Clearances of the joint's seat pilot over a decade."""
-    return {
-        "scene": {"scene": {"kind": "joint", **scene.pop("options", {})}, **scene},
-        "vary": {"clearance_seat_cage": {"lower": 1e-5, "upper": 1e-4, "steps": points, "scale": "log"}},
-        "results": {"features": ["seat_ball.peak", "cage_ball.peak"]},
-    }
-
+from benchmarks.analysis.study import PITCH, STILL, clearances
+from benchmarks.common import ROOT, known, options, publish, save, table
+from benchmarks.processes import bcfj, commit
 
 STUDIES: dict[str, dict[str, Any]] = {
-    "joint, 0.6 s, 256 points": clearances(256, time={"end": 0.6, "samples": 601}),
-    "joint, 0.1 s, 256 points": clearances(256, time={"end": 0.1, "samples": 101}),
-    # One ball's pitch, after the ramp of the load.
-    "joint in equilibrium, 13 instants, 20 000 points": clearances(
-        20_000, options={"fidelity": "quasistatic"}, time={"end": 0.1, "samples": 13}, parameters={"load_ramp": 1e-6}
-    ),
+    "joint, 0.6 s, 256 points": clearances(256, {}, STILL, time={"end": 0.6, "samples": 601}),
+    "joint, 0.1 s, 256 points": clearances(256, {}, STILL, time={"end": 0.1, "samples": 101}),
+    "joint in equilibrium, 13 instants, 20 000 points": clearances(20_000, {"fidelity": "quasistatic"}, STILL, **PITCH),
     "slider-crank with friction, two turns, 2 048 points": {
         "scene": {"scene": {"kind": "slider_crank", "friction": True}, "time": {"end": 0.024, "samples": 601}},
         "vary": {"clearance_journal": {"lower": 1e-4, "upper": 5e-4, "steps": 2048}},
@@ -56,43 +40,39 @@ def waited(checkout: Path, study: Path, cache: Path) -> float:
     """Wall seconds of ``bcfj study run`` in a fresh folder."""
     out = study.parent / "out"
     shutil.rmtree(out, ignore_errors=True)
-    environment = {**os.environ, "PYTHONPATH": str(checkout), "BCFJ_CACHE": str(cache)}
-    begin = time.perf_counter()
-    command = [sys.executable, "-m", "bcfj_jax", "study", "run", str(study), "--out", str(out)]
-    subprocess.run(command, env=environment, cwd=study.parent, check=True, capture_output=True)
-    return time.perf_counter() - begin
+    ran = bcfj(["study", "run", str(study), "--out", str(out)], study.parent, {"BCFJ_CACHE": str(cache)}, checkout)
+    assert ran.code == 0, ran.err
+    return ran.wall_s
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--against", type=Path, required=True)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--only", nargs="*", default=list(STUDIES))
-    given = parser.parse_args()
+    given = options(__doc__, against=Path, rounds=3, only=STUDIES)
+    if given.against is None:
+        raise SystemExit("--against DIR is missing: a checkout of an older commit")
     trees = {"before": given.against.resolve(), "now": ROOT}
-    commit = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=trees["before"], capture_output=True, text=True, check=True
-    )
-    found: dict[str, Any] = load("study_waits")["studies"] if set(given.only) < set(STUDIES) else {}
+    found: dict[str, Any] = known("study_waits")["studies"] if set(given.only) < set(STUDIES) else {}
     for name in given.only:
         with tempfile.TemporaryDirectory() as place:
             study = Path(place) / "study.toml"
             write_toml(study, STUDIES[name], name)
-            first = {tree: waited(path, study, Path(place) / tree) for tree, path in trees.items()}
-            warm: dict[str, list[float]] = {tree: [] for tree in trees}
-            for _ in range(given.rounds):
-                for tree, path in trees.items():
-                    warm[tree].append(waited(path, study, Path(place) / tree))
+            each = [
+                {t: waited(path, study, Path(place) / t) for t, path in trees.items()} for _ in range(given.rounds + 1)
+            ]
+        first, warm = each[0], {tree: [one[tree] for one in each[1:]] for tree in trees}
         median = {tree: float(np.median(times)) for tree, times in warm.items()}
         found[name] = {"first_s": first, "warm_s": warm, "median_s": median, "ratio": median["before"] / median["now"]}
         print(name, found[name], flush=True)
-    save("study_waits", {"against": commit.stdout.strip(), "studies": found})
-    rows = [["study", "before, s", "now, s", "times as quick", "the first time, before and now, s"]]
-    for name, one in found.items():
-        before, now = (f"{one['median_s'][tree]:.3g}" for tree in ("before", "now"))
-        firsts = " and ".join(f"{one['first_s'][tree]:.3g}" for tree in ("before", "now"))
-        rows.append([name, before, now, f"**{one['ratio']:.1f}**", firsts])
-    put_in_readme("study_waits", markdown(rows), "docs/studies.md")
+    save("study_waits", {"against": commit(trees["before"]), "studies": found})
+    publish("study_waits", text(found), "docs/studies.md")
+
+
+def text(found: dict[str, Any]) -> str:
+    """The table of docs/studies.md."""
+    return table({
+        "study": "{name}", "before, s": "{median_s[before]:.3g}", "now, s": "{median_s[now]:.3g}",
+        "times as quick": "**{ratio:.1f}**",
+        "the first time, before and now, s": "{first_s[before]:.3g} and {first_s[now]:.3g}",
+    }, ({"name": name, **one} for name, one in found.items()))  # fmt: skip
 
 
 if __name__ == "__main__":

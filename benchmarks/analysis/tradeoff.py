@@ -10,13 +10,8 @@ the load has risen. A study goes on where it was cut off (build/tradeoff).
 
 from __future__ import annotations
 
-import argparse
-import os
 from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff import advice
@@ -32,7 +27,8 @@ from bcfj_jax.io.scenefile import from_table, quickest
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import LEVELS
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import IMAGES, RESULTS, ROOT, load, markdown, options, publish, save
 from benchmarks.models import joint_reference
 from benchmarks.solve.levels import off
 
@@ -139,24 +135,20 @@ def picture() -> None:
             axis.set_xlabel("wall time of a run, compiled [s]")
             axis.legend(fontsize=7)
         axes[0].set_ylabel("worst of force rms, peak and impulse [of the peak]")
-        plots.save(figure, ROOT / "docs" / "images" / "tradeoff.png")
+        plots.save(figure, IMAGES / "tradeoff.png")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=f"by default all of {', '.join(TABLES)}")
-    parser.add_argument("--budget", type=float, default=900.0, help="seconds a scene")
-    parser.add_argument(
-        "--no-derivatives", action="store_true", help="values alone: most of a joint's cost is left out"
-    )
-    parser.add_argument("--only", default="", help="groups of settings or solvers, as of bcfj tradeoff")
-    parser.add_argument("--drawn", action="store_true")
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    for name in () if asked.drawn else asked.scenes or TABLES:
-        measure(name, asked.budget, [x for x in asked.only.split(",") if x], not asked.no_derivatives)
+    given = options(
+        __doc__, {"scenes": TABLES}, budget=(900.0, "seconds a scene"),
+        no_derivatives=(False, "values alone: most of a joint's cost is left out"),
+        only=("", "groups of settings or solvers, as of bcfj tradeoff"), drawn=False,
+    )  # fmt: skip
+    keep_programs()
+    for name in () if given.drawn else given.scenes:
+        measure(name, given.budget, [x for x in given.only.split(",") if x], not given.no_derivatives)
     picture()
-    put_in_readme("tradeoff", table(), "docs/accuracy.md")
+    publish("tradeoff", table(), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

@@ -11,32 +11,25 @@ The dynamic joint's are by CVODES (``joint_calibration``).
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
+import itertools
 import json
-import multiprocessing
-import os
-import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.stats import binomtest, chi2
 
+import benchmarks.common as harness
 from bcfj_jax import scenes, simulate
 from bcfj_jax.models.joint.scene import PLAIN
 from benchmarks.calibration.joint_calibration import BOUNDS as JOINT_BOUNDS
-from benchmarks.calibration.joint_calibration import Compilation
 from benchmarks.calibration.joint_calibration import problem as joint_problem
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import Compilation, clocked, keep_programs, on_core, pool
+from benchmarks.common import ROOT, Some, load, options, publish, save, tally, told
+from benchmarks.references.impact import contact
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.forward.model import build, residuals_and_jacobian
 
@@ -72,27 +65,13 @@ def noisy(names: list[str], forces: list[np.ndarray], noise: float, seed: int) -
     )
 
 
-@functools.cache
 def impact_force(source: str) -> np.ndarray:
     """Force (T,) [N] of the impact: our own, or SciPy's with an event where the bodies part."""
-    k, n, a = IMPACT.values()
     if source == "own":
         scene = scenes.impact(smoothing=False)
         params = scene.parameters({**IMPACT, "mass": MASS, "approach_speed": SPEED})
         return simulate(scene, params, TIMES, accuracy=1e-8).force["contact"][:, 0]
-
-    def force(d: Any, rate: Any) -> Any:
-        return k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
-
-    def apart(_: float, s: np.ndarray) -> float:
-        return s[0] - 1e-15
-
-    apart.terminal, apart.direction = True, -1  # pyright: ignore[reportFunctionMemberAccess]
-    run = solve_ivp(
-        lambda _, s: (s[1], -force(s[0], s[1]) / MASS), (0.0, 1.0), (1e-14, SPEED), "DOP853", rtol=1e-12, atol=1e-15,
-        events=apart, dense_output=True,
-    )  # fmt: skip
-    return np.where(run.t_events[0][0] > TIMES, force(*run.sol(TIMES)), 0.0)
+    return contact(IMPACT, MASS, SPEED).force(TIMES)
 
 
 def impact(source: str, noise: float, seed: int) -> Problem:
@@ -162,19 +141,15 @@ def bound(case: Case, noise: float, accuracy: float | None = None) -> dict[str, 
 def replicates(task: tuple[str, Case, float, list[int], int]) -> int:
     """Fit each seed's record in this process, which keeps to one core, and keep what came of it."""
     name, case, noise, seeds, worker = task
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {sorted(os.sched_getaffinity(0))[worker % len(os.sched_getaffinity(0))]})
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    on_core(worker)
+    keep_programs(0.2)
     compilation = Compilation()
     for count, seed in enumerate(seeds):
-        begin, cpu = time.perf_counter(), time.process_time()
-        found = fit(case.problem(noise, seed), seed=seed, starts=case.starts)
+        found, took = clocked(lambda seed=seed: fit(case.problem(noise, seed), seed=seed, starts=case.starts))
         compiling, profiled = compilation.since(), bool(found.evidence.profiles)
         assert count == 0 or profiled or compiling < MOST_COMPILING_S, f"{compiling:.1f} s of compiling in a later fit"
         row = {
-            "seed": seed, "verdict": found.verdict, "reasons": found.reasons, "compiling_s": compiling,
-            "wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu,
+            "seed": seed, "verdict": found.verdict, "reasons": found.reasons, "compiling_s": compiling, **took,
             "parameters": {k: [p.value, p.ci95, p.identifiable] for k, p in found.parameters.items()},
         }  # fmt: skip
         with kept(name, noise, worker).open("a") as file:
@@ -201,11 +176,13 @@ def finished(name: str, noise: float) -> list[dict[str, Any]]:
     return [rows[seed] for seed in sorted(rows)]
 
 
-def fit_missing(name: str, case: Case, noise: float, count: int, workers: int, pool: ProcessPoolExecutor) -> None:
-    """Fit those of ``count`` seeds that are not kept."""
-    have = {row["seed"] for row in finished(name, noise)}
-    missing = [seed for seed in range(count) if seed not in have]
-    list(pool.map(replicates, [(name, case, noise, missing[k::workers], k) for k in range(workers)]))
+def fit_missing(todo: Mapping[str, Case], noises: Sequence[float], count: int | None, workers: int) -> None:
+    """Fit those seeds of cases that are not kept; of each case ``count``, or its own number."""
+    with pool(workers) as processes:
+        for (name, case), noise in itertools.product(todo.items(), noises):
+            have = {row["seed"] for row in finished(name, noise)}
+            missing = [seed for seed in range(count or case.replicates) if seed not in have]
+            list(processes.map(replicates, [(name, case, noise, missing[k::workers], k) for k in range(workers)]))
 
 
 def summary(
@@ -231,11 +208,10 @@ def summary(
             "ratio_expected": limits.tolist(), "bias_over_bound": float(np.mean(error)) / least[parameter],
             "bias_over_standard_error": float(np.mean(error) / np.std(error, ddof=1)) * len(rows) ** 0.5,
         }  # fmt: skip
-    verdicts = [r["verdict"] for r in rows]
     reasons = [reason for r in rows for reason in r["reasons"]]
     return {
         "case": name, "noise": noise, "replicates": len(rows), "starts": case.starts, "parameters": parameters,
-        "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+        "verdicts": tally(r["verdict"] for r in rows),
         "reasons": {r: reasons.count(r) for r in sorted(set(reasons), key=reasons.count)[-5:]},
         "median_wall_s": float(np.median([r["wall_s"] for r in rows])),
         "median_cpu_s": float(np.median([r["cpu_s"] for r in rows])),
@@ -244,41 +220,32 @@ def summary(
 
 def table(cases: list[dict[str, Any]]) -> str:
     """All parameters of all cases as Markdown."""
-    rows = [["case", "noise", "parameter", "coverage (its 95 %)", "variance / Cramer-Rao (95 % of chance)", "verdicts"]]
-    for c in cases:
-        for name, p in c["parameters"].items():
-            ends = p["coverage_ci95"]
-            binomial = (
-                f"{p['coverage']:.1%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
-            )
-            low, high = p["ratio_expected"]
-            ratio = f"{p['variance_over_bound']:.2f} ({low:.2f} to {high:.2f})"
-            verdicts = ", ".join(f"{v} {n}" for v, n in c["verdicts"].items())
-            rows.append([c["case"], f"{c['noise']:.0%}", name, binomial, ratio, verdicts])
-    return markdown(rows)
+
+    def coverage(p: dict[str, Any]) -> str:
+        ends = p["coverage_ci95"]
+        return f"{p['coverage']:.1%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+
+    columns = {
+        "case": "{case}", "noise": "{noise:.0%}", "parameter": "{name}", "coverage (its 95 %)": coverage,
+        "variance / Cramer-Rao (95 % of chance)":
+            "{variance_over_bound:.2f} ({ratio_expected[0]:.2f} to {ratio_expected[1]:.2f})",
+        "verdicts": lambda row: told(row["verdicts"]),
+    }  # fmt: skip
+    return harness.table(columns, ({**c, "name": name, **p} for c in cases for name, p in c["parameters"].items()))
 
 
 def main() -> None:
     """Do what is missing of the cases asked for, and put together all that is there."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=[])
-    parser.add_argument("--replicates", type=int)
-    parser.add_argument("--noise", type=float, nargs="*", default=(0.01, 0.02, 0.05))
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name in given.cases or CASES:
-            for noise in given.noise:
-                count = given.replicates or CASES[name].replicates
-                fit_missing(name, CASES[name], noise, count, given.workers, pool)
+    noises = (0.01, 0.02, 0.05)
+    given = options(__doc__, {"cases": CASES}, replicates=int, noise=Some(noises), workers=2)
+    fit_missing({name: CASES[name] for name in given.cases}, given.noise, given.replicates, given.workers)
     earlier = {(c["case"], c["noise"]): c for c in load("coverage")["cases"]}
-    done = [(name, noise, finished(name, noise)) for name in CASES for noise in (0.01, 0.02, 0.05)]
+    done = [(name, noise, finished(name, noise)) for name in CASES for noise in noises]
     # Of a case that this clone has no replicates of, what is committed stays.
     found = [summary(n, CASES[n], noise, rows) if rows else earlier.get((n, noise)) for n, noise, rows in done]
     cases = [case for case in found if case]
     save("coverage", {"what": "whole fits of records with fresh noise, as a share of each peak", "cases": cases})
-    put_in_readme("coverage", table(cases), "docs/fits_measured.md")
-    print(table(cases))
+    publish("coverage", table(cases), "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

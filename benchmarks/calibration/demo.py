@@ -10,7 +10,7 @@ from typing import Any
 
 import calibration
 from bcfj_jax.io.units import format_si
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.common import IMAGES, ROOT, load, markdown, publish, save, tally
 from calibration.report import plots
 
 SEEDS, DEPTH = range(10), 0.2e-3
@@ -33,22 +33,17 @@ def main() -> None:
     problem = calibration.load(ROOT / "examples" / "chung_ooi_fit.toml")
     fits = [calibration.fit(problem, seed=seed) for seed in SEEDS]
     first, rows = fits[0], {}
-    for name in ("stiffness", "exponent"):
+    for name, theory in THEORY.items():
         values = [fit.parameters[name].value for fit in fits]
         spread = (max(values) - min(values)) / statistics.mean(values)
-        ends = first.parameters[name].ci95
-        rows[name] = {"value": values[0], "ci95": ends, "theory": THEORY[name], "spread": spread}
+        rows[name] = {"value": values[0], "ci95": first.parameters[name].ci95, "theory": theory, "spread": spread}
     forces = [fit.force_at(DEPTH) for fit in fits]
     theory = THEORY["stiffness"] * DEPTH**1.5
     spread = (max(forces) - min(forces)) / theory
     rows["force"] = {"value": forces[0], "ci95": None, "theory": theory, "spread": spread}
-    verdicts = [fit.verdict for fit in fits]
-    save("demo", {"rows": rows, "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))}})
-    put_in_readme("demo", table(load("demo")))
-    picture = ROOT / "docs" / "images" / "demo_fit.png"
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    plots.records(first, problem, picture)
-    print(table(load("demo")))
+    save("demo", {"rows": rows, "verdicts": tally(fit.verdict for fit in fits)})
+    publish("demo", table(load("demo")))
+    plots.records(first, problem, IMAGES / "demo_fit.png")
 
 
 if __name__ == "__main__":

@@ -9,19 +9,15 @@ of a quantisation, so many off the highest peak of a saturation). Fifty have non
 
 from __future__ import annotations
 
-import argparse
-import os
-import time
 from functools import cache
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 
 from benchmarks.calibration import imperfect
 from benchmarks.calibration.imperfect import MASS, NOISE, SCENE, STARTS, TRUTH
-from benchmarks.common import markdown, put_in_readme, save
+from benchmarks.clock import clocked, until
+from benchmarks.common import markdown, options, publish, save
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 from calibration.selection.diagnosis import diagnose, rank
 
@@ -113,18 +109,16 @@ def fitted(planned: dict[str, Any]) -> tuple[Problem, Fit]:
 
 def ranking(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str, Any]:
     """What residuals alone say."""
-    begin = time.perf_counter()
-    found = rank(given, plain)
+    found, took = clocked(lambda: rank(given, plain))
     assert found is not None
     likely = {f.name: round(f.explained, 4) for f in found.found if f.likely}
-    seconds = time.perf_counter() - begin
-    return {**planned, "law": plain.law.answer, "by_residuals": found.named, "explained": likely, "rank_s": seconds}
+    said = {"law": plain.law.answer, "by_residuals": found.named, "explained": likely}
+    return {**planned, **said, "rank_s": took["wall_s"]}
 
 
 def confirming(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str, Any]:
     """What fits say of it."""
-    begin = time.perf_counter()
-    found = diagnose(given, plain, planned["seed"])
+    found, took = clocked(lambda: diagnose(given, plain, planned["seed"]))
     assert found is not None
     fits = [
         {
@@ -133,7 +127,7 @@ def confirming(planned: dict[str, Any], given: Problem, plain: Fit) -> dict[str,
         }
         for t in found.trials
     ]  # fmt: skip
-    return {"named": found.named, "fits": fits, "diagnose_s": time.perf_counter() - begin}
+    return {"named": found.named, "fits": fits, "diagnose_s": took["wall_s"]}
 
 
 def table(planted: list[dict[str, Any]], clean: list[dict[str, Any]]) -> str:
@@ -157,31 +151,25 @@ def table(planted: list[dict[str, Any]], clean: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    given, begin = parser.parse_args(), time.perf_counter()
-    planted = plan(given.records, given.seed)
-    clean = [{**p, "planted": NOTHING, "deviations": 0.0, "seed": p["seed"] + 500} for p in planted]
-    records = [(planned, *fitted(planned)) for planned in [*planted, *clean]]
+    given = options(__doc__, records=50, seed=0, minutes=60.0)
+    planned = plan(given.records, given.seed)
+    clean = [{**p, "planted": NOTHING, "deviations": 0.0, "seed": p["seed"] + 500} for p in planned]
+    records = [(planned, *fitted(planned)) for planned in [*planned, *clean]]
     found = [ranking(*record) for record in records]
-    keep(found, given)
+    keep(found, given.seed)
     # Many fits, and compiled anew for each number of runs.
-    for k in sorted(range(len(found)), key=lambda k: found[k]["runs"]):
-        if time.perf_counter() - begin < 60.0 * given.minutes:
-            found[k] |= confirming(*records[k])
-            print(k, found[k], flush=True)
-            keep(found, given)
+    for k in until(given.minutes, sorted(range(len(found)), key=lambda k: found[k]["runs"])):
+        found[k] |= confirming(*records[k])
+        keep(found, given.seed)
 
 
-def keep(found: list[dict[str, Any]], given: argparse.Namespace) -> None:
-    planted, clean = found[: given.records], found[given.records :]
-    save("diagnosis", {"seed": given.seed, "planted": planted, "clean": clean})
+def keep(found: list[dict[str, Any]], seed: int) -> None:
+    planted, clean = found[: len(found) // 2], found[len(found) // 2 :]
+    save("diagnosis", {"seed": seed, "planted": planted, "clean": clean})
     quick, slow = ([f[key] for f in found if key in f] or [0.0] for key in ("rank_s", "diagnose_s"))
     said = f"The ranking by residuals takes {np.median(quick):.2g} s (median)"
     said += f", with fits and their compilation {np.median(slow):.2g} s." if max(slow) else "."
-    put_in_readme("diagnosis", f"{table(planted, clean)}\n\n{said}", "docs/fits_measured.md")
+    publish("diagnosis", f"{table(planted, clean)}\n\n{said}", "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

@@ -11,15 +11,19 @@ from __future__ import annotations
 import io
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.clock import clocked
+from benchmarks.common import add, options
+from benchmarks.references.impact import contact
+
 # Of the law F = K d^n (1 + a d') that made the record.
-STIFFNESS, EXPONENT, DAMPING, MASS, SPEED = 9e4, 1.3, 0.15, 0.4, 1.2
+LAW = {"stiffness": 9e4, "exponent": 1.3, "damping": 0.15}
+MASS, SPEED = 0.4, 1.2
 GERMAN = "Zeit [ms];Kraft [kN];Weg [mm]"
 
 
@@ -47,20 +51,10 @@ class Record(NamedTuple):
 
 def record() -> Record:
     """A drop on a pad, 12 ms of flight before the contact, 1 % noise; by SciPy."""
-    from scipy.integrate import solve_ivp
-
-    def law(d: float, v: float) -> float:
-        return STIFFNESS * max(d, 0.0) ** EXPONENT * (1.0 + DAMPING * v) if d > 0 else 0.0
-
     times = np.arange(0.0, 0.04, 2.5e-4)
-    later = np.maximum(times - 12.1e-3, 0.0)
-    run = solve_ivp(
-        lambda t, y: [y[1], -law(y[0], y[1]) / MASS], (0.0, later[-1]), [0.0, SPEED], "DOP853", t_eval=later[later > 0],
-        rtol=1e-10, atol=1e-13, max_step=5e-4,
-    )  # fmt: skip
-    force, place = np.zeros(times.size), SPEED * (times - 12.1e-3)
-    force[later > 0] = [law(d, v) for d, v in run.y.T]
-    place[later > 0] = run.y[0]
+    drop = contact(LAW, MASS, SPEED, begin=12.1e-3)
+
+    force, place = drop.force(times), drop.depth(times)
     force += 0.01 * force.max() * np.random.default_rng(7).standard_normal(times.size)
     return Record(
         [f"{1e3 * t:.2f}" for t in times], [f"{1e-3 * f:.6f}" for f in force], [f"{1e3 * x + 350.0:.4f}" for x in place]
@@ -211,33 +205,27 @@ def write(file: File, name: str, folder: Path) -> Path:
     return problem
 
 
-def main(chosen: list[str]) -> int:
+def main() -> int:
     """Fit every dialect and print the table."""
     import calibration
-    from benchmarks import common
 
-    rows, first = [], None
+    every = files(record())
+    chosen, rows, first = options(__doc__, {"dialects": every}).dialects, [], None
     with tempfile.TemporaryDirectory() as folder:
-        for name, file in files(record()).items():
-            if chosen and name not in chosen:
-                continue
-            problem = write(file, name, Path(folder))
-            begin = time.perf_counter()
-            fit = calibration.fit(calibration.load(problem), starts=4)
-            values = [p.value for p in fit.parameters.values()]
+        for name in chosen:
+            problem = write(every[name], name, Path(folder))
+            fit, took = clocked(lambda problem=problem: calibration.fit(calibration.load(problem), starts=4))
+            values = {key: p.value for key, p in fit.parameters.items()}
             first = first or values
-            worst = max(abs(a / b - 1.0) for a, b in zip(values, first, strict=True))
-            rows.append({"dialect": name, "verdict": fit.verdict, "stiffness": values[0], "exponent": values[1],
-                         "damping": values[2], "deviation": worst, "wall_s": time.perf_counter() - begin})  # fmt: skip
-            print(
-                f"{name:42s} {fit.verdict:12s} {values[0]:.6e} {values[1]:.6f} {values[2]:.6f} {worst:.1e}", flush=True
+            worst = max(abs(value / first[key] - 1.0) for key, value in values.items())
+            rows.append(
+                {"dialect": name, "verdict": fit.verdict, **values, "deviation": worst, "wall_s": took["wall_s"]}
             )
-    if not chosen:
-        common.save("dialects", {**common.load("dialects"), "rows": rows})
-    if not rows:
-        raise SystemExit(f"no dialect {', '.join(chosen)}; known are: {', '.join(files(record()))}")
+            print(*rows[-1].values(), flush=True)
+    if chosen == list(every):
+        add("dialects", {"rows": rows})
     return 0 if all(row["verdict"] == "identified" and row["deviation"] < 1e-6 for row in rows) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

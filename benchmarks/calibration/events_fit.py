@@ -10,19 +10,17 @@ alone, on all data at once, from starts all over the bounds, where a spiky resid
 
 from __future__ import annotations
 
-import argparse
-import os
-import time
+import itertools
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 from scipy.stats import qmc
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from benchmarks.calibration import hard_bounces, trap
-from benchmarks.common import markdown, put_in_readme, save
+from benchmarks.clock import clocked, until
+from benchmarks.common import options, publish, save, tally, told
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.forward.model import build
 from calibration.impacts.trains import observations
@@ -68,10 +66,8 @@ def problems(name: str, times: np.ndarray, force: np.ndarray, noise: float, seed
 
 def fitted(given: Problem, truth: dict[str, float], seed: int) -> dict[str, Any]:
     """What is kept of a fit: errors and half widths, by logarithms of stiffness and damping."""
-    begin, wall = time.process_time(), time.perf_counter()
-    found = fit(given, seed=seed, starts=STARTS)
-    cpu, wall = time.process_time() - begin, time.perf_counter() - wall
-    row: dict[str, Any] = {"verdict": found.verdict, "cpu_s": cpu, "wall_s": wall, "error": {}, "half": {}, "false": {}}
+    found, took = clocked(lambda: fit(given, seed=seed, starts=STARTS))
+    row: dict[str, Any] = {"verdict": found.verdict, **took, "error": {}, "half": {}, "false": {}}
     costs = np.array([s["chi2"] if s["chi2"] is not None else np.inf for s in found.starts])
     row["starts"] = int(np.sum(costs <= costs.min() + _NEAR))
     for name, true in truth.items():
@@ -83,93 +79,70 @@ def fitted(given: Problem, truth: dict[str, float], seed: int) -> dict[str, Any]
     return row
 
 
-def plain(given: Problem, seed: int) -> dict[str, Any]:
+def plain(given: Problem, record: str, seed: int) -> dict[str, Any]:
     """Least squares on all data at once, from starts all over the bounds: how many end near the best."""
     model = build(given, given.experiments)
     points = qmc.Sobol(3, rng=seed).random(PLAIN)
     evaluate = evaluator(model)
-    truth = np.array([[RECORDS[n][a.name] for a in model.coordinates] for n in RECORDS if _is(given, n)])
+    truth = np.array([[RECORDS[record][a.name] for a in model.coordinates]])
     best = float(cost_of(evaluate(np.repeat(model.point(truth), 12, axis=0))[0])[0])
-    begin, costs = time.process_time(), []
-    for block in np.array_split(points, -(-PLAIN // 12)):
-        costs.append(levenberg(evaluate, block, 80, 1e-2).costs)
-    costs = np.concatenate(costs)
-    return {"near": int(np.sum(costs <= best + _NEAR)), "of": PLAIN, "cpu_s": time.process_time() - begin}
-
-
-def _is(given: Problem, name: str) -> bool:
-    return given.params["stiffness"] == RECORDS[name]["stiffness"]
+    blocks = np.array_split(points, -(-PLAIN // 12))
+    costs, took = clocked(lambda: np.concatenate([levenberg(evaluate, block, 80, 1e-2).costs for block in blocks]))
+    return {"near": int(np.sum(costs <= best + _NEAR)), "of": PLAIN, "cpu_s": took["cpu_s"]}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    head = ["record", "noise", "data", "fits", "verdicts", "starts that agree", "intervals that exclude the truth"]
-    shown = [[*head, "half width K, n, a", "error, rms, K, n, a", "CPU s (median)"]]
-    for name in RECORDS:
-        for noise in NOISES:
-            for data in ("samples", "events"):
-                own = [r[data] for r in rows if r["record"] == name and r["noise"] == noise]
-                if not own:
-                    continue
-                words = sorted({r["verdict"] for r in own})
-                verdicts = ", ".join(f"{w} {sum(r['verdict'] == w for r in own)}" for w in words)
-                ends = [x for r in own for x in r["false"].values() if x is not None]
-                half = [
-                    np.median([r["half"][n] for r in own if r["half"][n] is not None] or [np.nan])
-                    for n in RECORDS[name]
-                ]
-                rms = [np.sqrt(np.mean([r["error"][n] ** 2 for r in own])) for n in RECORDS[name]]
-                starts = f"{sum(r['starts'] for r in own)} of {STARTS * len(own)}"
-                cells = (f"{100 * x[0]:.2g} %, {x[1]:.2g}, {100 * x[2]:.2g} %" for x in (half, rms))
-                cpu = f"{np.median([r['cpu_s'] for r in own]):.2f}"
-                case = [name, f"{noise:.1%}", data, str(len(own)), verdicts, starts, f"{sum(ends)} of {len(ends)}"]
-                shown.append([*case, *cells, cpu])
-    return markdown(shown)
+    shown = []
+    for name, noise, data in itertools.product(RECORDS, NOISES, ("samples", "events")):
+        own = [r[data] for r in rows if r["record"] == name and r["noise"] == noise]
+        if not own:
+            continue
+        ends = [x for r in own for x in r["false"].values() if x is not None]
+        half = [np.median([r["half"][n] for r in own if r["half"][n] is not None] or [np.nan]) for n in RECORDS[name]]
+        rms = [np.sqrt(np.mean([r["error"][n] ** 2 for r in own])) for n in RECORDS[name]]
+        shown.append({
+            "record": name, "noise": noise, "data": data, "fits": len(own), "verdicts": told(tally(r["verdict"] for r in own)),
+            "starts": f"{sum(r['starts'] for r in own)} of {STARTS * len(own)}", "false": f"{sum(ends)} of {len(ends)}",
+            "half": half, "rms": rms, "cpu": np.median([r["cpu_s"] for r in own]),
+        })  # fmt: skip
+    errors = {"half width K, n, a": "half", "error, rms, K, n, a": "rms"}
+    return harness.table({
+        "record": "{record}", "noise": "{noise:.1%}", "data": "{data}", "fits": "{fits}", "verdicts": "{verdicts}",
+        "starts that agree": "{starts}", "intervals that exclude the truth": "{false}",
+        **{
+            head: lambda r, k=key: f"{100 * r[k][0]:.2g} %, {r[k][1]:.2g}, {100 * r[k][2]:.2g} %" for head, key in errors.items()
+        },
+        "CPU s (median)": "{cpu:.2f}",
+    }, shown)  # fmt: skip
 
 
 def plain_table(rows: list[dict[str, Any]]) -> str:
-    shown = [["record", "noise", "from samples", "from events"]]
-    for r in rows:
-        cells = [f"{r[d]['near']} of {r[d]['of']}" for d in ("samples", "events")]
-        shown.append([r["record"], f"{r['noise']:.1%}", *cells])
-    return markdown(shown)
+    cells = {f"from {data}": f"{{{data}[near]}} of {{{data}[of]}}" for data in ("samples", "events")}
+    return harness.table({"record": "{record}", "noise": "{noise:.1%}", **cells}, rows)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--minutes", type=float, default=20.0)
-    given = parser.parse_args()
-    begin, rows, alone, warm = time.perf_counter(), [], [], set()
+    given = options(__doc__, seeds=10, minutes=20.0)
+    rows, alone, warm = [], [], set()
     records = {name: record(name) for name in RECORDS}
-    for noise in NOISES:
-        for name, (times, force) in records.items():
-            of = problems(name, times, force, noise, 0)
-            alone.append({"record": name, "noise": noise, **{data: plain(p, 0) for data, p in of.items()}})
-            print(alone[-1], flush=True)
-    for seed in range(given.seeds):
-        for noise in NOISES:
-            for name, (times, force) in records.items():
-                if time.perf_counter() - begin > 60.0 * given.minutes:
-                    break
-                row: dict[str, Any] = {"record": name, "noise": noise, "seed": seed}
-                for data, p in problems(name, times, force, noise, seed).items():
-                    if (name, data) not in warm:  # Programs are compiled once.
-                        fit(p, seed=seed, starts=STARTS)
-                        warm.add((name, data))
-                    row[data] = fitted(p, RECORDS[name], seed)
-                rows.append(row)
-                print(
-                    name,
-                    noise,
-                    seed,
-                    {d: (row[d]["verdict"], row[d]["cpu_s"], row[d]["error"]) for d in ("samples", "events")},
-                    flush=True,
-                )
-                save("events_fit", {"records": rows, "least_squares": alone, "starts": STARTS})
+    for noise, (name, (times, force)) in itertools.product(NOISES, records.items()):
+        of = problems(name, times, force, noise, 0)
+        alone.append({"record": name, "noise": noise, **{data: plain(p, name, 0) for data, p in of.items()}})
+        print(alone[-1], flush=True)
+    todo = itertools.product(range(given.seeds), NOISES, records.items())
+    for seed, noise, (name, (times, force)) in until(given.minutes, todo):
+        row: dict[str, Any] = {"record": name, "noise": noise, "seed": seed}
+        for data, p in problems(name, times, force, noise, seed).items():
+            if (name, data) not in warm:  # Programs are compiled once.
+                fit(p, seed=seed, starts=STARTS)
+                warm.add((name, data))
+            row[data] = fitted(p, RECORDS[name], seed)
+        rows.append(row)
+        print(row, flush=True)
+        save("events_fit", {"records": rows, "least_squares": alone, "starts": STARTS})
     alone_text = f"Least squares alone, all data at once, {PLAIN} starts over the bounds; near the best:"
     text = f"{table(rows)}\n\n{alone_text}\n\n{plain_table(alone)}"
-    put_in_readme("events-fit", text, "docs/fits_measured.md")
-    print(text)
+    publish("events-fit", text, "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ adds to results/filters.json: a record that is run again replaces its row.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -20,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from scipy import signal
-from scipy.integrate import solve_ivp
 
 from bcfj_jax import InputError
-from benchmarks.common import RESULTS, save
-from benchmarks.common import load as kept
+from benchmarks.clock import until
+from benchmarks.common import known, options, save, tally
+from benchmarks.references import impact
 from calibration import Fit, fit
 from calibration.problemfile import load
 
@@ -47,26 +46,13 @@ damping = [0.01, 3.0]
 """
 
 
-def contact(times: np.ndarray) -> tuple[np.ndarray, float]:
-    """Force (T,) of a contact from time 0 on, and its duration [s]."""
-
-    def law(depth: float, rate: float) -> float:
-        return TRUTH["stiffness"] * max(depth, 0.0) ** TRUTH["exponent"] * max(1.0 + TRUTH["damping"] * rate, 0.0)
-
-    run = solve_ivp(
-        lambda t, y: [y[1], -law(y[0], y[1]) / MASS], (0.0, 0.05), [0.0, SPEED], "DOP853", rtol=1e-9, atol=1e-13,
-        max_step=2e-4, dense_output=True,
-    )  # fmt: skip
-    ends = run.t[(run.y[0] < 0.0) & (run.t > 1e-4)]
-    states = run.sol(np.clip(times, 0.0, 0.05))
-    force = np.array([law(d, v) for d, v in states.T]) * (times > 0.0) * (times < ends[0])
-    return force, float(ends[0])
+EXACT = impact.contact(TRUTH, MASS, SPEED)
 
 
 def record(seed: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Times (T,), readings (T,) and what the filter was."""
     rng = np.random.default_rng(seed)
-    duration = contact(np.zeros(1))[1]
+    duration = EXACT.end
     step = 4.5 * duration / SAMPLES
     fine = -1.5 * duration + step / FINER * np.arange(SAMPLES * FINER) + step * rng.uniform()
     ratio = float(np.exp(rng.uniform(np.log(0.5), np.log(20.0))))
@@ -79,7 +65,7 @@ def record(seed: int) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     else:
         sections = signal.bessel(what["order"], what["cutoff"], fs=FINER / step, output="sos", norm="mag")
     run = signal.sosfiltfilt if what["zero_phase"] else signal.sosfilt
-    smooth = np.asarray(run(sections, contact(fine)[0]))[::FINER]
+    smooth = np.asarray(run(sections, EXACT.force(fine)))[::FINER]
     noise = float(rng.choice([0.003, 0.01, 0.03]))
     read = smooth + noise * smooth.max() * rng.standard_normal(smooth.size)
     return fine[::FINER] - fine[0], read, what | {"ratio": ratio, "noise": noise}
@@ -107,9 +93,8 @@ def missed(found: Fit) -> list[str]:
 def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
     """A row: the filter, what was stated, the verdict, and what it gets wrong."""
     times, read, what = record(seed)
-    np.savetxt(
-        folder / "run.csv", np.stack([times, read], axis=1), "%.9g", ",", header="time [s],force [N]", comments=""
-    )
+    table = np.stack([times, read], axis=1)
+    np.savetxt(folder / "run.csv", table, "%.9g", ",", header="time [s],force [N]", comments="")
     (folder / "run.toml").write_text(FILE.format(filter=stated(what, how), mass=MASS, speed=SPEED))
     row = {"seed": seed, **what, "stated": how}
     try:
@@ -120,11 +105,8 @@ def one(seed: int, folder: Path, how: str) -> dict[str, Any]:
     sure = found.verdict in ("identified", "adequate")
     because = found.reasons[0][:160] if found.reasons else ""
     return row | {
-        "verdict": found.verdict,
-        "wrong": missed(found) if sure else [],
-        "values": values,
-        "because": because,
-    }
+        "verdict": found.verdict, "wrong": missed(found) if sure else [], "values": values, "because": because
+    }  # fmt: skip
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -132,34 +114,27 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     found = {}
     for how in dict.fromkeys(r["stated"] for r in rows):
         own = [r for r in rows if r["stated"] == how]
-        verdicts = [r["verdict"] for r in own]
+
         sure = [r for r in own if r["verdict"] in ("identified", "adequate")]
         found[how] = {
             "records": len(own), "sure": len(sure), "false": sum(bool(r["wrong"]) for r in sure),
-            "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+            "verdicts": tally(r["verdict"] for r in own),
         }  # fmt: skip
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0, help="seed of the first record")
-    parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--stated", nargs="*", default=STATED, choices=STATED)
-    options = parser.parse_args()
-    before = kept("filters") if (RESULTS / "filters.json").exists() else {"seconds": 0.0, "rows": []}
-    rows = {(row["seed"], row["stated"]): row for row in before["rows"]}
-    begin = time.perf_counter()
+    first = (0, "seed of the first record")
+    given = options(__doc__, records=200, first=first, minutes=5.0, stated=list(STATED))
+    before = known("filters") or {"seconds": 0.0, "rows": []}
+    rows, begin = {(row["seed"], row["stated"]): row for row in before["rows"]}, time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(options.first, options.first + options.records):
-            how = options.stated[seed % len(options.stated)]
+        for seed in until(given.minutes, range(given.first, given.first + given.records)):
+            how = given.stated[seed % len(given.stated)]
             rows[seed, how] = one(seed, Path(folder), how)
             print({k: v for k, v in rows[seed, how].items() if k != "values"}, flush=True)
-            seconds, every = time.perf_counter() - begin, list(rows.values())
-            save("filters", {"seconds": before["seconds"] + seconds, "summary": summary(every), "rows": every})
-            if seconds > 60.0 * options.minutes:
-                break
+            seconds, every = before["seconds"] + time.perf_counter() - begin, list(rows.values())
+            save("filters", {"seconds": seconds, "summary": summary(every), "rows": every})
     print(summary(list(rows.values())))
 
 

@@ -13,16 +13,13 @@ keeps results/imperfect.json; ``--more`` goes on from the replicates that it hol
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import os
 import time
 from collections.abc import Callable, Collection
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from functools import cache
-from multiprocessing import get_context
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -30,7 +27,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 import bcfj_jax as bj
-from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
+import benchmarks.common as harness
+from benchmarks.clock import pool, until
+from benchmarks.common import Some, known, options, publish, save, told
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 from calibration.uncertainty.estimates import placed
 
@@ -202,31 +201,25 @@ def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
 
 def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
     """By kind, how many intervals are given and hold the truth; widths beside the noise's (median), and the oracle's."""
-    held: dict[str, list[float]] = {kind: [0, 0] for kind in KINDS}
-    widths: dict[str, float] = {}
-    best, over = oracle(found, worlds, runs), []
+    held: dict[str, list[int]] = {kind: [0, 0] for kind in KINDS}
+    best, over, widths = oracle(found, worlds, runs), [], {}
+
+    def count(kind: str, ends: tuple[float, float] | None, true: float) -> None:
+        if ends is not None:
+            held[kind] = [held[kind][0] + 1, held[kind][1] + int(ends[0] <= true <= ends[1])]
+
     for k, (axis, (name, p)) in enumerate(zip(found.optimum.model.coordinates, found.parameters.items(), strict=True)):
         noise = p.intervals.get("noise")
-        for kind, ends in zip(KINDS[:2], (noise, p.ci95), strict=True):
-            if ends is not None:
-                held[kind][0] += 1
-                held[kind][1] += int(ends[0] <= TRUTH[name] <= ends[1])
+        count("noise", noise, TRUTH[name])
+        count("quoted", p.ci95, TRUTH[name])
         if p.ci95 and noise:
             over.append(_width(p.ci95, axis.log) / _width(noise, axis.log))
         if p.ci95 and best is not None:
             widths[name] = float(f"{_width(p.ci95, axis.log) / best[k]:.3g}")
-    force = found.reference
-    if force and force.ci95:
-        held["force"] = [
-            1,
-            int(force.ci95[0] <= TRUTH["stiffness"] * force.penetration ** TRUTH["exponent"] <= force.ci95[1]),
-        ]
-    return {
-        "verdict": found.verdict,
-        **held,
-        "widths": {"quoted": float(f"{np.median(over):.3g}")} if over else {},
-        "oracle": widths,
-    }
+    if force := found.reference:
+        count("force", force.ci95, TRUTH["stiffness"] * force.penetration ** TRUTH["exponent"])
+    quoted = {"quoted": float(f"{np.median(over):.3g}")} if over else {}
+    return {"verdict": found.verdict, **held, "widths": quoted, "oracle": widths}
 
 
 def oracle(found: Fit, worlds: dict[str, float], runs: int) -> np.ndarray | None:
@@ -285,79 +278,73 @@ def every(found: list[dict[str, Any]], table: str, kind: str) -> list[float]:
 
 def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
     """A row a cell, the worst first."""
-    head = ["imperfection", "effect / noise", "runs", "verdicts", "noise holds", "quoted holds", "force holds"]
-    rows = [[*head, "width beside the noise's", "over the former budget's"]]
     shown = []
     for key, found in cells.items():
         world, magnitude, runs = key.split("|")
-        verdicts = ", ".join(f"{word} {of['fits']}" for word, of in sorted(found.items()))
-        fits = list(found.values())
-        held = [shares(fits, kind) for kind in KINDS]
-        wide = every(fits, "widths", "quoted")
-        width = float(np.median(wide)) if wide else np.nan
-        ratio = f"{width / former[key]:.2f}" if key in former else ""
-        cell = [world, magnitude, runs, verdicts, *(f"{a} of {b}" for a, b in held), f"{width:.2g}", ratio]
-        shown.append((held[1][0] / max(held[1][1], 1), cell))
-    shown.sort(key=lambda x: x[0])
-    return markdown([*rows, *(row for _, row in shown)])
+        held = {kind: shares(list(found.values()), kind) for kind in KINDS}
+        width = float(np.median(every(list(found.values()), "widths", "quoted") or [np.nan]))
+        shown.append({
+            "world": world, "magnitude": magnitude, "runs": runs, "width": width,
+            "verdicts": told({word: of["fits"] for word, of in sorted(found.items())}),
+            "former": f"{width / former[key]:.2f}" if key in former else "",
+            "share": held["quoted"][0] / max(held["quoted"][1], 1), **{kind: f"{a} of {b}" for kind, (a, b) in held.items()},
+        })  # fmt: skip
+    return harness.table({
+        "imperfection": "{world}", "effect / noise": "{magnitude}", "runs": "{runs}", "verdicts": "{verdicts}",
+        "noise holds": "{noise}", "quoted holds": "{quoted}", "force holds": "{force}",
+        "width beside the noise's": "{width:.2g}", "over the former budget's": "{former}",
+    }, sorted(shown, key=lambda row: row["share"]))  # fmt: skip
 
 
 def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
     """By number of runs: worlds that priors were chosen on, and the others."""
-    rows = [["worlds", "runs", "fits", "noise holds", "quoted holds", "force holds", "cells below .88",
-             "width over the former budget's", "over an oracle's: damping", "stiffness", "exponent"]]  # fmt: skip
-    for name, new in (("chosen on", False), ("judged on", True)):
-        for runs in SPEEDS:
-            own = {
-                k: list(v.values()) for k, v in cells.items()
-                if int(k.rpartition("|")[2]) == runs and (k.split("|")[0] in (*OTHER, *NOISES)) == new
-            }  # fmt: skip
-            fits = [of for found in own.values() for of in found]
-            if not fits:
-                continue
-            held = [shares(fits, kind) for kind in KINDS]
-            low = sum(shares(v, "quoted")[0] < 0.88 * shares(v, "quoted")[1] for v in own.values())
-            ratios = [
-                np.median(w) / former[k] for k, v in own.items() if k in former and (w := every(v, "widths", "quoted"))
-            ]
-            over = [every(fits, "oracle", name) for name in ("damping", "stiffness", "exponent")]
-            rows.append([
-                name, str(runs), str(sum(of["fits"] for of in fits)), *(f"{a / max(b, 1):.1%} of {b}" for a, b in held),
-                f"{low} of {len(own)}", f"{np.median(ratios):.2f}" if ratios else "",
-                *(f"{np.median(w):.2f}" if w else "" for w in over),
-            ])  # fmt: skip
-    return markdown(rows)
+    rows = []
+    for (name, new), runs in itertools.product((("chosen on", False), ("judged on", True)), SPEEDS):
+        own = {
+            k: list(v.values()) for k, v in cells.items()
+            if int(k.rpartition("|")[2]) == runs and (k.split("|")[0] in (*OTHER, *NOISES)) == new
+        }  # fmt: skip
+        fits = [of for found in own.values() for of in found]
+        if not fits:
+            continue
+        low = sum(shares(v, "quoted")[0] < 0.88 * shares(v, "quoted")[1] for v in own.values())
+        wide = {k: every(v, "widths", "quoted") for k, v in own.items() if k in former}
+        ratios = [np.median(w) / former[k] for k, w in wide.items() if w]
+        over = {parameter: every(fits, "oracle", parameter) for parameter in TRUTH}
+        rows.append({
+            "worlds": name, "runs": runs, "fits": sum(of["fits"] for of in fits), "low": f"{low} of {len(own)}",
+            "ratio": f"{np.median(ratios):.2f}" if ratios else "",
+            **{kind: f"{a / max(b, 1):.1%} of {b}" for kind, (a, b) in ((kind, shares(fits, kind)) for kind in KINDS)},
+            **{parameter: f"{np.median(w):.2f}" if w else "" for parameter, w in over.items()},
+        })  # fmt: skip
+    return harness.table({
+        "worlds": "{worlds}", "runs": "{runs}", "fits": "{fits}", "noise holds": "{noise}", "quoted holds": "{quoted}",
+        "force holds": "{force}", "cells below .88": "{low}", "width over the former budget's": "{ratio}",
+        "over an oracle's: damping": "{damping}", "stiffness": "{stiffness}", "exponent": "{exponent}",
+    }, rows)  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--replicates", type=int, default=20)
-    parser.add_argument("--runs", type=int, nargs="+", default=[1, 4], choices=SPEEDS)
-    parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--more", action="store_true", help="go on from the replicates that are there")
-    given = parser.parse_args()
+    given = options(
+        __doc__, replicates=20, runs=Some([1, 4]), minutes=30.0, workers=os.cpu_count() or 1,
+        more=(False, "go on from the replicates that are there"),
+    )  # fmt: skip
     begin = time.perf_counter()
     # Cells of other numbers of runs stay as they were measured.
-    kept = load("imperfect") if (RESULTS / "imperfect.json").exists() else {}
-    known, former = kept.get("cells", {}), kept.get("former", {})
-    cells = {key: found for key, found in known.items() if given.more or int(key.rpartition("|")[2]) not in given.runs}
-    own = [found for key, found in cells.items() if int(key.rpartition("|")[2]) in given.runs]
-    done = min((sum(of["fits"] for of in found.values()) for found in own), default=0)
+    kept = known("imperfect")
+    former, of = kept.get("former", {}), lambda key: int(key.rpartition("|")[2]) in given.runs
+    cells = {key: found for key, found in kept.get("cells", {}).items() if given.more or not of(key)}
+    done = min((sum(v["fits"] for v in found.values()) for key, found in cells.items() if of(key)), default=0)
     plans = [(w, m, r) for w in WORLDS for m in ((0.0,) if w in ("none", *NOISES) else MAGNITUDES) for r in given.runs]
-    with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
-        for seed in range(done, given.replicates):
-            if time.perf_counter() - begin > 60.0 * given.minutes:
-                break
-            for done in as_completed([pool.submit(one, *plan, seed) for plan in plans]):
-                key, found = done.result()
+    with pool(given.workers) as processes:
+        for seed in until(given.minutes, range(done, given.replicates)):
+            for job in as_completed([processes.submit(one, *plan, seed) for plan in plans]):
+                key, found = job.result()
                 added(cells.setdefault(key, {}), found)
-            strengths = {f"{w}|{m:g}": strength_of(w, m) for w in (*SINGLE, *OTHER) for m in MAGNITUDES}
+            strengths = {f"{w}|{m:g}": strength_of(w, m) for w, m in itertools.product((*SINGLE, *OTHER), MAGNITUDES)}
             save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths, "former": former})
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
-    shown = f"{summary(cells, former)}\n\n{table(cells, former)}"
-    put_in_readme("imperfect", shown, "docs/fits_measured.md")
-    print(shown)
+    publish("imperfect", f"{summary(cells, former)}\n\n{table(cells, former)}", "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

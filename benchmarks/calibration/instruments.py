@@ -13,15 +13,17 @@ from __future__ import annotations
 import io
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks import common
+from benchmarks.references.impact import contact
 
-STIFFNESS, EXPONENT, DAMPING, MASS, SPEED, RATE = 2e6, 1.5, 0.3, 0.8, 1.2, 20000.0
+LAW = {"stiffness": 2e6, "exponent": 1.5, "damping": 0.3}
+MASS, SPEED, RATE = 0.8, 1.2, 20000.0
 VOLTS = "10 mV/N"
 
 
@@ -42,25 +44,9 @@ class File(NamedTuple):
 
 def record() -> tuple[np.ndarray, np.ndarray]:
     """Clock (N,) [s] from -5 ms and force (N,) [N] at 20 kHz with 2 N of noise; by SciPy."""
-    from scipy.integrate import solve_ivp
+    clock, hit = np.arange(500) / RATE - 5e-3, contact(LAW, MASS, SPEED)
 
-    def law(d: float, v: float) -> float:
-        return STIFFNESS * d**EXPONENT * (1.0 + DAMPING * v) if d > 0 else 0.0
-
-    clock = np.arange(500) / RATE - 5e-3
-    after = clock[clock >= 0]
-    run = solve_ivp(
-        lambda t, y: [y[1], -law(*y) / MASS],
-        (0.0, after[-1]),
-        [0.0, SPEED],
-        "DOP853",
-        t_eval=after,
-        rtol=1e-10,
-        atol=1e-13,
-    )
-    force = np.zeros(clock.size)
-    force[clock >= 0] = [max(law(d, v), 0.0) for d, v in run.y.T]
-    return clock, force + 2.0 * np.random.default_rng(3).standard_normal(clock.size)
+    return clock, hit.force(clock) + 2.0 * np.random.default_rng(3).standard_normal(clock.size)
 
 
 CLOCK, FORCE = record()
@@ -210,26 +196,33 @@ def _further() -> list[File]:
     ]  # fmt: skip
 
 
-def _npy(archive: bool) -> bytes:
+def _into(write: Callable[[io.BytesIO], Any]) -> bytes:
+    """What a library that writes to a file object has written."""
     buffer = io.BytesIO()
-    if archive:
-        np.savez(buffer, time=CLOCK - CLOCK[0], force=FORCE)
-    else:
-        np.save(buffer, np.c_[CLOCK, FORCE])
+    write(buffer)
     return buffer.getvalue()
+
+
+def _through(suffix: str, write: Callable[[str], Any]) -> bytes:
+    """What a library that writes to a path alone has written."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{suffix}"
+        write(str(path))
+        return path.read_bytes()
 
 
 def _wav24() -> bytes:
     import wave
 
-    buffer = io.BytesIO()
-    with wave.open(buffer, "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(3)
-        file.setframerate(int(RATE))
-        samples = np.round(FORCE / 500.0 * 2**23).astype(int).tolist()
-        file.writeframes(b"".join(x.to_bytes(3, "little", signed=True) for x in samples))
-    return buffer.getvalue()
+    def write(buffer: io.BytesIO) -> None:
+        with wave.open(buffer, "wb") as file:
+            file.setnchannels(1)
+            file.setsampwidth(3)
+            file.setframerate(int(RATE))
+            samples = np.round(FORCE / 500.0 * 2**23).astype(int).tolist()
+            file.writeframes(b"".join(x.to_bytes(3, "little", signed=True) for x in samples))
+
+    return _into(write)
 
 
 def _lvm(kind: str = "One", comma: bool = False, segments: int = 1, rates: tuple[float, ...] = (RATE,)) -> bytes:
@@ -258,66 +251,55 @@ def _lvm(kind: str = "One", comma: bool = False, segments: int = 1, rates: tuple
     return (head + "\n".join([body] * segments)).encode()
 
 
-def _tdms(rates: tuple[float, ...], apart: int = 0) -> bytes:
-    """Channels of these rates, each begun so many microseconds after the one before."""
+def tdms(group: str, channels: Mapping[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
+    """A TDMS file of channels with their properties."""
     import nptdms
 
-    buffer = io.BytesIO()
-    with nptdms.TdmsWriter(buffer) as writer:
-        for k, rate in enumerate(rates):
-            has: dict[str, Any] = {
-                "wf_increment": 1 / rate,
-                "wf_start_offset": 0.0,
-                "wf_samples": 500,
-                "unit_string": "N",
-            }
-            if apart:
-                has["wf_start_time"] = np.datetime64("2026-11-25T10:00:00") + np.timedelta64(k * apart, "us")
-            writer.write_segment([nptdms.ChannelObject("rig", f"Force {k + 1}", FORCE, properties=has)])
-    return buffer.getvalue()
+    def write(buffer: io.BytesIO) -> None:
+        with nptdms.TdmsWriter(buffer) as writer:
+            made: list[Any] = [nptdms.ChannelObject(group, name, *one) for name, one in channels.items()]
+            writer.write_segment(made)
+
+    return _into(write)
+
+
+def _tdms(rates: tuple[float, ...], apart: int = 0) -> bytes:
+    """Channels of these rates, each begun so many microseconds after the one before."""
+    channels = {}
+    for k, rate in enumerate(rates):
+        has: dict[str, Any] = {"wf_increment": 1 / rate, "wf_start_offset": 0.0, "wf_samples": 500, "unit_string": "N"}
+        if apart:
+            has["wf_start_time"] = np.datetime64("2026-11-25T10:00:00") + np.timedelta64(k * apart, "us")
+        channels[f"Force {k + 1}"] = FORCE, has
+    return tdms("rig", channels)
 
 
 def _wav(kind: Any, channels: int = 1) -> bytes:
     from scipy.io import wavfile
 
-    buffer, share = io.BytesIO(), FORCE / 500.0
-    values = (
-        share.astype(kind)
-        if np.dtype(kind).kind == "f"
-        else np.round(share * 2 ** (8 * np.dtype(kind).itemsize - 1)).astype(kind)
-    )
-    wavfile.write(
-        buffer,
-        int(RATE),
-        np.stack([values] + [np.zeros_like(values)] * (channels - 1), axis=1) if channels > 1 else values,
-    )
-    return buffer.getvalue()
+    share, size = FORCE / 500.0, np.dtype(kind)
+    values = (share if size.kind == "f" else np.round(share * 2 ** (8 * size.itemsize - 1))).astype(kind)
+    every = np.stack([values] + [np.zeros_like(values)] * (channels - 1), axis=1) if channels > 1 else values
+    return _into(lambda buffer: wavfile.write(buffer, int(RATE), every))
 
 
-def _mat(**content: Any) -> bytes:
+def mat(content: dict[str, Any]) -> bytes:
+    """A MATLAB file."""
     from scipy.io import savemat
 
-    buffer = io.BytesIO()
-    savemat(buffer, content)
-    return buffer.getvalue()
+    return _into(lambda buffer: savemat(buffer, content))
 
 
-def _hdf5() -> bytes:
+def hdf5(sets: Mapping[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
+    """An HDF5 file of data sets with their attributes."""
     import h5py
 
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
-        force = file.create_dataset("daq/force", data=FORCE)
-        force.attrs["unit"], force.attrs["sample_rate"] = "N", RATE
-    return buffer.getvalue()
+    def write(buffer: io.BytesIO) -> None:
+        with h5py.File(buffer, "w") as file:
+            for name, (values, has) in sets.items():
+                file.create_dataset(name, data=values).attrs.update(has)
 
-
-def _through(suffix: str, write: Callable[[str], None]) -> bytes:
-    """What a library that writes to a path alone has written."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"a{suffix}"
-        write(str(path))
-        return path.read_bytes()
+    return _into(write)
 
 
 def _uff(binary: bool) -> bytes:
@@ -403,51 +385,43 @@ def _c3d_plate() -> bytes:
     return bytes(data)
 
 
-def _binaries() -> list[tuple[str, Callable[[], File]]]:
+def _binaries() -> dict[str, Callable[[], File]]:
     pairs, full, volts = np.c_[CLOCK, FORCE], {"full_scale": "500 N"}, {"sensitivity": VOLTS}
     pico = {"Tstart": -5e-3, "Tinterval": 5e-5, "Length": 500.0, "A": (FORCE / 100.0).reshape(-1, 1)}
-    scope = {"observe": "A [V]", **volts}
-    return [
-        ("lvm_two.lvm", lambda: File("lvm_two.lvm", _lvm(rates=(RATE, RATE)))),
-        ("lvm_comma.lvm", lambda: File("lvm_comma.lvm", _lvm(comma=True))),
-        ("lvm_segments.lvm", lambda: File("lvm_segments.lvm", _lvm("No", segments=3))),
-        (
-            "lvm_two_clocks.lvm",
-            lambda: File("lvm_two_clocks.lvm", _lvm("Multi", rates=(RATE, 2e3)), {"table": "Force 1"}, "--table"),
-        ),
-        ("wave.tdms", lambda: File("wave.tdms", _tdms((RATE,)), digits=1e-9)),
-        ("two_clocks.tdms", lambda: File("two_clocks.tdms", _tdms((RATE, 5e3)), {"table": "rig/Force 1"}, "--table")),
-        (
-            "two_starts.tdms",
-            lambda: File("two_starts.tdms", _tdms((RATE, RATE), 1500), {"table": "rig/Force 1"}, "--table"),
-        ),
-        ("force58.uff", lambda: File("force58.uff", _uff(False))),
-        ("force58b.uff", lambda: File("force58b.uff", _uff(True))),
-        ("int16.wav", lambda: File("int16.wav", _wav(np.int16), full, "--full-scale")),
-        ("int32.wav", lambda: File("int32.wav", _wav(np.int32, 2), full, "--full-scale")),
-        ("int24.wav", lambda: File("int24.wav", _wav24(), full, "--full-scale")),
-        (
-            "matrix.npy",
-            lambda: File("matrix.npy", _npy(False), {"time": "column 1 [s]", "observe": "column 2 [N]"}, "--time"),
-        ),
-        ("named.npz", lambda: File("named.npz", _npy(True), digits=1e-9)),
-        ("float.wav", lambda: File("float.wav", _wav(np.float32), full, "--full-scale")),
-        ("pico.mat", lambda: File("pico.mat", _mat(**pico), scope, "--observe")),
-        (
-            "matrix.mat",
-            lambda: File("matrix.mat", _mat(data=pairs), {"time": "data 1 [s]", "observe": "data 2 [N]"}, "--time"),
-        ),
-        ("rate.mat", lambda: File("rate.mat", _mat(force=FORCE, fs=RATE), digits=1e-9)),
-        ("rate.h5", lambda: File("rate.h5", _hdf5(), digits=1e-9)),
-        ("drop.mf4", lambda: File("drop.mf4", _mdf(), digits=1e-9)),
-        ("plate_arm.c3d", lambda: File("plate_arm.c3d", _c3d_plate(), digits=1e-6)),
-        ("plate.c3d", lambda: File("plate.c3d", _c3d(), digits=1e-6)),
-    ]
+    scope, columns = {"observe": "A [V]", **volts}, {"time": "column 1 [s]", "observe": "column 2 [N]"}
+    named, two = {"time": CLOCK - CLOCK[0], "force": FORCE}, (RATE, 2e3)
+    force = {"daq/force": (FORCE, {"unit": "N", "sample_rate": RATE})}
+    # The content, and what else a ``File`` is told.
+    every: dict[str, tuple[Any, ...]] = {
+        "lvm_two.lvm": (lambda: _lvm(rates=(RATE, RATE)),),
+        "lvm_comma.lvm": (lambda: _lvm(comma=True),),
+        "lvm_segments.lvm": (lambda: _lvm("No", segments=3),),
+        "lvm_two_clocks.lvm": (lambda: _lvm("Multi", rates=two), {"table": "Force 1"}, "--table"),
+        "wave.tdms": (lambda: _tdms((RATE,)), {}, "", "N", 1e-9),
+        "two_clocks.tdms": (lambda: _tdms((RATE, 5e3)), {"table": "rig/Force 1"}, "--table"),
+        "two_starts.tdms": (lambda: _tdms((RATE, RATE), 1500), {"table": "rig/Force 1"}, "--table"),
+        "force58.uff": (lambda: _uff(False),),
+        "force58b.uff": (lambda: _uff(True),),
+        "int16.wav": (lambda: _wav(np.int16), full, "--full-scale"),
+        "int32.wav": (lambda: _wav(np.int32, 2), full, "--full-scale"),
+        "int24.wav": (_wav24, full, "--full-scale"),
+        "matrix.npy": (lambda: _into(lambda buffer: np.save(buffer, pairs)), columns, "--time"),
+        "named.npz": (lambda: _into(lambda buffer: np.savez(buffer, **named)), {}, "", "N", 1e-9),
+        "float.wav": (lambda: _wav(np.float32), full, "--full-scale"),
+        "pico.mat": (lambda: mat(pico), scope, "--observe"),
+        "matrix.mat": (lambda: mat({"data": pairs}), {"time": "data 1 [s]", "observe": "data 2 [N]"}, "--time"),
+        "rate.mat": (lambda: mat({"force": FORCE, "fs": RATE}), {}, "", "N", 1e-9),
+        "rate.h5": (lambda: hdf5(force), {}, "", "N", 1e-9),
+        "drop.mf4": (_mdf, {}, "", "N", 1e-9),
+        "plate_arm.c3d": (_c3d_plate, {}, "", "N", 1e-6),
+        "plate.c3d": (_c3d, {}, "", "N", 1e-6),
+    }  # fmt: skip
+    return {name: lambda name=name, one=one: File(name, one[0](), *one[1:]) for name, one in every.items()}
 
 
 def files() -> dict[str, Callable[[], File]]:
     """Every file by name; binary ones are written on call, by their libraries."""
-    return {**{f.name: (lambda f=f: f) for f in [*_texts(), *_further()]}, **dict(_binaries())}
+    return {**{f.name: (lambda f=f: f) for f in [*_texts(), *_further()]}, **_binaries()}
 
 
 def tried(file: File, folder: Path, said: dict[str, str]) -> tuple[str, str]:
@@ -493,19 +467,10 @@ def main() -> int:
             rows[name] = {"at once": first, "with what the message names": then, "message leads on": leads}
             print(f"{name:24} {first:8} {then:8} {'' if leads else message}")
     ends = [r["with what the message names"] for r in rows.values()]
-    told = sum(r["message leads on"] for r in rows.values() if r["at once"] == "refused")
-    summary = {
-        "files": len(rows),
-        "right": ends.count("right"),
-        "refused": ends.count("refused"),
-        "wrong": ends.count("wrong"),
-    }
-    print(summary, f"{told} refusals lead on")
-    kept = common.load("dialects")
-    common.save(
-        "dialects",
-        {**{k: v for k, v in kept.items() if k != "environment"}, "instruments": {"count": summary, "files": rows}},
-    )
+    summary = {"files": len(rows), **{end: ends.count(end) for end in ("right", "refused", "wrong")}}
+    leading = sum(r["message leads on"] for r in rows.values() if r["at once"] == "refused")
+    print(summary, f"{leading} refusals lead on")
+    common.add("dialects", {"instruments": {"count": summary, "files": rows}})
     return int(summary["wrong"] > 0)
 
 

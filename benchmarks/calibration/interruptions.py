@@ -5,12 +5,9 @@ python -m benchmarks.calibration.interruptions [TIMES] [--starts N]    writes re
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -20,14 +17,10 @@ import numpy as np
 
 from bcfj_jax.io.journal import NAME
 from benchmarks.calibration.trap import FREE, GRAVITY, HEIGHT, MASS, record
-from benchmarks.common import ROOT, put_in_readme, save
+from benchmarks.common import ROOT, options, publish, save
+from benchmarks.processes import start as started
 
 CONTACTS, NOISE, SEED = 2, 0.01, 0
-# A shell's background jobs, and what they start, ignore Ctrl-C; a user's do not.
-COMMAND = (
-    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "runpy.run_module('bcfj_jax', run_name='__main__', alter_sys=True)"
-)
 
 
 def write_problem(folder: Path) -> Path:
@@ -47,12 +40,10 @@ def write_problem(folder: Path) -> Path:
     return path
 
 
-def begin(problem: Path, out: Path, starts: int) -> subprocess.Popen:
+def begin(problem: Path, out: Path, starts: int) -> subprocess.Popen[str]:
     """The command as a user runs it."""
-    words = [sys.executable, "-c", COMMAND, "calibrate", str(problem), "--out", str(out), "--starts", str(starts)]
-    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    env = {**os.environ, "BCFJ_CACHE": str(ROOT / "build" / "jax-cache"), "PYTHONPATH": paths}
-    return subprocess.Popen(words, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    words = ["calibrate", str(problem), "--out", str(out), "--starts", str(starts)]
+    return started(words, ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def fitted(out: Path) -> dict[str, Any]:
@@ -90,10 +81,7 @@ def cut_and_go_on(problem: Path, out: Path, starts: int, how: signal.Signals, mo
 
 def main() -> None:
     """Cut off at random moments and compare."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("times", type=int, nargs="?", default=20)
-    parser.add_argument("--starts", type=int, default=200)
-    given = parser.parse_args()
+    given = options(__doc__, {"times": 20}, starts=200)
     rng, rows = np.random.default_rng(SEED), []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -111,8 +99,7 @@ def main() -> None:
     good = sum(r["equal"] and r["nothing_lost"] and r["exit_after"] == code for r in rows)
     save("interruptions", {"starts": given.starts, "straight_s": seconds, "exit": code, "good": good, "cuts": rows})
     sentence = f"{good} of {len(rows)}: nothing that was finished is lost, and the result equals that of the uncut run."
-    put_in_readme("interruptions", sentence, "docs/fits_measured.md")
-    print(sentence)
+    publish("interruptions", sentence, "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

@@ -11,23 +11,18 @@ writes results/joint_calibration.json and docs/fits_measured.md. Walls are of th
 
 from __future__ import annotations
 
-import argparse
-import os
 import re
 import time
 from typing import Any
 
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import numpy as np
 
 from bcfj_jax import InputError, scenes
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.xla.threads import cores
 from benchmarks.analysis.derivatives import CONTACTS, load
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import Compilation, clocked, keep_programs
+from benchmarks.common import Some, options, publish, save, table
 from calibration import Channel, Experiment, Fit, Free, Problem, fit
 
 SCENE = scenes.joint_of_keys(**PLAIN)
@@ -46,24 +41,6 @@ BOUNDS = {
 WRONG = 1.8
 
 
-class Compilation:
-    """Seconds that JAX has spent on tracing and compiling since it was last asked."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        jax.monitoring.register_event_duration_secs_listener(self._add)
-
-    def _add(self, event: str, duration_secs: float, **kwargs: Any) -> None:
-        del kwargs
-        if event.startswith("/jax/core/compile/"):
-            self.seconds += duration_secs
-
-    def since(self) -> float:
-        """The seconds, which count from 0 again."""
-        found, self.seconds = self.seconds, 0.0
-        return found
-
-
 def problem(noise: float, seed: int, fixed: dict[str, float]) -> Problem:
     """The kept record with fresh noise; all of ``BOUNDS`` free but what is fixed."""
     kept, draw = load(), np.random.default_rng(seed)
@@ -77,9 +54,8 @@ def problem(noise: float, seed: int, fixed: dict[str, float]) -> Problem:
     return Problem(SCENE, {**TRUTH, **fixed}, (experiment,), free)
 
 
-def row(found: Fit, seed: int, clocks: tuple[float, float, float]) -> dict[str, Any]:
+def row(found: Fit, seed: int, took: dict[str, float]) -> dict[str, Any]:
     """What is kept of a fit."""
-    wall, cpu, compiling = clocks
     parameters = {}
     for name, p in found.parameters.items():
         begin = [start["from"][name] / TRUTH[name] for start in found.starts]
@@ -90,7 +66,7 @@ def row(found: Fit, seed: int, clocks: tuple[float, float, float]) -> dict[str, 
         }  # fmt: skip
     return {
         "seed": seed, "verdict": found.verdict, "reasons": found.reasons, "parameters": parameters,
-        "reduced_chi2": found.residual["reduced_chi2"], "wall_s": wall, "cpu_s": cpu, "compiling_s": compiling,
+        "reduced_chi2": found.residual["reduced_chi2"], **took,
         "starts_at_the_optimum": next(int(t.value) for t in found.tests if t.name == "agreement of starts"),
     }  # fmt: skip
 
@@ -111,25 +87,19 @@ def unidentifiable(noise: float, starts: int, compilation: Compilation) -> tuple
 
 def main() -> None:
     """All eight, then what can be determined, seed by seed; the first of these compiles."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seeds", type=int, nargs="?", default=3)
-    parser.add_argument("--noise", type=float, default=0.02)
-    parser.add_argument("--starts", type=int, default=6)
-    parser.add_argument("--named", nargs="*", help="names that the data do not tell, where that is known already")
-    given = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
+    named = (Some(), "names that the data do not tell, where that is known already")
+    given = options(__doc__, {"seeds": 3}, noise=0.02, starts=6, named=named)
+    keep_programs()
     compilation = Compilation()
-    if given.named is None:
+    named, eight = given.named, {"named": given.named, "verdict": "not asked in this run"}
+    if not named:
         named, eight = unidentifiable(given.noise, given.starts, compilation)
         print(eight, flush=True)
-    else:
-        named, eight = given.named, {"named": given.named, "verdict": "not asked in this run"}
     rows, fixed = [], {name: WRONG * TRUTH[name] for name in named}
     for seed in range(given.seeds):
-        begin, cpu = time.perf_counter(), time.process_time()
-        found = fit(problem(given.noise, seed, fixed), seed=seed, starts=given.starts)
-        clocks = time.perf_counter() - begin, time.process_time() - cpu, compilation.since()
-        rows.append(row(found, seed, clocks))
+        todo = problem(given.noise, seed, fixed)
+        found, took = clocked(lambda seed=seed, todo=todo: fit(todo, seed=seed, starts=given.starts))
+        rows.append(row(found, seed, took | {"compiling_s": compilation.since()}))
         print(rows[-1], flush=True)
     known = [p for r in rows for p in r["parameters"].values() if p["identifiable"]]
     save("joint_calibration", {
@@ -139,17 +109,16 @@ def main() -> None:
         "identifiable": len(known), "recovered": sum(p["recovered"] for p in known),
         "wall_s_after_compilation": [r["wall_s"] - r["compiling_s"] for r in rows],
     })  # fmt: skip
-    table = [["seed", "verdict", "recovered", "wall, compiled", "CPU", "starts at the optimum"]]
-    for r in rows:
-        inside = f"{sum(p['recovered'] for p in r['parameters'].values())} of {len(r['parameters'])}"
-        wall = f"{r['wall_s'] - r['compiling_s']:.0f} s"
-        count = f"{r['starts_at_the_optimum']} of {given.starts}"
-        table.append([str(r["seed"]), r["verdict"], inside, wall, f"{r['cpu_s']:.0f} s", count])
+    columns = {
+        "seed": "{seed}", "verdict": "{verdict}",
+        "recovered": lambda r: f"{sum(p['recovered'] for p in r['parameters'].values())} of {len(r['parameters'])}",
+        "wall, compiled": lambda r: f"{r['wall_s'] - r['compiling_s']:.0f} s", "CPU": "{cpu_s:.0f} s",
+        "starts at the optimum": lambda r: f"{r['starts_at_the_optimum']} of {given.starts}",
+    }  # fmt: skip
     first = eight.get("wall_s", 0.0) - eight.get("compiling_s", 0.0)
-    known = f"All eight free, in {first:.0f} s: {eight['verdict']}; not determined by the data: {', '.join(named) or 'none'}."
-    known += f" That fixed at {WRONG} times the truth:\n\n{markdown(table)}"
-    put_in_readme("joint_calibration", known, "docs/fits_measured.md")
-    print(known)
+    text = f"All eight free, in {first:.0f} s: {eight['verdict']}; not determined by the data: {', '.join(named) or 'none'}."
+    text += f" That fixed at {WRONG} times the truth:\n\n{table(columns, rows)}"
+    publish("joint_calibration", text, "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

@@ -8,46 +8,42 @@ Every command, its exit code, its time and the last line that it said are printe
 
 from __future__ import annotations
 
+import os
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+from typing import Any
 
 from benchmarks import common
+from benchmarks.processes import Done, bcfj
 
 RECORD = common.ROOT / "examples" / "lab_drop.csv"
 
 
-def step(arguments: list[str], folder: Path) -> dict:
-    """One command, as a shell would run it."""
-    begin = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-m", "bcfj_jax", *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
-    said = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
-    return {"command": " ".join(["bcfj", *arguments]), "exit_code": done.returncode,
-            "wall_s": time.perf_counter() - begin, "said": said[-1] if said else "", "stdout": done.stdout}  # fmt: skip
-
-
 def main() -> int:
     """Walk and print; exit code 0 where the path ends with a verdict within five commands."""
+    steps: list[dict[str, Any]] = []
+
+    def step(*words: str) -> Done:
+        done = bcfj(words, folder, {"BCFJ_CACHE": os.environ.get("BCFJ_CACHE")})
+        said = [line for line in (done.out + done.err).splitlines() if line.strip()]
+        steps.append({"command": " ".join(["bcfj", *words]), "exit_code": done.code, "wall_s": done.wall_s})
+        steps[-1]["said"] = said[-1] if said else ""
+        print(f"{done.wall_s:7.1f} s  exit {done.code}  {steps[-1]['command']}\n           {steps[-1]['said'][:160]}")
+        return done
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copy(RECORD, folder)
-        steps = [step(["init", "calibration", RECORD.name], folder)]
+        step("init", "calibration", RECORD.name)
         problem = folder / f"{RECORD.stem}.toml"
         # The one edit, which the command's last line asks for.
         assert "write it in" in steps[0]["said"] and "? kg" in problem.read_text(encoding="utf-8")
         problem.write_text(problem.read_text(encoding="utf-8").replace("? kg", "0.5 kg"), encoding="utf-8")
-        steps.append(step(["validate", problem.name], folder))
-        steps.append(step(["calibrate", problem.name, "--out", "fit"], folder))
-        verdict = steps[-1]["stdout"].splitlines()[0] if steps[-1]["stdout"] else ""
+        step("validate", problem.name)
+        verdict = step("calibrate", problem.name, "--out", "fit").out.partition("\n")[0]
         wrote = sorted(path.name for path in (folder / "fit").glob("*"))
-    for one in steps:
-        del one["stdout"]
-        print(f"{one['wall_s']:7.1f} s  exit {one['exit_code']}  {one['command']}\n           {one['said'][:160]}")
     print(f"{len(steps)} commands, {sum(one['wall_s'] for one in steps):.1f} s: {verdict}; {', '.join(wrote)}")
     common.save("lab_csv_path", {"steps": steps, "verdict": verdict})
     return 0 if verdict == "verdict: identified" and len(steps) <= 5 else 1

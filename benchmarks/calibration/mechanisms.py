@@ -15,23 +15,17 @@ Beside each fit stands the estimate that is linear in the same noise (``linear``
 
 from __future__ import annotations
 
-import argparse
 import functools
 import math
-import multiprocessing
-import os
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any
-
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 from scipy.stats import chi2, norm
 
+import benchmarks.common as harness
 from bcfj_jax import scenes
 from benchmarks.calibration.coverage import Case, at_truth, finished, fit_missing, noisy, summary
-from benchmarks.common import load, markdown, put_in_readme, save
+from benchmarks.common import known, options, publish, save
 from benchmarks.references import oblique_impact, slider_crank
 from calibration import Experiment, Free, Problem
 
@@ -141,50 +135,38 @@ def beside_linear(name: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def table(cases: list[dict[str, Any]]) -> str:
     """All parameters of both cases as Markdown."""
-    rows = [[
-        "case", "parameter", "identified", "coverage (its 95 %)", "bias / its standard error", "Cramer-Rao deviation",
-        "variance / Cramer-Rao (95 % of chance)", "linear, same noise: coverage, variance",
-        f"linear, {DRAWS} draws: coverage, variance (95 % of chance)", "fit less linear, rms / Cramer-Rao",
-    ]]  # fmt: skip
-    for c in cases:
-        for name, p in c["parameters"].items():
-            ends, (low, high) = p["coverage_ci95"], p["ratio_expected"]
-            told = f"{p['coverage']:.0%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
-            ratio = f"{p['variance_over_bound']:.2f} ({low:.2f} to {high:.2f})"
-            found = f"{c['verdicts'].get('identified', 0)} of {c['replicates']}"
-            (low, high), drawn = c["draws_ratio_expected"], p["linear_variance_over_bound_of_draws"]
-            same = f"{p['linear_coverage']:.0%}, {p['linear_variance_over_bound']:.2f}"
-            many = f"{p['linear_coverage_of_draws']:.1%}, {drawn:.2f} ({low:.2f} to {high:.2f})"
-            rows.append([
-                c["case"], name, found, told, f"{p['bias_over_standard_error']:+.1f}", f"{p['cramer_rao']:.2%}", ratio,
-                same, many, f"{p['from_linear_over_bound']:.3f}",
-            ])  # fmt: skip
-    return markdown(rows)
+
+    def coverage(p: dict[str, Any]) -> str:
+        ends = p["coverage_ci95"]
+        return f"{p['coverage']:.0%} of {p['printed']} ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "none printed"
+
+    columns = {
+        "case": "{case}", "parameter": "{name}",
+        "identified": lambda p: f"{p['verdicts'].get('identified', 0)} of {p['replicates']}", "coverage (its 95 %)": coverage,
+        "bias / its standard error": "{bias_over_standard_error:+.1f}", "Cramer-Rao deviation": "{cramer_rao:.2%}",
+        "variance / Cramer-Rao (95 % of chance)":
+            "{variance_over_bound:.2f} ({ratio_expected[0]:.2f} to {ratio_expected[1]:.2f})",
+        "linear, same noise: coverage, variance": "{linear_coverage:.0%}, {linear_variance_over_bound:.2f}",
+        f"linear, {DRAWS} draws: coverage, variance (95 % of chance)":
+            "{linear_coverage_of_draws:.1%}, {linear_variance_over_bound_of_draws:.2f} "
+            "({draws_ratio_expected[0]:.2f} to {draws_ratio_expected[1]:.2f})",
+        "fit less linear, rms / Cramer-Rao": "{from_linear_over_bound:.3f}",
+    }  # fmt: skip
+    return harness.table(columns, ({**c, "name": name, **p} for c in cases for name, p in c["parameters"].items()))
 
 
 def main() -> None:
     """Fit the seeds that are missing of the cases asked for, and put together all that is there."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", choices=[*CASES, []], default=[])
-    parser.add_argument("--seeds", type=int, default=100)
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name in given.cases or CASES:
-            fit_missing(name, CASES[name], NOISE, given.seeds, given.workers, pool)
-    try:
-        earlier = {c["case"]: c for c in load("identification")["cases"]}
-    except FileNotFoundError:
-        earlier = {}
+    given = options(__doc__, {"cases": CASES}, seeds=100, workers=2)
+    fit_missing({name: CASES[name] for name in given.cases}, (NOISE,), given.seeds, given.workers)
+    earlier = {c["case"]: c for c in known("identification").get("cases", [])}
     done = {name: finished(name, NOISE) for name in CASES}
     # Of a case that this clone has no fits of, what is committed stays.
     found = [beside_linear(n, rows) if rows else earlier.get(n) for n, rows in done.items()]
     cases = [case for case in found if case]
-    save(
-        "identification", {"what": "whole fits of SciPy's records with fresh noise of 1 % of each peak", "cases": cases}
-    )
-    put_in_readme("identification", table(cases), "docs/fits_measured.md")
-    print(table(cases))
+    what = "whole fits of SciPy's records with fresh noise of 1 % of each peak"
+    save("identification", {"what": what, "cases": cases})
+    publish("identification", table(cases), "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

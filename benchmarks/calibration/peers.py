@@ -10,10 +10,9 @@ K d^n of its own, and gets the residuals from the same function.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
-import time
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,8 +20,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+import benchmarks.common as harness
 from benchmarks.calibration.imperfect import MAGNITUDES, MASS, STARTS, TRUTH, WORLDS, imperfections, problem
-from benchmarks.common import markdown, put_in_readme, save
+from benchmarks.clock import clocked, until
+from benchmarks.common import options, publish, save
 from calibration import Problem, fit
 
 RUNS = (1, 4)
@@ -124,49 +125,39 @@ TOOLS = {"SciPy least_squares": by_scipy, "lmfit": by_lmfit, "mujoco.sysid": by_
 def one(world: str, deviations: float, runs: int, seed: int) -> dict[str, Any]:
     given, row = problem(imperfections(world, deviations, seed), runs, seed), {}
     for name, tool in TOOLS.items():
-        begin = time.perf_counter()
-        row[name] = {**judged(tool(given)), "wall_s": time.perf_counter() - begin}
-    begin = time.perf_counter()
-    ours = by_us(given)
-    wall = time.perf_counter() - begin
-    row |= {f"bcfj-jax, {kind}": {**judged(ends), "wall_s": wall} for kind, ends in ours.items()}
+        ends, took = clocked(lambda tool=tool: tool(given))
+        row[name] = {**judged(ends), "wall_s": took["wall_s"]}
+    ours, took = clocked(lambda: by_us(given))
+    row |= {f"bcfj-jax, {kind}": {**judged(ends), "wall_s": took["wall_s"]} for kind, ends in ours.items()}
     return {"world": world, "effect_over_noise": deviations, "runs": runs, "seed": seed, "tools": row}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    shown = [["tool", "intervals", "false", *(f"width of {name} (median)" for name in NAMES), "s an answer (median)"]]
+    shown = []
     for tool in rows[0]["tools"]:
         own = [r["tools"][tool] for r in rows]
         wrong, widths = np.array([o["false"] for o in own]), np.array([o["width"] for o in own])
         given = int(np.isfinite(wrong).sum())
-        halves = 0.5 * np.nanmedian(widths, axis=0)
-        sizes = [
-            f"+- {h:.2g}" if n == "exponent" else f"+- {100 * np.expm1(h):.2g} %"
-            for n, h in zip(NAMES, halves, strict=True)
-        ]
         wall = float(np.median([o["wall_s"] for o in own]))
-        shown.append([tool, str(given), f"{np.nansum(wrong) / max(given, 1):.1%}", *sizes, f"{wall:.2f}"])
-    return markdown(shown)
+        halves = dict(zip(NAMES, 0.5 * np.nanmedian(widths, axis=0), strict=True))
+        sizes = {n: f"+- {h:.2g}" if n == "exponent" else f"+- {100 * np.expm1(h):.2g} %" for n, h in halves.items()}
+        shown.append({"tool": tool, "n": given, "false": np.nansum(wrong) / max(given, 1), "wall": wall, **sizes})
+    widths = {f"width of {name} (median)": f"{{{name}}}" for name in NAMES}
+    head = {"tool": "{tool}", "intervals": "{n}", "false": "{false:.1%}"}
+    return harness.table({**head, **widths, "s an answer (median)": "{wall:.2f}"}, shown)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--records", type=int, default=100)
-    parser.add_argument("--minutes", type=float, default=30.0)
-    given = parser.parse_args()
-    plans = [(w, m, r, s) for s in range(99) for w in WORLDS if w != "none" for m in MAGNITUDES for r in RUNS]
-    begin, rows = time.perf_counter(), []
+    given, rows = options(__doc__, records=100, minutes=30.0), []
+    worlds = [world for world in WORLDS if world != "none"]
+    plans = [(w, m, r, s) for s, w, m, r in itertools.product(range(99), worlds, MAGNITUDES, RUNS)]
     one(*plans[0])  # Programs are compiled once.
     one(*plans[1])
-    for plan in plans[: given.records]:
-        if time.perf_counter() - begin > 60.0 * given.minutes:
-            break
+    for plan in until(given.minutes, plans[: given.records]):
         rows.append(one(*plan))
         print(plan, {k: (v["false"], round(v["wall_s"], 2)) for k, v in rows[-1]["tools"].items()}, flush=True)
         save("peers", {"records": rows})
-    text = f"{table(rows)}\n\n{len(rows)} records."
-    put_in_readme("peers", text, "docs/fits_measured.md")
-    print(text)
+    publish("peers", f"{table(rows)}\n\n{len(rows)} records.", "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

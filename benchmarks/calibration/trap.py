@@ -11,23 +11,19 @@ python -m benchmarks.calibration.trap [SEEDS] [--minutes M] [--workers N] [--con
 
 from __future__ import annotations
 
-import argparse
 import csv
-import multiprocessing
-import os
+import itertools
 import time
-from concurrent.futures import ProcessPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.integrate import solve_ivp
 
+import benchmarks.common as harness
 from bcfj_jax import scenes, simulate
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked, keep_programs, pool
+from benchmarks.common import RESULTS, Some, known, options, publish, save, tally, told
+from benchmarks.references.impact import bounces
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.forward.model import build, residuals_and_jacobian
 from calibration.search.starts import referred
@@ -37,7 +33,7 @@ TRUTH = {"stiffness": 1e5, "exponent": 1.5, "damping": 0.05}
 MASS, HEIGHT, GRAVITY = 0.1, 0.1, 9.81
 SCENE = scenes.bounce(smoothing=False)
 FREE = (Free("stiffness", 10**3.5, 10**6.5), Free("exponent", 1.0, 2.5), Free("damping", 1e-3, 0.5))
-CONTACTS, NOISES, SOURCES = (1, 2, 10, 30), (0.01, 0.001, 0.0), ("own", "scipy")
+CONTACTS, NOISES = (1, 2, 10, 30), (0.01, 0.001, 0.0)
 # Samples [s]: close from a little before each contact to a little after it, coarse in flight. A single contact must be
 # read so closely for its exponent to be known to 2 % at all.
 STEPS, MARGIN, COARSE = {1: 1e-4, 2: 1e-4, 10: 5e-4, 30: 5e-4}, 4e-3, 4e-3
@@ -50,43 +46,9 @@ SEEDS, BLOCK = RESULTS / "trap_seeds.csv", 10
 ACCURACY = 1e-7
 
 
-class Contact(NamedTuple):
-    """Begin and end [s], and the force [N] as a function of time between them."""
-
-    begin: float
-    end: float
-    force: Any
-
-
-def exact(count: int) -> list[Contact]:
-    """The first contacts of the exact law K d^n (1 + a d'), nothing smoothed, by SciPy with an event at their end."""
-    k, n, a = TRUTH.values()
-
-    def force(d, rate):
-        return k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
-
-    def motion(_, s):
-        return s[1], GRAVITY - force(s[0], s[1]) / MASS
-
-    def apart(_, s):
-        return s[0] - 1e-15
-
-    apart.terminal, apart.direction = True, -1
-    begin, speed, found = np.sqrt(2.0 * HEIGHT / GRAVITY), np.sqrt(2.0 * GRAVITY * HEIGHT), []
-    for _ in range(count):
-        run = solve_ivp(
-            motion, (0.0, 1.0), (1e-14, speed), "DOP853", rtol=1e-12, atol=1e-15, events=apart, dense_output=True
-        )
-        end = float(run.t_events[0][0])
-        found.append(Contact(begin, begin + end, lambda t, run=run, begin=begin: force(*run.sol(t - begin))))
-        speed = -float(run.y_events[0][0][1])
-        begin += end + 2.0 * speed / GRAVITY
-    return found
-
-
 def record(count: int, source: str) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and force [N] of so many contacts, without noise."""
-    found = exact(count)
+    found = bounces(TRUTH, MASS, HEIGHT, GRAVITY, count)
     grid, last = [np.zeros(1)], 0.0
     for c in found:
         grid.append(np.arange(last + COARSE, c.begin - MARGIN, COARSE))
@@ -96,11 +58,7 @@ def record(count: int, source: str) -> tuple[np.ndarray, np.ndarray]:
     if source == "own":
         params = SCENE.parameters({"mass": MASS, "drop_height": HEIGHT, "gravity": GRAVITY, **TRUTH})
         return times, simulate(SCENE, params, times, accuracy=1e-8).force["contact"][:, 0]
-    force = np.zeros(times.size)
-    for c in found:
-        inside = (times >= c.begin) & (times <= c.end)
-        force[inside] = c.force(times[inside])
-    return times, force
+    return times, np.sum([c.force(times) for c in found], axis=0)
 
 
 def problem(times: np.ndarray, force: np.ndarray, noise: float, seed: int) -> Problem:
@@ -127,23 +85,19 @@ def one(found: Any, seconds: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def keep_programs() -> None:
-    """Compile each program once for all processes."""
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-
-
-def fits(task: tuple[str, int, float, tuple[int, ...]]) -> list[dict[str, Any]]:
-    """Some seeds of one case, in this process."""
+def fits(task: tuple[str, int, float, tuple[int, ...]], end: float) -> list[dict[str, Any]]:
+    """Some seeds of one case, in this process, unless the time is up."""
+    if time.time() >= end:
+        return []
     source, contacts, noise, seeds = task
-    keep_programs()
+    keep_programs(0.2)
     times, force = record(contacts, source)
     rows = []
     for seed in seeds:
-        begin = time.process_time()
-        found = fit(problem(times, force, noise, seed), seed=seed, starts=STARTS)
+        given = problem(times, force, noise, seed)
+        found, took = clocked(lambda seed=seed, given=given: fit(given, seed=seed, starts=STARTS))
         case = {"source": source, "contacts": contacts, "noise": noise, "seed": seed}
-        rows.append({**case, **one(found, time.process_time() - begin)})
+        rows.append({**case, **one(found, took["cpu_s"])})
     return rows
 
 
@@ -180,12 +134,12 @@ def summary(source: str, contacts: int, noise: float, rows: list[dict[str, Any]]
     names = ("stiffness", "exponent", "damping", "reference_force")
     error = {n: np.array([float(r[n]) for r in rows]) for n in names}
     close = np.abs(np.stack([error[n] for n in names], axis=1)) <= CLOSE
-    verdicts, reasons = ([r[key] for r in rows] for key in ("verdict", "reasons"))
+    reasons = [r["reasons"] for r in rows]
     return {
         "source": source, "contacts": contacts, "noise": noise, "seeds": len(rows),
         "recovered": float(np.mean(close[:, LAW].all(axis=1))), "all_recovered": float(np.mean(close.all(axis=1))),
         "within_2_percent": {n: float(np.mean(np.abs(e) <= CLOSE)) for n, e in error.items()},
-        "verdicts": {v: verdicts.count(v) for v in sorted(set(verdicts))},
+        "verdicts": tally(r["verdict"] for r in rows),
         "reasons": {r: reasons.count(r) for r in sorted(set(reasons) - {""}, key=reasons.count)[-5:]},
         "printed": sum(int(r["printed"]) for r in rows), "excluding": sum(int(r["excluding"]) for r in rows),
         "rms_error": {n: float(np.sqrt(np.mean(e**2))) for n, e in error.items()},
@@ -195,7 +149,7 @@ def summary(source: str, contacts: int, noise: float, rows: list[dict[str, Any]]
     }  # fmt: skip
 
 
-def known() -> list[dict[str, Any]]:
+def fitted() -> list[dict[str, Any]]:
     """Fits of earlier runs."""
     if not SEEDS.exists():
         return []
@@ -220,80 +174,62 @@ def case_of(row: dict[str, Any]) -> tuple[str, int, float]:
 
 def table(cases: list[dict[str, Any]]) -> str:
     """The cases as Markdown."""
-    head = ["record by", "contacts", "noise", "seeds", "force law within 2 % (Cramer-Rao)", "all coefficients (C.-R.)"]
-    rows = [[*head, "verdicts", "intervals that exclude the truth", "CPU s a fit"]]
-    for c in cases:
-        verdicts = ", ".join(f"{v} {n}" for v, n in c["verdicts"].items())
-        share = f"{c['excluding']} of {c['printed']}"
-        best = c["cramer_rao"] or {}
-        shares = [f"{c[key]:.1%}" + (f" ({best[key]:.1%})" if best else "") for key in ("recovered", "all_recovered")]
-        case = [c["source"], str(c["contacts"]), f"{c['noise']:.1%}", str(c["seeds"])]
-        rows.append([*case, *shares, verdicts, share, f"{c['median_cpu_s']:.1f}"])
-    return markdown(rows)
+
+    def share(key: str) -> Any:
+        return lambda c: f"{c[key]:.1%}" + (f" ({c['cramer_rao'][key]:.1%})" if c["cramer_rao"] else "")
+
+    return harness.table({
+        "record by": "{source}", "contacts": "{contacts}", "noise": "{noise:.1%}", "seeds": "{seeds}",
+        "force law within 2 % (Cramer-Rao)": share("recovered"), "all coefficients (C.-R.)": share("all_recovered"),
+        "verdicts": lambda c: told(c["verdicts"]), "intervals that exclude the truth": "{excluding} of {printed}",
+        "CPU s a fit": "{median_cpu_s:.1f}",
+    }, cases)  # fmt: skip
 
 
 def peer_table(cases: list[dict[str, Any]]) -> str:
     """MuJoCo's cases as Markdown: it has no verdict, so that every start prints its intervals."""
-    rows = [
-        ["mujoco.sysid, contacts", "noise", "seeds", "starts recovered", "best of starts", "intervals that exclude"]
-    ]
-    for c in cases:
-        noise = "clean" if not any(c["noise"]) else "noisy"
-        shares = [f"{c[key]:.0%}" for key in ("starts_recovered", "best_recovered")]
-        rows.append([str(c["contacts"]), noise, str(c["seeds"]), *shares, f"{c['excluding']} of {c['printed']}"])
-    return markdown(rows)
+    return harness.table({
+        "mujoco.sysid, contacts": "{contacts}", "noise": lambda c: "noisy" if any(c["noise"]) else "clean",
+        "seeds": "{seeds}", "starts recovered": "{starts_recovered:.0%}", "best of starts": "{best_recovered:.0%}",
+        "intervals that exclude": "{excluding} of {printed}",
+    }, cases)  # fmt: skip
 
 
 def main() -> None:
     """Run all cases, and the peer if asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("seeds", type=int, nargs="?", default=200)
-    parser.add_argument("--minutes", type=float, default=np.inf, help="no block of seeds begins later")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--contacts", type=int, nargs="*", choices=CONTACTS, default=CONTACTS)
-    parser.add_argument("--noise", type=float, nargs="*", choices=NOISES, default=NOISES)
-    parser.add_argument("--source", nargs="*", choices=SOURCES, default=["scipy"])
-    parser.add_argument("--peer", type=int, default=0, help="seeds for mujoco.sysid on equivalent records")
-    given = parser.parse_args()
-    keep_programs()
-    cases = [(source, n, noise) for source in given.source for n in given.contacts for noise in given.noise]
-    done = {(case_of(row), int(row["seed"])) for row in known()}
+    given = options(
+        __doc__, {"seeds": 200}, minutes=(np.inf, "no block of seeds begins later"), workers=1, contacts=list(CONTACTS),
+        noise=list(NOISES), source=Some(["scipy"]), peer=(0, "seeds for mujoco.sysid on equivalent records"),
+    )  # fmt: skip
+    keep_programs(0.2)
+    cases = list(itertools.product(given.source, given.contacts, given.noise))
+    done = {(case_of(row), int(row["seed"])) for row in fitted()}
     tasks = []
-    for first in range(0, given.seeds, BLOCK):
-        for case in cases:
-            seeds = tuple(k for k in range(first, min(first + BLOCK, given.seeds)) if (case, k) not in done)
-            tasks += [(*case, seeds)] if seeds else []
-    end = time.time() + 60.0 * given.minutes
-    with ProcessPoolExecutor(given.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(within, task, end) for task in tasks]
+    for first, case in itertools.product(range(0, given.seeds, BLOCK), cases):
+        seeds = tuple(k for k in range(first, min(first + BLOCK, given.seeds)) if (case, k) not in done)
+        tasks += [(*case, seeds)] if seeds else []
+    with pool(given.workers) as processes:
+        waiting = [processes.submit(fits, task, time.time() + 60.0 * given.minutes) for task in tasks]
         for task, job in zip(tasks, waiting, strict=True):
             if rows := job.result():
                 keep(rows)
                 print(*task[:3], f"seeds {task[3][0]} to {task[3][-1]}", *(r["verdict"] for r in rows), flush=True)
-    rows = known()
+    rows = fitted()
     summaries = [summary(*case, [r for r in rows if case_of(r) == case]) for case in sorted({*map(case_of, rows)})]
     printed, excluding = (sum(c[key] for c in summaries) for key in ("printed", "excluding"))
     result: dict[str, Any] = {
         "truth": TRUTH, "starts": STARTS, "stiffness_bounds": [FREE[0].lower, FREE[0].upper], "cases": summaries,
         "printed": printed, "excluding": excluding, "excluding_share": excluding / max(printed, 1),
-        "cpu_s": sum(c["all_cpu_s"] for c in summaries),
+        "cpu_s": sum(c["all_cpu_s"] for c in summaries), "mujoco_sysid": known("trap").get("mujoco_sysid"),
     }  # fmt: skip
     if given.peer:
         from benchmarks.calibration.trap_mujoco import peer
 
         result["mujoco_sysid"] = peer(given.peer)
-    else:
-        result["mujoco_sysid"] = load("trap").get("mujoco_sysid") if (RESULTS / "trap.json").exists() else None
     save("trap", result)
     text = f"{table(summaries)}\n\n{excluding} of {printed} printed intervals exclude the truth."
     text += f"\n\n{peer_table(result['mujoco_sysid'])}" if result["mujoco_sysid"] else ""
-    put_in_readme("trap", text, "docs/fits_measured.md")
-    print(text)
-
-
-def within(task: tuple[str, int, float, tuple[int, ...]], end: float) -> list[dict[str, Any]]:
-    """``fits``, unless the time is up."""
-    return fits(task) if time.time() < end else []
+    publish("trap", text, "docs/fits_measured.md")
 
 
 if __name__ == "__main__":

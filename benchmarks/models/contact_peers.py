@@ -15,12 +15,8 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import math
-import os
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import exudyn as exu
 import jax.numpy as jnp
@@ -36,8 +32,10 @@ from exudyn.utilities import (
 )
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.contact.restitution import carvalho_martins, gonthier
-from benchmarks.common import markdown, put_in_readme, save
+from benchmarks.clock import clocked
+from benchmarks.common import publish, save
 
 RESTITUTIONS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 MASS, RADIUS, STIFFNESS, EXPONENT = 0.0167, 8e-3, 2e9, 1.5
@@ -153,11 +151,10 @@ def exudyn(
     integration.verboseMode = 0
     settings.solutionSettings.writeSolutionToFile = False
     settings.solutionSettings.sensorsWritePeriod = end / steps
-    begin = time.process_time()
-    mbs.SolveDynamic(settings, solverType=exu.DynamicSolverType.TrapezoidalIndex2)
-    wall = time.process_time() - begin
+    _, took = clocked(lambda: mbs.SolveDynamic(settings, solverType=exu.DynamicSolverType.TrapezoidalIndex2))
     kept = mbs.GetSensorStoredData(force)
-    return {"t": kept[:, 0], "force": kept[:, 1:4], "velocity": mbs.GetSensorStoredData(speed)[-1, 1:4], "cpu_s": wall}
+    velocity = mbs.GetSensorStoredData(speed)[-1, 1:4]
+    return {"t": kept[:, 0], "force": kept[:, 1:4], "velocity": velocity, "cpu_s": took["cpu_s"]}
 
 
 def mechanism(case: Case, model: int = 2) -> bj.Mechanism:
@@ -180,11 +177,9 @@ def ours(scene: bj.Mechanism, times: np.ndarray, accuracy: float, restitution: f
     read = [f"contact.force.{k}" for k in "xyz"] + [f"ball.velocity.{k}" for k in "xyz"]
     run = functools.partial(bj.simulate, scene, params, times, accuracy=accuracy, read=read)
     run()
-    begin = time.process_time()
-    found = run()
-    cpu = time.process_time() - begin
+    found, took = clocked(run)
     force, velocity = (np.stack([found.readings[name] for name in part], axis=-1) for part in (read[:3], read[3:]))
-    return {"force": force, "velocity": velocity[-1], "cpu_s": cpu, "status": found.status}
+    return {"force": force, "velocity": velocity[-1], "cpu_s": took["cpu_s"], "status": found.status}
 
 
 def largest(found: np.ndarray, right: np.ndarray) -> float:
@@ -253,30 +248,22 @@ def pushed_aside() -> dict[str, float]:
     return {name: float(np.hypot(f[0], f[2]) / np.linalg.norm(f)) for name, f in (("exudyn", there), ("ours", here))}
 
 
-def publish(found: dict[str, Any]) -> None:
-    """The tables of the page."""
-    head = [
-        "scene",
-        "peak",
-        "force",
-        "impulse",
-        "speed at the end",
-        "ours: CPU, accuracy, error",
-        "Exudyn: CPU, steps, error",
-    ]
-    rows = [head] + [
-        [
-            name, f"{c['peak_N']:.1f} N", f"{c['force']:.1e}", f"{c['impulse']:.1e}", f"{c['velocity']:.1e}",
-            f"{1e3 * c['ours_cpu_s']:.0f} ms, {c['ours_accuracy']:g}, {c['ours_error']:.1e}",
-            f"{1e3 * c['exudyn_cpu_s']:.0f} ms, {c['exudyn_steps']}, {c['exudyn_error']:.1e}",
-        ]
-        for name, c in found["cases"].items()
-    ]  # fmt: skip
+def tables(found: dict[str, Any]) -> str:
+    """Those of the page."""
+
+    def cost(tool: str, how: str) -> Callable[[dict[str, Any]], str]:
+        return lambda c: f"{1e3 * c[f'{tool}_cpu_s']:.0f} ms, {c[f'{tool}_{how}']:g}, {c[f'{tool}_error']:.1e}"
+
+    cases = harness.table({
+        "scene": "{name}", "peak": "{peak_N:.1f} N", "force": "{force:.1e}", "impulse": "{impulse:.1e}",
+        "speed at the end": "{velocity:.1e}", "ours: CPU, accuracy, error": cost("ours", "accuracy"),
+        "Exudyn: CPU, steps, error": cost("exudyn", "steps"),
+    }, ({"name": name, **c} for name, c in found["cases"].items()))  # fmt: skip
     by = {(r["model"], r["asked"]): r for r in found["rebounds"]}
-    table = [["restitution asked for", *(f"model {m}: Exudyn, ours" for m in LAWS)]]
-    for e in RESTITUTIONS:
-        table.append([f"{e:g}", *(f"{by[m, e]['exudyn']:.5f}, {by[m, e]['ours']:.5f}" for m in LAWS)])
-    put_in_readme("contact_peers", f"{markdown(rows)}\n\n{markdown(table)}", "docs/speed.md")
+    models = {
+        f"model {m}: Exudyn, ours": lambda e, m=m: f"{by[m, e]['exudyn']:.5f}, {by[m, e]['ours']:.5f}" for m in LAWS
+    }
+    return f"{cases}\n\n{harness.table({'restitution asked for': '{0:g}'.format, **models}, RESTITUTIONS)}"
 
 
 def main() -> None:
@@ -285,7 +272,7 @@ def main() -> None:
         "cases": {name: compared(case) for name, case in CASES.items()}, "rebounds": rebounds(), "aside": pushed_aside()
     }  # fmt: skip
     save("contact_peers", {"exudyn": importlib.metadata.version("exudyn"), **found})
-    publish(found)
+    publish("contact_peers", tables(found), "docs/speed.md")
     print(found["aside"], max(abs(r["exudyn"] - r["ours"]) for r in found["rebounds"]))
 
 

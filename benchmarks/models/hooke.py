@@ -18,9 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis import life
 from bcfj_jax.mechanism.channels import channel, histories
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.common import IMAGES, publish, save
 
 SCENES: dict[str, tuple[Any, str]] = {
     "ball-cage joint": (bj.scenes.joint, "head"),
@@ -100,11 +101,8 @@ def main() -> None:
 
     found = {name: of(name) for name in SCENES}
     save("hooke", {"joints": {name: row for name, (row, _, _) in found.items()}})
-    rows = [
-        ["", *found],
-        *([head, *(f"{scale * found[n][0][key]:.3g}" for n in found)] for key, (head, scale) in HEADS.items()),
-    ]
-    put_in_readme("hooke", markdown(rows), "docs/hooke.md")
+    cells = {n: lambda one, n=n: f"{one[1][1] * found[n][0][one[0]]:.3g}" for n in found}
+    publish("hooke", harness.table({"": lambda one: one[1][0], **cells}, HEADS.items()), "docs/hooke.md")
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     for name, (_, turn, error) in found.items():
         left.plot(np.degrees(turn), 1e3 * error, label=name)
@@ -119,7 +117,7 @@ def main() -> None:
         xticklabels=["greatest force", "sliding work", "wear"],
         ylabel="over the ball-cage joint's",
     )
-    figure.savefig(ROOT / "docs" / "images" / "hooke.svg")
+    figure.savefig(IMAGES / "hooke.svg")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from functools import partial
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
@@ -34,19 +33,16 @@ from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
 from bcfj_jax.solve.sdirk import Sdirk
-from benchmarks.common import load, markdown, put_in_readme, save
+from benchmarks.clock import seconds as clocked
+from benchmarks.common import load, markdown, publish, save
+from benchmarks.common import options as asked
 
 REPEATS = 5
 
 
 def median(run: Callable[[], Any], repeats: int = REPEATS) -> float:
     """Median wall time [s], result awaited."""
-    taken = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        jax.block_until_ready(run())
-        taken.append(time.perf_counter() - begin)
-    return float(np.median(taken))
+    return float(np.median(clocked(run, repeats, time.perf_counter)))
 
 
 def loaded_state(scene: Any, params: Any) -> jax.Array:
@@ -146,18 +142,19 @@ def seconds() -> dict[str, Any]:
     scene = bj.scenes.joint_of_keys(**PLAIN)
     params, times = scene.parameters(), np.linspace(0.0, 3.0, 3001)
     first = bj.simulate(scene, params, times)
-    walls = [bj.simulate(scene, params, times).stats["wall_s"] for _ in range(REPEATS)]
     still = bj.scenes.joint_of_keys(fidelity="quasistatic", **PLAIN)
     angles = np.linspace(0.0, 0.6, 361)[:-1] + 1.0
-    cold = bj.simulate(still, still.parameters(), angles).stats["compile_s"]
-    revolution = [bj.simulate(still, still.parameters(), angles).stats["wall_s"] for _ in range(REPEATS)]
+    cold = bj.simulate(still, still.parameters(), angles)
+
+    def wall(scene: Any, times: np.ndarray) -> float:
+        walls = [bj.simulate(scene, scene.parameters(), times).stats["wall_s"] for _ in range(REPEATS)]
+        return float(np.median(walls))
+
     return {
-        "joint_3s_wall": float(np.median(walls)),
-        "joint_3s_compile": first.stats["compile_s"],
-        "steps": [first.stats["accepted"], first.stats["rejected"]],
-        "quasistatic_360_wall": float(np.median(revolution)),
-        "quasistatic_compile": cold,
-    }
+        "joint_3s_wall": wall(scene, times), "joint_3s_compile": first.stats["compile_s"],
+        "steps": [first.stats["accepted"], first.stats["rejected"]], "quasistatic_360_wall": wall(still, angles),
+        "quasistatic_compile": cold.stats["compile_s"],
+    }  # fmt: skip
 
 
 def batch() -> dict[str, Any]:
@@ -234,11 +231,11 @@ PARTS = {"costs": costs, "precision": precision, "seconds": seconds, "batch": ba
 
 
 def main() -> None:
-    for name in sys.argv[1:] or PARTS:
+    for name in asked(__doc__, {"parts": PARTS}).parts:
         content = PARTS[name]()
         print(name, content)
         save(f"joint_{name}", {name: content})
-    put_in_readme("joint", readme(), "docs/accuracy.md")
+    publish("joint", readme(), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

@@ -13,21 +13,19 @@ coefficients; ``--plain`` takes joints without rolling balls, window ends and ba
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
-import time
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import markdown, save
+from benchmarks.clock import clocked
+from benchmarks.common import markdown, options, save, tally
 from benchmarks.solve.random_scenes import BY_DECADES, EVENLY, joint
 
 END, ANGLES, STEPS = 3.0, 180, 20_000
@@ -41,12 +39,14 @@ def window(params: Params) -> np.ndarray:
 
 def timed(scene: Any, params: Params, budget: float) -> tuple[Any, float]:
     """A run, and the seconds of this process that it took, compilation apart (a first run compiles)."""
-    begin = time.process_time()
-    run = bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)
-    if run.stats["compile_s"] > 0.1:
-        begin = time.process_time()
-        run = bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)
-    return run, time.process_time() - begin
+
+    def run() -> Any:
+        return bj.simulate(scene, params, window(params), accuracy=budget, max_steps=STEPS)
+
+    found, took = clocked(run)
+    if found.stats["compile_s"] > 0.1:
+        found, took = clocked(run)
+    return found, took["cpu_s"]
 
 
 def error(found: Any, truth: Any) -> float:
@@ -84,7 +84,7 @@ def measured(
 def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
     """Counts and ratios over the joints."""
     ratios = np.array([row["dynamic_s"] / row["auto_s"] for row in rows])
-    levels = [row["fidelity"] for row in rows]
+
     errors = [row["error"] for row in rows]
     low, high = np.quantile(np.random.default_rng(0).choice(ratios, (2000, ratios.size)).mean(axis=1), [0.025, 0.975])
     return {
@@ -92,7 +92,7 @@ def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
         "within_budget": sum(e <= budget for e in errors),
         "largest_error": max(errors),
         "median_error": float(np.median(errors)),
-        "rungs": {name: levels.count(name) for name in sorted(set(levels))},
+        "rungs": tally(row["fidelity"] for row in rows),
         "speed_up_mean": float(ratios.mean()),
         "speed_up_mean_95": [float(low), float(high)],
         "speed_up_median": float(np.median(ratios)),
@@ -102,27 +102,16 @@ def summed(rows: list[dict[str, Any]], budget: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--joints", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=2025)
-    parser.add_argument("--budget", type=float, default=0.01)
-    parser.add_argument("--friction", type=float, default=1.0)
-    parser.add_argument("--plain", action="store_true")
-    parser.add_argument("--name", default="joint_auto")
-    given = parser.parse_args()
-    options = PLAIN if given.plain else {}
-    rows, unfinished = measured(given.joints, given.seed, given.budget, given.friction, options)
+    given = options(__doc__, joints=100, seed=2025, budget=0.01, friction=1.0, plain=False, name="joint_auto")
+    plain = PLAIN if given.plain else {}
+    rows, unfinished = measured(given.joints, given.seed, given.budget, given.friction, plain)
     total = summed(rows, given.budget)
-    box = {"logarithmic": BY_DECADES, "even": EVENLY, "friction": given.friction}
-    settings = {
-        "end_s": END,
-        "angles": ANGLES,
-        "max_steps": STEPS,
-        "seed": given.seed,
-        "budget": given.budget,
-    } | options
-    save(given.name, settings | {"box": box, "unfinished": unfinished, "summary": total, "joints": rows})
-    print(markdown([["", ""], *([name.replace("_", " "), str(value)] for name, value in total.items())]))
+    save(given.name, {
+        "end_s": END, "angles": ANGLES, "max_steps": STEPS, "seed": given.seed, "budget": given.budget, **plain,
+        "box": {"logarithmic": BY_DECADES, "even": EVENLY, "friction": given.friction}, "unfinished": unfinished,
+        "summary": total, "joints": rows,
+    })  # fmt: skip
+    print(markdown([["", ""], *([name.replace("_", " "), value] for name, value in total.items())]))
 
 
 if __name__ == "__main__":

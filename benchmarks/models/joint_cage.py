@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -29,7 +28,8 @@ from bcfj_jax.analysis import energy_balance
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked, turns
+from benchmarks.common import options, parts, publish, table
 
 TURN = 0.6
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -47,37 +47,30 @@ _CROSSED = 5
 
 def cost(accuracy: Any) -> dict[str, dict[str, float]]:
     """Steps, wall time and time per step of a run of 0.75 s, and that over the plain joint's; compile time beside."""
-    times = np.linspace(0.0, 0.15 + TURN, 751)
-    runs = {
-        name: (scene := bj.scenes.joint_of_keys(**PLAIN | options), scene.parameters())
-        for name, options in VARIANTS.items()
-    }
-    walls: dict[str, list[float]] = {name: [] for name in runs}
+    times, runs = np.linspace(0.0, 0.15 + TURN, 751), {}
     found: dict[str, dict[str, float]] = {}
-    for name, (scene, params) in runs.items():
-        begin = time.perf_counter()
-        run = bj.simulate(scene, params, times, accuracy=accuracy)
+    for name, given in VARIANTS.items():
+        scene = bj.scenes.joint_of_keys(**PLAIN | given)
+        runs[name] = partial(bj.simulate, scene, scene.parameters(), times, accuracy=accuracy)
+        run, took = clocked(runs[name])
         steps = int(run.stats["accepted"]) + int(run.stats["rejected"])
-        found[name] = {"first_s": time.perf_counter() - begin, "steps": steps, "failed": float(run.status != "ok")}
+        found[name] = {"first_s": took["wall_s"], "steps": steps, "failed": float(run.status != "ok")}
         peaks = {c.name: float(np.abs(run.force[c.name][times >= 0.15, ..., 0]).max()) for c in scene.contacts}
         found[name] |= {f"{contact} [kN]": peak / 1e3 for contact, peak in peaks.items()}
-    for _ in range(REPEATS):
-        for name, (scene, params) in runs.items():
-            begin = time.process_time()
-            bj.simulate(scene, params, times, accuracy=accuracy)
-            walls[name].append(time.process_time() - begin)
+    spent = turns(runs, REPEATS)
     for name, row in found.items():
-        row["cpu_s"] = float(np.median(walls[name]))
+        row["cpu_s"] = float(np.median(spent[name]))
         row["us_per_step"] = 1e6 * row["cpu_s"] / row["steps"]
-    for row in found.values():
         row["over_plain"] = row["cpu_s"] / found["plain"]["cpu_s"]
-    table = [["joint", "steps", "us a step", "seconds over plain"]]
-    for name, row in found.items():
-        table.append([name, f"{row['steps']:.0f}", f"{row['us_per_step']:.0f}", f"{row['over_plain']:.2f}"])
-    print(markdown(table))
     if accuracy == "balanced":
-        put_in_readme("joint_cost", markdown(table), "docs/joint.md")
+        publish("joint_cost", cost_table(found), "docs/joint.md")
     return found
+
+
+def cost_table(found: dict[str, dict[str, float]]) -> str:
+    columns = {"joint": "{name}", "steps": "{steps:.0f}", "us a step": "{us_per_step:.0f}"}
+    rows = ({"name": name, **row} for name, row in found.items())
+    return table({**columns, "seconds over plain": "{over_plain:.2f}"}, rows)
 
 
 def drift() -> dict[str, dict[str, float]]:
@@ -102,17 +95,15 @@ def drift() -> dict[str, dict[str, float]]:
                 turned = np.ptp(run.trajectory[late, scene.azimuth][[0, -1]])
             asked = float(params["drive_speed"]) * np.ptp(times[late])
             ends = run.force.get("cage_window_end")
-            found[f"{name}, {weight / 1e3:g} kN"] = {
+            found[f"{name}, {weight / 1e3:g} kN"] = row = {
                 "status": str(run.status),
                 "speed_ratio_less_1": float(turned / asked - 1.0),
                 "steps": int(run.stats["accepted"] + run.stats["rejected"]),
                 **({} if ends is None else {"window ends mean [kN]": float(ends[late, :, 0].sum(1).mean() / 1e3)}),
-                **{
-                    f"{pilot} mean [kN]": float(run.force[pilot][late, 0].mean() / 1e3)
-                    for pilot in ("seat_cage", "head_cage")
-                },
             }
-            print(name, weight, found[f"{name}, {weight / 1e3:g} kN"], file=sys.stderr, flush=True)
+            for pilot in ("seat_cage", "head_cage"):
+                row[f"{pilot} mean [kN]"] = float(run.force[pilot][late, 0].mean() / 1e3)
+            print(name, weight, row, file=sys.stderr, flush=True)
     return found
 
 
@@ -136,10 +127,7 @@ PARTS: dict[str, Callable[[], Any]] = {
 
 def main() -> None:
     """The parts asked for, into the results beside those that are there."""
-    for name in sys.argv[1:] or PARTS:
-        known = load("joint_cage") if (RESULTS / "joint_cage.json").exists() else {}
-        known.pop("environment", None)
-        save("joint_cage", known | {name: PARTS[name]()})
+    parts("joint_cage", PARTS, options(__doc__, {"parts": PARTS}).parts)
 
 
 if __name__ == "__main__":

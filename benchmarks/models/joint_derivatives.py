@@ -16,31 +16,26 @@ outputs, programs compiled.
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from typing import Any
-
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 
 import bcfj_jax as bj
-from bcfj_jax.io import plots
+import benchmarks.common as harness
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from benchmarks.analysis.derivatives import MOVED, Reference, errors, grid, influence, load, moved, normals
-from benchmarks.common import RESULTS, ROOT, markdown, put_in_readme, save
-from benchmarks.common import load as kept_result
+from benchmarks.clock import clocked
+from benchmarks.clock import seconds as took
+from benchmarks.common import ROOT, Some, drawing, known, options, publish
 from benchmarks.solve.kernels import OPTIONS
 
 # Tolerance, and whether tangents count in the step control (BDF) or not (SDIRK2). The first ``TAKEN`` are what ``plan``
@@ -100,24 +95,16 @@ def steps(logs: Any, tolerance: Any, controlled: Any) -> Any:
 
 def compiled(function: Callable[..., Any], size: int, controlled: bool) -> tuple[Callable[..., Any], float]:
     """The program of a function of ``size`` logarithms, and how long it took [s]."""
-    begin = time.process_time()
-    made = jax.jit(lambda logs, tolerance: function(logs, tolerance, controlled))
-    made = made.lower(jnp.zeros(size), jnp.asarray(1e-2)).compile()
-    return made, time.process_time() - begin
+    lowered = jax.jit(lambda logs, tolerance: function(logs, tolerance, controlled)).lower
+    made, spent = clocked(lambda: lowered(jnp.zeros(size), jnp.asarray(1e-2)).compile())
+    return made, spent["cpu_s"]
 
 
 def timed(program: Callable[..., Any], size: int, tolerance: float) -> tuple[np.ndarray, float]:
     """What a program returns, and the least time of several runs [s]."""
     arguments = jnp.zeros(size), jnp.asarray(tolerance)
-    took = []
     result = jax.block_until_ready(program(*arguments))
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        jax.block_until_ready(program(*arguments))
-        took.append(time.process_time() - begin)
-        if sum(took) > 3.0:
-            break
-    return np.asarray(result), min(took)
+    return np.asarray(result), min(took(lambda: program(*arguments), REPEATS, most=3.0))
 
 
 def judged(found: np.ndarray, kept: Reference) -> dict[str, Any]:
@@ -128,14 +115,12 @@ def judged(found: np.ndarray, kept: Reference) -> dict[str, Any]:
     sizes = np.sqrt(np.sum(kept.slope**2, axis=(0, 1)))
     square = np.sort(np.sum(((found - kept.slope) / sizes)[..., counted] ** 2, axis=(1, 2)))
     return {
-        "error": float(average[counted].max()),
-        "pointwise": float(point[counted].max()),
+        "error": float(average[counted].max()), "pointwise": float(point[counted].max()),
         "errors": dict(zip(MOVED, average.tolist(), strict=True)),
         "errors_pointwise": dict(zip(MOVED, point.tolist(), strict=True)),
         "share_in_worst_twentieth": float(square[-len(square) // 20 :].sum() / square.sum()),
-        "largest": float(np.abs(found).max()),
-        "bounded": bool(np.isfinite(found).all()),
-    }
+        "largest": float(np.abs(found).max()), "bounded": bool(np.isfinite(found).all()),
+    }  # fmt: skip
 
 
 def ours(kept: Reference) -> dict[str, Any]:
@@ -166,14 +151,10 @@ def ours(kept: Reference) -> dict[str, Any]:
         _, forward = timed(made["forward"], k, tolerance)
         value, rodas = timed(made["value"], k, tolerance)
         row = {
-            "tolerance": tolerance,
-            "controlled": controlled,
-            **judged(found, kept),
-            "cpu_s": seconds,
-            "forward_cpu_s": forward,
-            "value_cpu_s": rodas,
+            "tolerance": tolerance, "controlled": controlled, **judged(found, kept), "cpu_s": seconds,
+            "forward_cpu_s": forward, "value_cpu_s": rodas,
             "value_rms_N": float(np.sqrt(np.mean((value - kept.force) ** 2))),
-        }
+        }  # fmt: skip
         rows.append(row)
         print(row["tolerance"], {x: row[x] for x in ("error", "pointwise", "cpu_s", "forward_cpu_s")}, flush=True)
     return {"compile_s": compile_s, "rows": rows}
@@ -185,7 +166,7 @@ def one_kernel() -> dict[str, Any]:
     if os.environ.get("XLA_FLAGS") != OPTIONS[_ONE]:
         # XLA reads its options once a process.
         subprocess.run(begin, env={**os.environ, "XLA_FLAGS": OPTIONS[_ONE]}, cwd=ROOT, check=True)
-        return json.loads((RESULTS / "joint_derivatives.json").read_text())["kernel"]
+        return known("joint_derivatives")["kernel"]
     kept, rows = load(), []
     made, compile_s = compiled(jax.jacfwd(forces), len(MOVED), True)
     for tolerance in (x for x, controlled in TOLERANCES[:TAKEN] if controlled):
@@ -207,9 +188,8 @@ def batch() -> list[dict[str, Any]]:
         arguments = lanes, jnp.asarray(tolerance)
         # Compiled, not run: a batch of BDF takes minutes.
         together = together.lower(*arguments).compile()
-        begin = time.process_time()
-        jax.block_until_ready(together(*arguments))
-        rows.append({"tolerance": tolerance, "lane_cpu_s": (time.process_time() - begin) / LANES, "alone_cpu_s": once})
+        lanes_s = took(lambda program=together, given=arguments: program(*given), 1)[0]
+        rows.append({"tolerance": tolerance, "lane_cpu_s": lanes_s / LANES, "alone_cpu_s": once})
         print("batch", rows[-1], flush=True)
     return rows
 
@@ -311,85 +291,81 @@ def work() -> dict[str, Any]:
 def drawn(found: dict[str, Any], kernel: dict[str, Any] | None) -> None:
     """Work against error; what ``plan`` does not take is hollow."""
     rows = found["ours"]["rows"]
-    taken = [row for i, row in enumerate(rows) if i < TAKEN]
     curves = {
-        "SDIRK2": [row for row in taken if not row["controlled"]],
-        "BDF, tangents controlled": [row for row in taken if row["controlled"]],
+        "SDIRK2": [row for row in rows[:TAKEN] if not row["controlled"]],
+        "BDF, tangents controlled": [row for row in rows[:TAKEN] if row["controlled"]],
         **found["peers"],
         **({"BDF, whole solver one kernel": kernel["rows"]} if kernel else {}),
     }
-    with plots.style():
-        figure = Figure(figsize=(8, 5), layout="constrained")
-        axes = figure.subplots()
-        for name, mark in zip(curves, ("o", "s", "^", "x", "d"), strict=False):
-            x, y = ([100 * row["error"] for row in curves[name]], [row["cpu_s"] for row in curves[name]])
+    with drawing("joint_derivatives.png", (8, 5)) as axes:
+        for (name, curve), mark in zip(curves.items(), ("o", "s", "^", "x", "d"), strict=False):
+            x, y = ([100 * row["error"] for row in curve], [row["cpu_s"] for row in curve])
             (line,) = axes.plot(x, y, mark, ls="-", label=name)
-            for a, b, row in zip(x, y, curves[name], strict=True):
+            for a, b, row in zip(x, y, curve, strict=True):
                 axes.annotate(f"{row['tolerance']:g}", (a, b), (4, 4), textcoords="offset points", fontsize=6)
-            other = [row for row in rows[TAKEN:] if row["controlled"] == (mark == "s")] if mark in "os" else []
-            other = [row for row in other if row["error"] < 10.0]
-            x, y = ([100 * row["error"] for row in other], [row["cpu_s"] for row in other])
-            axes.plot(x, y, mark, mfc="none", color=line.get_color())
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("error of the worst parameter, 5 ms averages [%]; at each point its tolerance")
-        axes.set_ylabel("CPU seconds of the Jacobian of 8")
+            other = [row for row in rows[TAKEN:] if row["controlled"] == (mark == "s") and row["error"] < 10.0]
+            if mark in "os":
+                x, y = ([100 * row["error"] for row in other], [row["cpu_s"] for row in other])
+                axes.plot(x, y, mark, mfc="none", color=line.get_color())
+        axes.set(
+            xscale="log", yscale="log", ylabel="CPU seconds of the Jacobian of 8",
+            xlabel="error of the worst parameter, 5 ms averages [%]; at each point its tolerance",
+        )  # fmt: skip
         axes.legend(fontsize=8)
-        figure.savefig(ROOT / "docs" / "images" / "joint_derivatives.png", dpi=110)
+
+
+PARTS: dict[str, Callable[[], Any]] = {
+    "work": work, "kernel": one_kernel, "batch": batch, "more": more, "long": long_run,
+}  # fmt: skip
 
 
 def main() -> None:
-    parts: dict[str, Callable[[], Any]] = {
-        "work": work,
-        "kernel": one_kernel,
-        "batch": batch,
-        "more": more,
-        "long": long_run,
+    harness.parts("joint_derivatives", PARTS, options(__doc__, {"parts": Some(["work"])}).parts)
+    show(known("joint_derivatives"))
+
+
+def tables(work: dict[str, Any]) -> tuple[str, str, str]:
+    """Ours by tolerance, what programs take to compile, and the peers."""
+    ours, peers = work["ours"], work["peers"]
+    levels = {tolerance: f" (`{name}`)" for name, tolerance in work["levels"].items()}
+    percents = {
+        head: lambda row, key=key: f"{100 * row[key]:.2g} %"
+        for head, key in {"error, 5 ms averages": "error", "pointwise": "pointwise"}.items()
     }
-    for part in sys.argv[1:] or ("work",):
-        made = parts[part]()
-        old = kept_result("joint_derivatives") if (RESULTS / "joint_derivatives.json").exists() else {}
-        save("joint_derivatives", {**{x: y for x, y in old.items() if x in parts}, part: made})
-    show(kept_result("joint_derivatives"))
+
+    def gain(row: dict[str, Any], name: str) -> str:
+        over = row[f"speedup over {name}"]
+        return "-" if over is None else f"{over:.1f} times as long"
+
+    own = harness.table({
+        "tolerance": lambda row: f"{row['tolerance']:g}{levels.get(row['tolerance'], '')}", **percents, "s": "{cpu_s:.2f}",
+        "over SDIRK2's run alone": lambda row: f"{row['cpu_s'] / row['forward_cpu_s']:.1f}",
+        "over a run of values": lambda row: f"{row['cpu_s'] / row['value_cpu_s']:.1f}",
+        **{f"{name} at that error take": lambda row, name=name: gain(row, name) for name in peers},
+    }, ours["rows"][:TAKEN])  # fmt: skip
+    compiling = harness.table({
+        "program": "{name}", "compiled anew, s": "{cold:.1f}", "over that of values": "{over_value:.1f}",
+        "from JAX's cache, s": "{cached:.1f}",
+    }, ({"name": PROGRAMS[name], **row} for name, row in ours["compile_s"].items()))  # fmt: skip
+    theirs = harness.table(
+        {"peer": "{name}", "tolerance": "{tolerance:g}", **percents, "s": "{cpu_s:.2f}"},
+        ({"name": name, **row} for name, rows in peers.items() for row in rows),
+    )
+    return own, compiling, theirs
 
 
 def show(found: dict[str, Any]) -> None:
     """The picture, and the tables of docs/derivatives.md."""
     if "work" in found:
-        ours, peers = found["work"]["ours"], found["work"]["peers"]
         drawn(found["work"], found.get("kernel"))
         for row in found.get("kernel", {}).get("rows", []):
-            gains = {name: (seconds_at(rows, row["error"]) or np.nan) / row["cpu_s"] for name, rows in peers.items()}
+            peers = found["work"]["peers"].items()
+            gains = {name: (seconds_at(rows, row["error"]) or np.nan) / row["cpu_s"] for name, rows in peers}
             print("one kernel", row["tolerance"], row["error"], row["cpu_s"], gains)
-        named = {tolerance: name for name, tolerance in found["work"]["levels"].items()}
-        table = [
-            ["tolerance", "error, 5 ms averages", "pointwise", "s", "over SDIRK2's run alone", "over a run of values"]
-        ]
-        table[0] += [f"{name} at that error take" for name in peers]
-        for row in ours["rows"][:TAKEN]:
-            tolerance = f"{row['tolerance']:g}"
-            level = named.get(row["tolerance"])
-            table.append([f"{tolerance} (`{level}`)" if level else tolerance])
-            table[-1] += [f"{100 * row[x]:.2g} %" for x in ("error", "pointwise")]
-            table[-1] += [
-                f"{row['cpu_s']:.2f}",
-                *(f"{row['cpu_s'] / row[f'{x}_cpu_s']:.1f}" for x in ("forward", "value")),
-            ]
-            gains = [row[f"speedup over {name}"] for name in peers]
-            table[-1] += ["-" if gain is None else f"{gain:.1f} times as long" for gain in gains]
-        print(markdown(table))
-        put_in_readme("joint-derivatives", markdown(table), PAGE)
-        table = [["program", "compiled anew, s", "over that of values", "from JAX's cache, s"]]
-        for name, row in ours["compile_s"].items():
-            table.append([PROGRAMS[name], f"{row['cold']:.1f}", f"{row['over_value']:.1f}", f"{row['cached']:.1f}"])
-        print(markdown(table))
-        put_in_readme("joint-derivatives-compiling", markdown(table), PAGE)
-        table = [["peer", "tolerance", "error, 5 ms", "pointwise", "s"]]
-        for name, rows in peers.items():
-            for row in rows:
-                error = [f"{100 * row[key]:.2g} %" for key in ("error", "pointwise")]
-                table.append([name, f"{row['tolerance']:g}", *error, f"{row['cpu_s']:.2f}"])
-        print(markdown(table))
+        own, compiling, theirs = tables(found["work"])
+        publish("joint-derivatives", own, PAGE)
+        publish("joint-derivatives-compiling", compiling, PAGE)
+        print(theirs)
     for part in ("batch", "more", "long"):
         for row in found.get(part, []):
             print(part, {x: y for x, y in row.items() if not isinstance(y, dict)})

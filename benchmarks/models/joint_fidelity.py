@@ -12,13 +12,13 @@ import os
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.models.joint.scene import FIDELITIES, PLAIN
-from benchmarks.common import markdown, save
+from benchmarks.common import save
 
 END, ANGLES, REPEATS = 3.0, 360, 3
 
@@ -51,14 +51,12 @@ def compare(force: np.ndarray, truth: np.ndarray) -> dict[str, float]:
 
 def table(contacts: dict[str, dict[str, dict[str, float]]], seconds: dict[str, dict[str, float]]) -> str:
     """The Markdown table: a row a contact and fidelity, then the seconds."""
-    rows = [["contact", "fidelity", "peak", "mean", "peak differs", "rms differs"]]
-    for name, found in contacts.items():
-        for fidelity, x in found.items():
-            differs = [f"{100 * x[key]:+.1f} %" for key in ("peak_difference", "rms_difference")]
-            rows.append([name, fidelity, f"{x['peak_N'] / 1e3:.2f} kN", f"{x['mean_N'] / 1e3:.2f} kN", *differs])
-    spent = [["fidelity", "wall", "compile"]]
-    spent += [[name, f"{1e3 * x['wall_s']:.0f} ms", f"{x['compile_s']:.1f} s"] for name, x in seconds.items()]
-    return f"{markdown(rows)}\n\n{markdown(spent)}"
+    kilonewtons = {f"{key}": lambda x, key=key: f"{x[f'{key}_N'] / 1e3:.2f} kN" for key in ("peak", "mean")}
+    differs = {f"{key} differs": lambda x, key=key: f"{100 * x[f'{key}_difference']:+.1f} %" for key in ("peak", "rms")}
+    rows = [{"name": name, "fidelity": f, **x} for name, found in contacts.items() for f, x in found.items()]
+    spent = {"fidelity": "{name}", "wall": lambda x: f"{1e3 * x['wall_s']:.0f} ms", "compile": "{compile_s:.1f} s"}
+    forces = harness.table({"contact": "{name}", "fidelity": "{fidelity}", **kilonewtons, **differs}, rows)
+    return f"{forces}\n\n{harness.table(spent, ({'name': name, **x} for name, x in seconds.items()))}"
 
 
 def main() -> None:

@@ -12,15 +12,15 @@ the rows that contain a text, and the defaults, and keeps the other rows.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 
 import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import RESULTS, save
+from benchmarks.common import known as kept
+from benchmarks.common import options as asked
+from benchmarks.common import save
 
 TIMES, LATE = np.linspace(0.0, 0.9, 901), 0.3
 SLOW = {"friction_speed": 0.01}
@@ -110,11 +110,7 @@ def off(found: np.ndarray, known: np.ndarray) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--stiff", action="store_true")
-    parser.add_argument("--lag", action="store_true")
-    parser.add_argument("--only", default="")
-    given = parser.parse_args()
+    given = asked(__doc__, stiff=False, lag=False, only="")
     rows, forces = {}, {}
     for name, options, values in cases(given.stiff, given.lag):
         if given.only not in name and not name.startswith("default"):
@@ -132,11 +128,7 @@ def main() -> None:
             row["rms_from_5_ms"] = off(forces[name], forces[near])
         row["cost_of_default"] = row["cpu_s"] / rows["default"]["cpu_s"]
         row["cost_of_default_alike"] = row["cpu_s"] / rows[base]["cpu_s"]
-    if given.lag or given.only:
-        kept = json.loads((RESULTS / "joint_friction.json").read_text())
-        del kept["environment"]
-        rows = kept | rows
-    save("joint_friction", rows)
+    save("joint_friction", kept("joint_friction") | rows if given.lag or given.only else rows)
 
 
 if __name__ == "__main__":

@@ -17,14 +17,9 @@ Tangents: how large they become by tolerance and method, here and in joints in w
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
-
-# Before equinox is imported: JAX keeps no program with host callbacks, which diffrax's checks are.
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +30,9 @@ import bcfj_jax as bj
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import MAX_STEPS, Plan
 from benchmarks.calibration.joint_calibration import BOUNDS
-from benchmarks.common import RESULTS, ROOT, load, save
+from benchmarks.clock import clocked, keep_programs
+from benchmarks.common import Some, add, known
+from benchmarks.common import options as asked_for
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics.fit_tests import spread
 from calibration.forward.model import Model, build, residuals_and_jacobian
@@ -76,14 +73,14 @@ def derivatives(options: dict[str, Any], values: dict[str, float], seed: int) ->
     """Verdicts and differences of a variant."""
     del seed
     scene = bj.scenes.joint_of_keys(**options)
-    begin = time.process_time()
-    found = bj.sensitivity(scene, scene.parameters(values), TIMES, list(BOUNDS), features=["seat_cage.mean"])
+    params = scene.parameters(values)
+    found, took = clocked(lambda: bj.sensitivity(scene, params, TIMES, list(BOUNDS), features=["seat_cage.mean"]))
     certificate = found.certificate
     assert certificate is not None
     return {
         "verdict": certificate.verdict,
         "parameters": {name: _check(check) for name, check in certificate.parameters.items()},
-        "direction": certificate.direction, "steps": certificate.steps, "cpu_s": time.process_time() - begin,
+        "direction": certificate.direction, "steps": certificate.steps, "cpu_s": took["cpu_s"],
     }  # fmt: skip
 
 
@@ -162,9 +159,7 @@ def calibration(options: dict[str, Any], values: dict[str, float], seed: int) ->
     """Estimates over the truth, and the extra clearance of one ball, of a variant and one draw of the noise."""
     setting = Setting(options, values)
     noise, truth = setting.noise(seed), setting.truth
-    begin, cpu = time.perf_counter(), time.process_time()
-    found = fit(setting.problem(noise), seed=0, starts=STARTS)
-    walls = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
+    found, walls = clocked(lambda: fit(setting.problem(noise), seed=0, starts=STARTS))
     logs = {axis.name: axis.log for axis in found.optimum.model.coordinates}
     linear = Linear(setting)
     white = linear.flat(noise)
@@ -282,14 +277,12 @@ USUAL = {
 
 def main() -> None:
     """The parts asked for, of the variants asked for or all."""
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    asked = sys.argv[1:]
+    keep_programs()
+    asked = asked_for(__doc__, {"what": Some()}).what
     for name in [x for x in asked if x in PARTS] or PARTS:
         for variant in [x for x in asked if x in VARIANTS] or USUAL[name]:
             found = PARTS[name](*VARIANTS[variant])
-            known = load("joint_fuller") if (RESULTS / "joint_fuller.json").exists() else {}
-            known.pop("environment", None)
-            save("joint_fuller", known | {name: known.get(name, {}) | {variant: found}})
+            add("joint_fuller", {name: known("joint_fuller").get(name, {}) | {variant: found}})
 
 
 if __name__ == "__main__":

@@ -17,25 +17,22 @@ Seconds are of the process, medians.
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan
 from benchmarks.analysis.derivatives import CONTACTS, MOVED, load, moved
-from benchmarks.common import RESULTS, markdown, put_in_readme, save
-from benchmarks.common import load as kept_result
+from benchmarks.clock import seconds as took
+from benchmarks.common import Some, known, markdown, options, publish
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 # ``plan`` controls the tangents' error below a force error of 5e-4, half of the tolerance.
@@ -79,15 +76,9 @@ def compiled(function: Callable, size: int) -> tuple[Any, dict[str, float]]:
 
 def timed(program: Any, size: int, tolerance: float) -> tuple[Any, float]:
     """What a program returns, and the median of several runs' seconds."""
-    arguments, walls = (jnp.zeros(size), jnp.asarray(tolerance)), []
-    result = jax.block_until_ready(program(*arguments))
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        jax.block_until_ready(program(*arguments))
-        walls.append(time.process_time() - begin)
-        if sum(walls) > 10.0:
-            break
-    return jax.tree.map(np.asarray, result), float(np.median(walls))
+    arguments = jnp.zeros(size), jnp.asarray(tolerance)
+    result = jax.tree.map(np.asarray, program(*arguments))
+    return result, float(np.median(took(lambda: program(*arguments), REPEATS, most=10.0)))
 
 
 def apart(found: np.ndarray, exact: np.ndarray, counts: np.ndarray) -> tuple[float, float]:
@@ -258,13 +249,9 @@ def cost(scene: Any) -> dict[str, Any]:
         rows[-1]["forward_cpu_s"] = of_some
         print(rows[-1], flush=True)
     return {
-        "parameters": k,
-        "rows": rows,
-        "programs": memory,
-        "value_at_0.1_percent_cpu_s": run,
-        f"reverse at {TIGHT:g} against forward": checked,
-        "along a random direction": parts,
-    }
+        "parameters": k, "rows": rows, "programs": memory, "value_at_0.1_percent_cpu_s": run,
+        f"reverse at {TIGHT:g} against forward": checked, "along a random direction": parts,
+    }  # fmt: skip
 
 
 def before() -> dict[str, Any]:
@@ -293,11 +280,9 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
 def main() -> None:
     # What is kept from another process would not be compiled.
     jax.config.update("jax_enable_compilation_cache", False)
-    for part in sys.argv[1:] or [part for part in PARTS if part != "before"]:
-        made = PARTS[part]()
-        old = kept_result("joint_gradient") if (RESULTS / "joint_gradient.json").exists() else {}
-        save("joint_gradient", {**{x: y for x, y in old.items() if x in PARTS}, part: made})
-    show(kept_result("joint_gradient"))
+    usual = Some([part for part in PARTS if part != "before"])
+    harness.parts("joint_gradient", PARTS, options(__doc__, {"parts": usual}).parts)
+    show(known("joint_gradient"))
 
 
 def cells(row: dict[str, Any], names: tuple[str, ...]) -> list[str]:
@@ -307,29 +292,36 @@ def cells(row: dict[str, Any], names: tuple[str, ...]) -> list[str]:
     return [*(f"{100 * row[name]:.2g} %" for name in names), f"{row['cpu_s']:.2f}"]
 
 
-def show(found: dict[str, Any]) -> None:
-    """The tables, those of the plain joint and of a hundred parameters in docs/derivatives.md, too."""
+def tables(found: dict[str, Any]) -> dict[str, str]:
+    """By part its table."""
     rows = {part: {row["tolerance"]: row for row in found.get(part, {}).get("rows", [])} for part in PARTS}
+    tables = {}
     for part in ("plain", "default"):
-        table = [["tolerance", *(x for way in ("reverse", "forward") for x in (f"{way}, mean square", "peak", "s"))]]
-        table[0] += ["CVODES' adjoint, mean square", "peak", "s"] if part == "plain" else []
+        peers = {tolerance: rows["peer"].get(tolerance, {}).get("CVODES", {}) for tolerance in rows[part]}
+        ways = ("reverse", "forward", *(("CVODES' adjoint",) if part == "plain" else ()))
+        table = [["tolerance", *(x for way in ways for x in (f"{way}, mean square", "peak", "s"))]]
         for tolerance, row in rows[part].items():
-            table.append([f"{tolerance:g}", *cells(row["reverse"], OBSERVED), *cells(row["forward"], OBSERVED)])
-            if part == "plain":
-                table[-1] += cells(rows["peer"].get(tolerance, {}).get("CVODES", {}), OBSERVED)
-        print(part, markdown(table), sep="\n")
-        put_in_readme("gradient" if part == "plain" else "gradient-default", markdown(table), PAGE)
+            each = {**row, "CVODES' adjoint": peers[tolerance]}
+            table.append([f"{tolerance:g}", *(cell for way in ways for cell in cells(each[way], OBSERVED))])
+        tables[part] = markdown(table)
     for part in ("cost", "cost_plain"):
         table = [["tolerance", "error", "worst", "s", "runs of values at that tolerance", "at 0.002"]]
         table[0] += [f"the {SOME} strongest{way}: {what}" for way in ("", ", forward") for what in ("error", "worst")]
         for tolerance, row in rows[part].items():
-            names = [(x, f"{x}, worst") for x in ("mean square", f"{SOME} of them", f"{SOME} of them, forward")]
-            table.append([f"{tolerance:g}", *cells(row, names[0])])
-            table[-1] += [f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")]
-            table[-1] += [*cells(row, names[1])[:-1], *cells(row, names[2])[:-1]]
-        print(part, markdown(table), sep="\n")
-        if part == "cost":
-            put_in_readme("gradient-cost", markdown(table), PAGE)
+            whole, some, forward = (
+                cells(row, (x, f"{x}, worst")) for x in ("mean square", f"{SOME} of them", f"{SOME} of them, forward")
+            )
+            runs = [f"{row[x]:.1f}" for x in ("runs", "runs at 0.1 %")]
+            table.append([f"{tolerance:g}", *whole, *runs, *some[:-1], *forward[:-1]])
+        tables[part] = markdown(table)
+    return tables
+
+
+def show(found: dict[str, Any]) -> None:
+    """The tables, those of the plain joint and of a hundred parameters in docs/derivatives.md, too."""
+    markers = {"plain": "gradient", "default": "gradient-default", "cost": "gradient-cost"}
+    for part, table in tables(found).items():
+        publish(markers[part], table, PAGE) if part in markers else print(part, table, sep="\n")
     for when in ("before", "after"):
         for name, row in found.get(when, {}).items():
             print(when, name, row)

@@ -8,15 +8,13 @@ relative to the peak, from the run with the sharpest value of the knob; cost is 
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 import bcfj_jax as bj
 from bcfj_jax.io.plots import style
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT, save
+from benchmarks.common import IMAGES, save
 
 SPEEDS = (0.01, 0.03, 0.1, 0.3)
 ONSETS = (0.0, 0.2e-6, 1e-6, 5e-6, 20e-6)
@@ -53,38 +51,30 @@ def table(name: str, values: tuple[float, ...]) -> tuple[list[dict], list[dict]]
 
 
 def main() -> None:
-    speeds, speed_runs = table("friction_speed", SPEEDS)
-    onsets, onset_runs = table("smoothing", ONSETS)
-    for row in speeds + onsets:
-        print(row)
-    save("joint_knobs", {"friction_speed": speeds, "smoothing": onsets})
+    # Values, unit and scale, by knob.
+    knobs = {"friction_speed": (SPEEDS, "m/s", 1.0), "smoothing": (ONSETS, "µm", 1e6)}
+    found = {name: table(name, values) for name, (values, _, _) in knobs.items()}
+    for rows, _ in found.values():
+        print(*rows, sep="\n")
+    save("joint_knobs", {name: rows for name, (rows, _) in found.items()})
     with style():
         figure, axes = plt.subplots(2, 2, figsize=(11, 7))
-        for axis, values, runs, unit, scale in (
-            (axes[0, 0], SPEEDS, speed_runs, "m/s", 1.0),
-            (axes[0, 1], ONSETS, onset_runs, "µm", 1e6),
-        ):
+        for (above, below), (name, (values, unit, scale)) in zip(axes.T, knobs.items(), strict=True):
+            rows, runs = found[name]
             for value, r in zip(values, runs, strict=True):
-                axis.plot(r["time"], r["force"][0, :, 0] / 1e3, label=f"{value * scale:g} {unit}", linewidth=1)
-            axis.set_xlabel("time [s]")
-            axis.set_ylabel("seat_ball_1 normal force [kN]")
-            axis.legend(title="friction_speed" if unit == "m/s" else "smoothing", fontsize=8)
-        for axis, values, rows, unit, scale in (
-            (axes[1, 0], SPEEDS, speeds, "friction_speed [m/s]", 1.0),
-            (axes[1, 1], ONSETS, onsets, "smoothing [µm]", 1e6),
-        ):
+                above.plot(r["time"], r["force"][0, :, 0] / 1e3, label=f"{value * scale:g} {unit}", linewidth=1)
+            above.set(xlabel="time [s]", ylabel="seat_ball_1 normal force [kN]")
+            above.legend(title=name, fontsize=8)
             places = range(len(values))
-            axis.bar(places, [row["steps"] / 1e3 for row in rows], width=0.5, label="steps [thousands]")
-            axis.set_xticks(list(places), [f"{value * scale:g}" for value in values])
-            axis.set_xlabel(unit)
-            axis.set_ylabel("solver steps, 0.9 s [thousands]")
-            twin = axis.twinx()
+            below.bar(places, [row["steps"] / 1e3 for row in rows], width=0.5, label="steps [thousands]")
+            below.set_xticks(list(places), [f"{value * scale:g}" for value in values])
+            below.set(xlabel=f"{name} [{unit}]", ylabel="solver steps, 0.9 s [thousands]")
+            twin = below.twinx()
             twin.plot(places, [100 * row["rms_of_peak"] for row in rows], "o-", color="C1")
             twin.set_ylabel("rms change of forces [% of peak]", color="C1")
             twin.grid(False)
         figure.tight_layout()
-        target: Path = ROOT / "docs" / "images" / "joint_knobs.png"
-        figure.savefig(target, dpi=110)
+        figure.savefig(IMAGES / "joint_knobs.png", dpi=110)
         plt.close(figure)
 
 

@@ -11,13 +11,11 @@ last, of full load.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import dataclasses
 
@@ -27,6 +25,7 @@ import numpy as np
 from jax import Array
 
 import bcfj_jax as bj
+import benchmarks.clock as clock
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
@@ -88,14 +87,7 @@ def field_passes(model: Any, params: Any, y: Array, count: int) -> Callable[[], 
 
 def turns(programs: dict[str, Callable[[], Any]], per: float, first: str) -> dict[str, dict[str, float]]:
     """Microseconds over ``per`` of every program, taking turns, median and least; and over those of the first."""
-    taken: dict[str, list[float]] = {name: [] for name in programs}
-    for call in programs.values():
-        jax.block_until_ready(call())
-    for _ in range(ROUNDS):
-        for name, call in programs.items():
-            begin = time.process_time()
-            jax.block_until_ready(call())
-            taken[name].append(time.process_time() - begin)
+    taken = clock.turns(programs, ROUNDS)
     found = {name: {"median": float(np.median(x)), "least": float(np.min(x))} for name, x in taken.items()}
     return {
         name: {f"{what}, us": 1e6 * x / per for what, x in own.items()}
@@ -129,12 +121,10 @@ def runs() -> tuple[dict[str, Any], dict[str, Array]]:
                 params = {key: jnp.broadcast_to(x, (many,)) for key, x in params.items()}
                 params["clearance_seat_cage"] = jnp.linspace(20e-6, 100e-6, many)
                 call = jax.vmap(call)
-            begin = time.process_time()
-            compiled = jax.jit(call).lower(params).compile()
-            spent = time.process_time() - begin
+            compiled, took = clock.clocked(lambda call=call, params=params: jax.jit(call).lower(params).compile())
             programs[name] = partial(compiled, params)
             steps = compiled(params)
-            made[name] = {"compile, s": spent}
+            made[name] = {"compile, s": took["cpu_s"]}
             made[name] |= {key: float(jnp.mean(getattr(steps, key))) for key in ("accepted", "rejected")}
             if many == 1:
                 states[name.partition(",")[0]] = steps.states[-1]

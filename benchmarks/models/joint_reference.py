@@ -12,7 +12,6 @@ How well it converged stands in its settings, by a tighter tolerance and by LSOD
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.models.joint.scene import PLAIN
-from benchmarks.common import ROOT, save
+from benchmarks.common import ROOT, keep_arrays, kept_arrays, options, save
 
 PATH = ROOT / "tests" / "data" / "joint_3s.npz"
 TOLERANCE, TIGHTER, LSODA_TOLERANCE = 1e-9, 1e-10, 1e-8
@@ -42,9 +41,9 @@ class Reference(NamedTuple):
 
 def load(path: Path = PATH) -> Reference:
     """The kept file."""
-    with np.load(path, allow_pickle=False) as kept:
-        force = {name.removeprefix("force."): kept[name].astype(float) for name in kept if name.startswith("force.")}
-        return Reference(kept["times"], force, json.loads(str(kept["settings"])))
+    kept, settings = kept_arrays(path)
+    force = {name.removeprefix("force."): x for name, x in kept.items() if name.startswith("force.")}
+    return Reference(kept["times"], force, settings)
 
 
 def peaks(force: Mapping[str, np.ndarray]) -> dict[str, float]:
@@ -108,11 +107,8 @@ def make() -> None:
         "scene": "joint, every option at its default",
         "parameters": {name: float(value) for name, value in params.items()},
     }
-    PATH.parent.mkdir(parents=True, exist_ok=True)
-    forces = {f"force.{name}": part.astype(np.float32) for name, part in kept.items()}
-    np.savez_compressed(PATH, times=times, settings=np.array(json.dumps(settings)), **forces)  # pyright: ignore[reportArgumentType]
+    keep_arrays(PATH, settings, times, {f"force.{name}": part for name, part in kept.items()})
     print(json.dumps(settings["convergence"], indent=2))
-    print(f"{PATH.name}: {PATH.stat().st_size / 1e6:.2f} MB")
 
 
 def check() -> None:
@@ -145,4 +141,4 @@ def check() -> None:
 
 
 if __name__ == "__main__":
-    check() if sys.argv[1:] == ["check"] else make()
+    check() if options(__doc__, {"what": "make"}).what == "check" else make()

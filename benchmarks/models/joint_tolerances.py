@@ -10,17 +10,18 @@ CPU time. ``--alone`` says that nothing else ran on the machine. Writes its tabl
 
 from __future__ import annotations
 
-import sys
 import tempfile
-import time
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import bcfj_jax as bj
+import benchmarks.common as harness
 from bcfj_jax.analysis.histories import settled_period
 from bcfj_jax.analysis.studies.specification import load
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import turns
+from benchmarks.common import ROOT, markdown, options, publish, save
 
 TIMES = np.linspace(0.0, 3.0, 3001)
 PILOT, ROUNDS = "seat_cage", 7
@@ -72,22 +73,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 def prices() -> dict[str, dict[str, float]]:
     """Of each option steps and CPU seconds of 0.6 s, and the pilot's mean force."""
-    times = np.linspace(0.0, 0.6, 601)
-    cases = {name: bj.scenes.joint_of_keys(**options) for name, options in OPTIONS.items()}
-    spent: dict[str, list[float]] = {name: [] for name in cases}
-    found = {}
-    for _ in range(ROUNDS + 1):
-        for name, scene in cases.items():
-            begin = time.process_time()
-            run = bj.simulate(scene, scene.parameters(), times)
-            spent[name].append(time.process_time() - begin)
-            pilot = np.asarray(run.force[PILOT])[300:, 0]
-            steps = run.stats["accepted"] + run.stats["rejected"]
-            found[name] = {"steps": int(steps), "mean": float(pilot.mean()), "ripple": float(np.ptp(pilot))}
-    for name, seconds in spent.items():
-        # The first round compiles.
-        found[name]["cpu_s"] = float(np.median(seconds[1:]))
-        found[name]["us a step"] = 1e6 * found[name]["cpu_s"] / found[name]["steps"]
+    times, found = np.linspace(0.0, 0.6, 601), {}
+
+    def run(name: str) -> None:
+        scene = bj.scenes.joint_of_keys(**OPTIONS[name])
+        run = bj.simulate(scene, scene.parameters(), times)
+        pilot = np.asarray(run.force[PILOT])[300:, 0]
+        steps = run.stats["accepted"] + run.stats["rejected"]
+        found[name] = {"steps": int(steps), "mean": float(pilot.mean()), "ripple": float(np.ptp(pilot))}
+
+    spent = turns({name: partial(run, name) for name in OPTIONS}, ROUNDS)
+    for name, row in found.items():
+        row["cpu_s"] = float(np.median(spent[name]))
+        row["us a step"] = 1e6 * row["cpu_s"] / row["steps"]
     return found
 
 
@@ -104,34 +102,33 @@ def spread() -> dict[str, Any]:
 
 
 def main() -> None:
+    alone = options(__doc__, alone=False).alone
     balls = {name: looked_at(values) for name, values in sizes().items()}
-    class_of = spread()
-    priced = prices()
-    content = {"alone": "--alone" in sys.argv, "balls": balls, "class": class_of, "options": priced}
+    content = {"alone": alone, "balls": balls, "class": spread(), "options": prices()}
     save("joint_tolerances", content)
-    put_in_readme("joint_tolerances", tables(content), "docs/joint.md")
+    publish("joint_tolerances", tables(content), "docs/joint.md")
 
 
 def tables(content: dict[str, Any]) -> str:
     """What docs/joint.md shows."""
-    balls, class_of, priced = content["balls"], content["class"], content["options"]
-    rows = [["balls", "period of the pilot's force", "mean", "ripple", "largest force of a ball"]]
-    for name, row in balls.items():
-        newtons = (f"{row[key] / 1e3:.2f} kN" for key in ("mean", "ripple", "largest ball force"))
-        rows.append([name, f"{row['period']:.3f} s", *newtons])
-    text = markdown(rows)
-    rows = [[f"{class_of['joints']} joints", "least", "5 %", "median", "95 %", "largest"]]
-    for name, values in class_of["features"].items():
-        unit = "s" if name.endswith("period") else "kN"
-        rows.append([f"`{name}`", *(f"{x:.3f} s" if unit == "s" else f"{x / 1e3:.2f} kN" for x in values)])
-    text += "\n\n" + markdown(rows)
-    first = priced["default"]
-    rows = [["option", "steps", "CPU time a step", "CPU time over the default's", "pilot's mean force"]]
-    for name, row in priced.items():
-        costs = (f"{row['steps']}", f"{row['us a step']:.0f} us", f"{row['cpu_s'] / first['cpu_s']:.2f}")
-        rows.append([name, *costs, f"{row['mean'] / 1e3:.2f} kN"])
+    class_of, first = content["class"], content["options"]["default"]
+    kN = {key: lambda row, key=key: f"{row[key] / 1e3:.2f} kN" for key in ("mean", "ripple", "largest ball force")}
+    heads = {"mean": kN["mean"], "ripple": kN["ripple"], "largest force of a ball": kN["largest ball force"]}
+    named = lambda rows: ({"name": name, **row} for name, row in rows.items())  # noqa: E731
+    balls = {"balls": "{name}", "period of the pilot's force": "{period:.3f} s", **heads}
+
+    def cell(name: str, x: float) -> str:
+        return f"{x:.3f} s" if name.endswith("period") else f"{x / 1e3:.2f} kN"
+
+    rows = [[f"`{name}`", *(cell(name, x) for x in values)] for name, values in class_of["features"].items()]
+    quantiles = markdown([[f"{class_of['joints']} joints", "least", "5 %", "median", "95 %", "largest"], *rows])
+    priced = harness.table({
+        "option": "{name}", "steps": "{steps}", "CPU time a step": "{us a step:.0f} us",
+        "CPU time over the default's": lambda row: f"{row['cpu_s'] / first['cpu_s']:.2f}", "pilot's mean force": kN["mean"],
+    }, named(content["options"]))  # fmt: skip
     note = "" if content["alone"] else " Measured while other programs ran: the times are rough."
-    return f"{text}\n\nThe price, 0.6 s of the default joint, all in one process.{note}\n\n{markdown(rows)}"
+    price = f"The price, 0.6 s of the default joint, all in one process.{note}"
+    return "\n\n".join((harness.table(balls, named(content["balls"])), quantiles, price, priced))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import numpy as np
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.io.plots import figure, style
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.common import IMAGES, markdown, publish, save
 from benchmarks.references import oblique_impact as reference
 
 ANGLES = np.unique(np.r_[np.arange(1.0, 66.0), reference.KHARAZ["restitution"][:, 0], reference.KHARAZ["spin"][:, 0]])
@@ -115,9 +115,8 @@ def main() -> None:
         "models": {name: rows.tolist() for name, rows in curves.items()},
     }  # fmt: skip
     save("oblique_impact", found)
-    put_in_readme("kharaz", table(found), "docs/oblique_impact.md")
-    drawn(curves, ROOT / "docs" / "images" / "kharaz.png")
-    print(table(found))
+    publish("kharaz", table(found), "docs/oblique_impact.md")
+    drawn(curves, IMAGES / "kharaz.png")
 
 
 if __name__ == "__main__":

@@ -16,14 +16,11 @@ the time. numbalsoda, which has its LSODA in C++, is measured where it can be im
 
 from __future__ import annotations
 
-import argparse
 import os
-import time
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any, NamedTuple
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 # Exudyn's build without checks of ranges.
 os.environ.setdefault("EXUDYN_MODULE", "fast")
 
@@ -45,7 +42,8 @@ from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.studies import batch
 from bcfj_jax.solve.measured_error import measured
 from bcfj_jax.solve.plan import MAX_STEPS, Plan, plan
-from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked, on_core
+from benchmarks.common import add, load, options, publish, table
 from benchmarks.references import slider_crank as reference
 
 try:
@@ -77,6 +75,7 @@ class Case(NamedTuple):
 
 
 CASES = {"friction": Case(True, RUBBING, TURNS), "no friction": Case(False, {}, 1)}
+Crank = reference.SliderCrank
 
 
 # The equations, for the peers
@@ -121,25 +120,25 @@ def _forces(times, y, p):
     return found
 
 
-def of(case: Case, clearance: float) -> reference.SliderCrank:
+def of(case: Case, clearance: float) -> Crank:
     """The reference's mechanism."""
     return dataclasses.replace(B6, bearing_radius=B6.journal_radius + clearance, **case.options)
 
 
-def numbers(made: reference.SliderCrank) -> np.ndarray:
+def numbers(made: Crank) -> np.ndarray:
     """What ``pull`` reads, and the inertia of the rod about the crank's pin and the slider's mass, shape (13,)."""
     sizes = [made.crank, made.rod, made.rod_mass, made.clearance, made.journal_radius, made.speed]
     law = [made.stiffness, made.damping, made.friction_static, made.friction_dynamic, made.friction_speed]
     return np.array([*sizes, *law, made.rod_inertia + 0.25 * made.rod_mass * made.rod**2, made.slider_mass])
 
 
-def started(made: reference.SliderCrank) -> np.ndarray:
+def started(made: Crank) -> np.ndarray:
     """Angle, place and their rates at time 0."""
     at = reference.ideal(made, np.zeros(()))
     return np.array([at.angle, at.position, at.angle_rate, at.velocity], float)
 
 
-def instants(made: reference.SliderCrank, turns: int) -> np.ndarray:
+def instants(made: Crank, turns: int) -> np.ndarray:
     """Times [s], ``SAMPLES`` a turn."""
     return np.linspace(0.0, turns * made.period, turns * SAMPLES + 1)
 
@@ -154,31 +153,28 @@ def truth(name: str, clearance: float, turns: int) -> np.ndarray:
 # The tools. Each takes a mechanism, times and a tolerance, and returns normal forces with their times.
 
 Forces = tuple[np.ndarray, np.ndarray]
-Tool = Callable[[reference.SliderCrank, np.ndarray, float], Forces]
+Tool = Callable[[Crank, np.ndarray, float], Forces]
+Weights = Callable[..., dict[str, Any]]
 
 
-def scaled(made: reference.SliderCrank, tol: float) -> dict[str, Any]:
+def scaled(made: Crank, tol: float) -> dict[str, Any]:
     """Absolute tolerances by the sizes of the play."""
     speed = made.crank * made.speed
     return {"rtol": 1e-12, "atol": tol * np.array([made.clearance / made.rod, made.clearance, speed / made.rod, speed])}
 
 
-def plain(ratio: float, made: reference.SliderCrank, tol: float) -> dict[str, Any]:
+def plain(ratio: float, made: Crank, tol: float) -> dict[str, Any]:
     """One relative and one absolute tolerance."""
     return {"rtol": tol, "atol": ratio * tol}
 
 
-def by_odeint(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_odeint(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p = numbers(made)
     y = odeint(_field, started(made), times, (p,), tfirst=True, mxstep=10**6, **weights(made, tol))
     return times, _forces(times, y, p)
 
 
-def by_solve_ivp(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_solve_ivp(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p, ends = numbers(made), (times[0], times[-1])
     y = solve_ivp(_field, ends, started(made), "LSODA", times, args=(p,), **weights(made, tol)).y
     return times, _forces(times, np.ascontiguousarray(y.T), p)
@@ -195,12 +191,9 @@ def _signature() -> Any:
     return rate
 
 
-def by_numbalsoda(
-    weights: Callable[..., dict[str, Any]], made: reference.SliderCrank, times: np.ndarray, tol: float
-) -> Forces:
+def by_numbalsoda(weights: Weights, made: Crank, times: np.ndarray, tol: float) -> Forces:
     p = numbers(made)
-    asked = weights(made, tol)
-    y, _ = numbalsoda.lsoda(_signature().address, started(made), times, p, mxstep=10**6, **asked)
+    y, _ = numbalsoda.lsoda(_signature().address, started(made), times, p, mxstep=10**6, **weights(made, tol))
     return times, _forces(times, y, p)
 
 
@@ -232,7 +225,7 @@ class Exudyn:
             self.system.AddSensor(SensorNode("", self.node, False, "", kind, storeInternal=True)) for kind in kinds
         ]
 
-    def __call__(self, solver: str, ratio: float, made: reference.SliderCrank, times: np.ndarray, tol: float) -> Forces:
+    def __call__(self, solver: str, ratio: float, made: Crank, times: np.ndarray, tol: float) -> Forces:
         """Forces at the steps; ``tol`` of generalised alpha is the step in 1/300 turn."""
         self.p, self.left, start = numbers(made), CALLS, started(made)
         self.system.SetNodeParameter(self.node, "initialCoordinates", start[:2])
@@ -259,7 +252,7 @@ class Exudyn:
         self.states = np.hstack([q[:, 1:], v[:, 1:]])
         return own, _forces(own, self.states, self.p)
 
-    def at(self, own: np.ndarray, made: reference.SliderCrank, times: np.ndarray) -> np.ndarray:
+    def at(self, own: np.ndarray, made: Crank, times: np.ndarray) -> np.ndarray:
         """Forces of the last run at the times, its steps interpolated by polynomials of fifth degree."""
         p, keep = numbers(made), np.append(True, np.diff(own) > 0.0)
         own, states = own[keep], self.states[keep]
@@ -295,12 +288,11 @@ class Package:
     def __init__(self, case: Case, turns: int):
         self.scene = bj.scenes.slider_crank(friction=case.friction)
         self.times = instants(B6, turns)
-        begin = time.process_time()
         shapes = self.values(B6), jnp.asarray(1e-3)
-        self.program = jax.jit(self.force).lower(*shapes).compile()
-        self.compile_s = time.process_time() - begin
+        self.program, took = clocked(lambda: jax.jit(self.force).lower(*shapes).compile())
+        self.compile_s = took["cpu_s"]
 
-    def values(self, made: reference.SliderCrank) -> dict[str, Any]:
+    def values(self, made: Crank) -> dict[str, Any]:
         """Parameters of the scene."""
         return self.scene.parameters(clearance_journal=made.clearance)
 
@@ -309,11 +301,11 @@ class Package:
         how = Plan(tol, BUDGET)
         return bj.force_history(self.scene, params, self.times, accuracy=how)["journal"]
 
-    def __call__(self, made: reference.SliderCrank, times: np.ndarray, tol: float) -> Forces:
+    def __call__(self, made: Crank, times: np.ndarray, tol: float) -> Forces:
         """A tool."""
         return times, np.asarray(self.program(self.values(made), jnp.asarray(tol)))[:, 0]
 
-    def as_asked(self, made: reference.SliderCrank, times: np.ndarray, asked: float) -> Forces:
+    def as_asked(self, made: Crank, times: np.ndarray, asked: float) -> Forces:
         """A tool: the whole call of a user, at the tolerance that the package takes for a force error."""
         return times, bj.simulate(self.scene, self.values(made), times, accuracy=asked).force["journal"][:, 0]
 
@@ -325,16 +317,14 @@ def error(name: str, tool: Tool, clearance: float, turns: int, tol: float) -> tu
     """Worst of rms, peak and impulse of the force over the certain turns; and the seconds of the run."""
     made, certain = of(CASES[name], clearance), min(turns, CASES[name].certain)
     times = instants(made, turns)
-    begin = time.process_time()
-    own, force = tool(made, times, tol)
-    spent = time.process_time() - begin
+    (own, force), took = clocked(lambda: tool(made, times, tol))
     if own is not times:
         force = tool.func.at(own, made, times)  # pyright: ignore
     exact = truth(name, clearance, certain)
     times, force = times[: exact.size], force[: exact.size]
     sides = ({"journal": np.stack([side, 0 * side, 0 * side], axis=1)} for side in (force, exact))
     worst = measured(1.0, 0.0, times, *sides, tolerance=0.0, wall_s=0.0).worst
-    return (worst if np.isfinite(worst) else np.inf), spent
+    return (worst if np.isfinite(worst) else np.inf), took["cpu_s"]
 
 
 def ladder() -> Iterator[float]:
@@ -362,20 +352,20 @@ def tuned(
 
 def turns_taken(calls: dict[str, Callable[[], Any]], rounds: int) -> dict[str, dict[str, float]]:
     """CPU seconds of every call, taking turns: median, least and most; and the median by the clock."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
-    walls: dict[str, list[float]] = {name: [] for name in calls}
-    for call in calls.values():
-        call()
-    for _ in range(rounds):
+    taken: dict[str, list[dict[str, float]]] = {name: [] for name in calls}
+    for _ in range(rounds + 1):
         for name, call in calls.items():
-            wall, begin = time.perf_counter(), time.process_time()
-            call()
-            taken[name].append(time.process_time() - begin)
-            walls[name].append(time.perf_counter() - wall)
-    return {
-        name: {"s": float(np.median(x)), "least_s": min(x), "most_s": max(x), "wall_s": float(np.median(walls[name]))}
-        for name, x in taken.items()
-    }
+            taken[name].append(clocked(call)[1])
+    found = {}
+    for name, (_, *rows) in taken.items():
+        cpu, wall = ([row[key] for row in rows] for key in ("cpu_s", "wall_s"))
+        found[name] = {
+            "s": float(np.median(cpu)),
+            "least_s": min(cpu),
+            "most_s": max(cpu),
+            "wall_s": float(np.median(wall)),
+        }
+    return found
 
 
 def fastest(
@@ -418,12 +408,8 @@ def single(name: str) -> dict[str, Any]:
             known[tool] = {"variant": variant, **kept}
         whole = f"{OWN}, simulate(accuracy={asked:g})"
         calls[whole] = partial(own.as_asked, made, own.times, asked)
-        tolerance = float(plan(own.scene, asked).tolerance)
-        known[whole] = {
-            "variant": "",
-            "tolerance": tolerance,
-            "error": error(name, own.as_asked, 0.5e-3, TURNS, asked)[0],
-        }
+        off = error(name, own.as_asked, 0.5e-3, TURNS, asked)[0]
+        known[whole] = {"variant": "", "tolerance": float(plan(own.scene, asked).tolerance), "error": off}
         spent = turns_taken(calls, ROUNDS)
         content[f"{asked:g}"] = _with_ratios({tool: known[tool] | spent[tool] for tool in calls})
     return content
@@ -452,15 +438,12 @@ def batched(name: str) -> dict[str, Any]:
     one, how = partial(own.force, tol=tol), Plan(tol, BUDGET)
     ways = {"lax.map": partial(jax.lax.map, one), "vmap": jax.vmap(one)}
     for way, function in ways.items():
-        begin = time.process_time()
-        program = jax.jit(function).lower(given).compile()
-        rows[f"{OWN}, {way}"] = {"compile_s": time.process_time() - begin, **kept}
+        program, took = clocked(lambda f=function: jax.jit(f).lower(given).compile())
+        rows[f"{OWN}, {way}"] = {"compile_s": took["cpu_s"], **kept}
         calls[f"{OWN}, {way}"] = lambda program=program: np.asarray(program(given))
     study, wanted = f"{OWN}, a study's batch", [Feature("journal.peak", "peak", ("journal",))]
     calls[study] = lambda: batch.run(own.scene, batch.Points(params, ends, grid), wanted, how, ends.size, True)
-    begin = time.process_time()
-    calls[study]()
-    rows[study] = {"first_run_s": time.process_time() - begin, **kept}
+    rows[study] = {"first_run_s": clocked(calls[study])[1]["cpu_s"], **kept}
     for tool, (variant, kept) in best.items():
         run = partial(tools[tool][variant], times=own.times, tol=kept["tolerance"])
         calls[tool] = lambda run=run: [run(made) for made in everyone]
@@ -483,71 +466,50 @@ def tried() -> dict[str, dict[str, float]]:
 def compiling() -> dict[str, float]:
     """Seconds that numba takes before its first call, of this process."""
     made, times = of(CASES["friction"], 0.5e-3), np.linspace(0.0, 1e-5, 3)
-    found = {}
-    for name, call in {
-        "field by numba": lambda: by_odeint(partial(plain, 1.0), made, times, 1e-3),
-        "field by numba for numbalsoda": lambda: by_numbalsoda(partial(plain, 1.0), made, times, 1e-3),
-    }.items():
-        if "numbalsoda" in name and numbalsoda is None:
-            continue
-        begin = time.process_time()
-        call()
-        found[name] = time.process_time() - begin
-    return found
+    calls = {"field by numba": by_odeint} | ({"field by numba for numbalsoda": by_numbalsoda} if numbalsoda else {})
+    each = {name: clocked(lambda run=run: run(partial(plain, 1.0), made, times, 1e-3)) for name, run in calls.items()}
+    return {name: took["cpu_s"] for name, (_, took) in each.items()}
 
 
 def tables(content: dict[str, Any]) -> tuple[str, str]:
     """Of the single runs and of the batches."""
-    singles = [["scene", "error asked", "tool", "measured error", "time", "time over bcfj-jax"]]
-    batches = [["scene", "tool", "measured error", "time", "time over bcfj-jax"]]
-    for name in CASES:
-        for asked in ASKED:
-            for tool, row in content["single"][name][f"{asked:g}"].items():
-                singles.append([name, f"{100 * asked:g} %", tool, *_cells(row, 1e3, "ms")])
-        for tool, row in content["batch"][name][f"{ASKED[0]:g}"].items():
-            batches.append([name, tool, *_cells(row, 1.0, "s")])
-    return markdown(singles), markdown(batches)
 
+    def columns(factor: float, unit: str) -> dict[str, Any]:
+        return {
+            "tool": "{tool}", "measured error": lambda row: f"{100 * row['error']:.2g} %",
+            "time": lambda row: f"{factor * row['s']:.3g} {unit}", "time over bcfj-jax": "{over bcfj-jax:.2g}",
+        }  # fmt: skip
 
-def _cells(row: dict[str, Any], factor: float, unit: str) -> list[str]:
-    return [f"{100 * row['error']:.2g} %", f"{factor * row['s']:.3g} {unit}", f"{row['over bcfj-jax']:.2g}"]
+    def rows(kind: str, name: str, asked: float) -> list[dict[str, Any]]:
+        each = content[kind][name][f"{asked:g}"].items()
+        return [{"scene": name, "asked": f"{100 * asked:g} %", "tool": tool, **row} for tool, row in each]
 
-
-def publish() -> None:
-    """Write the tables of the kept result into the page."""
-    for name, table in zip(
-        ("slider_crank_peers", "slider_crank_batch"), tables(load("slider_crank_peers")), strict=True
-    ):
-        print(table)
-        put_in_readme(name, table, "docs/speed.md")
+    singles = [row for name in CASES for asked in ASKED for row in rows("single", name, asked)]
+    batches = [row for name in CASES for row in rows("batch", name, ASKED[0])]
+    return (
+        table({"scene": "{scene}", "error asked": "{asked}", **columns(1e3, "ms")}, singles),
+        table({"scene": "{scene}", **columns(1.0, "s")}, batches),
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", default=["single", "batch"], choices=["single", "batch"])
-    asked = parser.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        # Before XLA counts the cores.
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    packages = ("exudyn", "numba", "scipy", "numpy")
-    content: dict[str, Any] = {
-        "asked": ASKED,
-        "turns": TURNS,
-        "samples_a_turn": SAMPLES,
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "versions": {name: importlib.metadata.version(name) for name in packages},
+    only = options(__doc__, only=["single", "batch"]).only
+    # Before XLA counts the cores.
+    on_core(-1)
+    found: dict[str, Any] = {
+        "asked": ASKED, "turns": TURNS, "samples_a_turn": SAMPLES, "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "versions": {name: importlib.metadata.version(name) for name in ("exudyn", "numba", "scipy", "numpy")},
         "numbalsoda": numbalsoda is not None,
-    }
-    found: dict[str, Any] = {}
-    if "single" in asked.only:
+    }  # fmt: skip
+    if "single" in only:
         found |= {"compile_s": compiling(), "exudyn_generalised_alpha_one_turn": tried()}
         found["single"] = {name: single(name) for name in CASES}
-    if "batch" in asked.only:
+    if "batch" in only:
         found["batch"] = {name: batched(name) for name in CASES}
-    known = load("slider_crank_peers") if (RESULTS / "slider_crank_peers.json").exists() else {}
-    known.pop("environment", None)
-    save("slider_crank_peers", known | content | found)
-    publish()
+    add("slider_crank_peers", found)
+    markers = "slider_crank_peers", "slider_crank_batch"
+    for name, text in zip(markers, tables(load("slider_crank_peers")), strict=True):
+        publish(name, text, "docs/speed.md")
 
 
 if __name__ == "__main__":

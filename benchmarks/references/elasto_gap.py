@@ -20,13 +20,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
 from benchmarks.references.laws import hertz
-from benchmarks.references.solving import check, compiled, root, run
+from benchmarks.references.solving import Motion, check, compiled, root, run
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,19 +48,6 @@ class ElastoGap:
     drive: float = 0.0  # F_1 [N]
     frequency: float = 0.0  # Omega [rad/s]
     start: tuple[float, float] = (2.0, 0.0)  # s [m], v [m/s]
-
-
-class Motion(NamedTuple):
-    """Motion at T times."""
-
-    times: np.ndarray
-    """[s], shape (T,)."""
-    states: np.ndarray
-    """s [m], v [m/s], shape (T, 2)."""
-    work: np.ndarray
-    """Of F_0 and of the drive [J], shape (T,)."""
-    loss: np.ndarray
-    """To the stops and the damper [J], shape (T,)."""
 
 
 def _press(depth: float, rate: float, c: float, d: float, n: float) -> tuple[float, float]:
@@ -90,8 +76,7 @@ def _pack(g: ElastoGap) -> np.ndarray:
 def simulate(
     g: ElastoGap, times: np.ndarray, rtol: float = 1e-13, method: str = "DOP853", max_step: float = np.inf
 ) -> Motion:
-    """Motion at ``times`` [s], shape (T,), from ``start`` at times[0].
-
+    """Motion at ``times`` [s], shape (T,), from ``start`` at times[0]: states s [m], v [m/s].
     A touch shorter than ``max_step`` [s] may be missed.
     """
     times = np.asarray(times, float)

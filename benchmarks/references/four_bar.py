@@ -40,7 +40,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.references.laws import FRICTION, HELPERS, friction, normal, stored
-from benchmarks.references.solving import check, compiled, run
+from benchmarks.references.solving import Motion, check, compiled, run
 
 START = (
     *(1.570823772407980, 0.3532842020624460, 1.264872058968431),
@@ -86,19 +86,6 @@ class FourBar:
     friction_dynamic: float = 0.1
     friction_speed: float = 0.01  # m/s
     friction_fast: float = 1.0  # m/s
-
-
-class Motion(NamedTuple):
-    """Motion at T times."""
-
-    times: np.ndarray
-    """[s], shape (T,)."""
-    states: np.ndarray
-    """Coordinates and rates, shape (T, 14)."""
-    work: np.ndarray
-    """Of the control torque [J], shape (T,)."""
-    loss: np.ndarray
-    """To damping and friction [J], shape (T,)."""
 
 
 class Readings(NamedTuple):

@@ -16,13 +16,39 @@ import casadi as ca
 import numpy as np
 
 from bcfj_jax.models.joint.scene import PLAIN, Joint
-from benchmarks.references.joint_casadi_field import expressions, require_defaults, rhs
+from benchmarks.references.joint_casadi_field import Expressions, expressions, require_defaults, rhs
 
 FLAGS = ["-O3", "-march=native", "-fno-math-errno"]
-LINEAR_SOLVER = "csparse"
 # CVODES weights are reltol |z| + abstol. Scaled states reach 5e3, so this leaves abstol = tol to count.
 RELATIVE = 1e-6
 MAX_STEPS = 2_000_000
+
+
+def on_scales(e: Expressions, scales: np.ndarray) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """The state z = y/scales, its rate, the derivative of that by z, and what stands for an argument that is not used."""
+    z, unused = ca.SX.sym("z", scales.size), ca.SX.sym("unused", ca.Sparsity(scales.size, 1))
+    unit, inverse = ca.DM(scales), ca.DM(1.0 / scales)
+    rate, jacobian = ca.substitute([e.rate * inverse, e.jacobian], [e.y], [z * unit])
+    return z, rate, ca.mtimes(ca.diag(inverse), ca.mtimes(jacobian, ca.diag(unit))), unused
+
+
+def library(folder: str, *functions: ca.Function) -> str:
+    """Functions that the C compiler has compiled; its path."""
+    code = ca.CodeGenerator("field.c")
+    for function in functions:
+        code.add(function)
+    source = Path(code.generate(f"{folder}/"))
+    made = source.with_suffix(".so")
+    subprocess.run(["cc", *FLAGS, "-fPIC", "-shared", str(source), "-o", str(made), "-lm"], check=True)
+    return str(made)
+
+
+def settings(tol: float, max_steps: int = MAX_STEPS) -> dict[str, Any]:
+    """Of CVODES: BDF, Newton's method, a direct sparse solver; ``tol`` in units of the scales."""
+    return {
+        "abstol": tol, "reltol": RELATIVE * tol, "max_num_steps": max_steps, "newton_scheme": "direct",
+        "linear_solver": "csparse", "disable_internal_warnings": True,
+    }  # fmt: skip
 
 
 class Build:
@@ -34,34 +60,16 @@ class Build:
 
     def __init__(self, params: Mapping[str, float], scales: np.ndarray):
         begin = time.perf_counter()
-        e = expressions(params)
-        n = e.y.numel()
-        z, unused = ca.SX.sym("z", n), ca.SX.sym("unused", ca.Sparsity(n, 1))
-        unit, inverse = ca.DM(np.asarray(scales)), ca.DM(1.0 / np.asarray(scales))
-        rate, jacobian = ca.substitute([e.rate * inverse, e.jacobian], [e.y], [z * unit])
-        scaled = ca.mtimes(ca.diag(inverse), ca.mtimes(jacobian, ca.diag(unit)))
-        by_time = ca.jacobian(rate, e.t)
+        self.scales, e = np.asarray(scales), expressions(params)
+        z, rate, scaled, unused = on_scales(e, self.scales)
         self.plain = ca.Function("ode", [e.t, z], [rate], ["t", "z"], ["rate"])
         # The name, arguments and results by which an external function ``ode`` finds its derivative.
-        self.plain_jacobian = ca.Function("jac_ode", [e.t, z, unused], [by_time, scaled])
-        self.loads = ca.Function("loads", [e.t, e.y], [e.loads])
-        self.scales = np.asarray(scales)
+        jacobian = ca.Function("jac_ode", [e.t, z, unused], [ca.jacobian(rate, e.t), scaled])
         self.folder = tempfile.TemporaryDirectory(prefix="joint_casadi_")
-        self.field = self._compiled()
+        made = library(self.folder.name, self.plain, jacobian)
+        self.jacobian, self.field = ca.external("jac_ode", made), ca.external("ode", made)
         self.compile_s = time.perf_counter() - begin
         self.integrators: dict[Any, ca.Function] = {}
-
-    def _compiled(self) -> ca.Function:
-        code = ca.CodeGenerator("field.c")
-        code.add(self.plain)
-        code.add(self.plain_jacobian)
-        where = Path(self.folder.name)
-        source = Path(code.generate(f"{where}/"))
-        library = where / "field.so"
-        command = ["cc", *FLAGS, "-fPIC", "-shared", str(source), "-o", str(library), "-lm"]
-        subprocess.run(command, check=True)
-        self.jacobian = ca.external("jac_ode", str(library))
-        return ca.external("ode", str(library))
 
     def callables(self) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarray]]:
         """The compiled field and dense Jacobian as functions (t, z) of NumPy arrays, 1 us of Python around each."""
@@ -69,49 +77,37 @@ class Build:
         at, z, rate = np.zeros(1), np.zeros(n), np.zeros(n)
         sparsity = self.jacobian.sparsity_out(1)
         row, column = (np.asarray(part) for part in sparsity.get_triplet())
-        entries = np.zeros(sparsity.nnz())
-        field, run_field = self.field.buffer()
-        field.set_arg(0, memoryview(at))
-        field.set_arg(1, memoryview(z))
-        field.set_res(0, memoryview(rate))
-        jacobian, run_jacobian = self.jacobian.buffer()
-        jacobian.set_arg(0, memoryview(at))
-        jacobian.set_arg(1, memoryview(z))
-        jacobian.set_res(1, memoryview(entries))
+        entries, runs = np.zeros(sparsity.nnz()), []
+        for function, where, result in ((self.field, 0, rate), (self.jacobian, 1, entries)):
+            buffer, run = function.buffer()
+            buffer.set_arg(0, memoryview(at))
+            buffer.set_arg(1, memoryview(z))
+            buffer.set_res(where, memoryview(result))
+            runs.append((run, buffer))
 
+        # The buffers are held by the closures.
         def rates(t: float, state: np.ndarray) -> np.ndarray:
             at[0], z[:] = t, state
-            run_field()
+            runs[0][0]()
             return rate.copy()
 
         def derivative(t: float, state: np.ndarray) -> np.ndarray:
             at[0], z[:] = t, state
-            run_jacobian()
+            runs[1][0]()
             dense = np.zeros((n, n))
             dense[row, column] = entries
             return dense
 
-        # The buffers are held by the closures.
-        rates.keep, derivative.keep = field, jacobian  # type: ignore[attr-defined]
         return rates, derivative
 
-    def integrator(self, times: np.ndarray, tol: float, options: Mapping[str, Any] | None = None) -> ca.Function:
+    def integrator(self, times: np.ndarray, tol: float) -> ca.Function:
         """CVODES from ``times[0]``, with outputs at the rest, tolerance in units of the scales."""
-        key = (times.tobytes(), tol, repr(options))
+        key = (times.tobytes(), tol)
         if key not in self.integrators:
             t, z = ca.MX.sym("t"), ca.MX.sym("z", self.scales.size)
             problem = {"t": t, "x": z, "ode": self.field(t, z)}
-            settings = {
-                "abstol": tol,
-                "reltol": RELATIVE * tol,
-                "max_num_steps": MAX_STEPS,
-                "newton_scheme": "direct",
-                "linear_solver": LINEAR_SOLVER,
-                "disable_internal_warnings": True,
-                **(options or {}),
-            }
             grid = [float(v) for v in times[1:]]
-            self.integrators[key] = ca.integrator("cvodes", "cvodes", problem, float(times[0]), grid, settings)
+            self.integrators[key] = ca.integrator("cvodes", "cvodes", problem, float(times[0]), grid, settings(tol))
         return self.integrators[key]
 
 
@@ -136,14 +132,7 @@ class Peer(NamedTuple):
     failed: str | None = None
 
 
-def cvodes(
-    scene: Joint,
-    params: Mapping[str, Any],
-    times: np.ndarray,
-    tol: float,
-    scales: np.ndarray,
-    options: Mapping[str, Any] | None = None,
-) -> Peer:
+def cvodes(scene: Joint, params: Mapping[str, Any], times: np.ndarray, tol: float, scales: np.ndarray) -> Peer:
     """States (T, n) at the times by CVODES (BDF, Newton, direct sparse solver); ``scales`` [SI] is the unit of ``tol``.
 
     Building is cached and timed apart: the wall time is that of one call of the integrator.
@@ -154,7 +143,7 @@ def cvodes(
     made = build(params, scales)
     grid = np.asarray(times, dtype=float)
     begin = time.perf_counter()
-    solver = made.integrator(grid, tol, options)
+    solver = made.integrator(grid, tol)
     setup = time.perf_counter() - begin
     start = np.asarray(nominal(scene, dict(params), np.zeros(()))) / made.scales
     begin = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Other people's solvers on the joint's field: SciPy's LSODA and Radau, and diffrax as shipped.
+"""Other people's solvers on the joint's field: SciPy's LSODA and Radau, and diffrax's, for ``benchmarks.models.joint precision``.
 
 All take the state in units of ``scales``, z = y/scales, and ``tol`` in those units, and return ``Peer``: states (T, n)
 at the times, the wall time of the solve, accepted steps, and what was compiled before.
@@ -6,7 +6,6 @@ at the times, the wall time of the solve, accepted steps, and what was compiled 
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -24,7 +23,7 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.constants import constants
 from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import Joint
-from benchmarks.references.joint_casadi import Peer, build, cvodes, default_scales, default_scene, require_defaults
+from benchmarks.references.joint_casadi import Peer, build, cvodes, require_defaults
 
 # SciPy asks for a relative tolerance above 0. Scaled states reach 5e3, so this share of tol does not count.
 RELATIVE = 1e-6
@@ -36,60 +35,20 @@ def _field(t, z, args):
     return system.field(t, z * scales, (scene, made)) / scales
 
 
-def _jacobian(t, z, args):
-    return jax.jacfwd(_field, argnums=1)(t, z, args)
-
-
-class _Compiled:
-    """Field and Jacobian of one set of numbers as functions (t, z) of NumPy arrays.
-
-    From JAX the numbers are closed over: a hundred small arrays as arguments cost a hundred times the field. Its
-    dispatch still costs several times the field; "casadi" is the C of ``joint_casadi``.
-    """
-
-    def __init__(self, scene: Joint, params: Mapping[str, Any], scales: np.ndarray, source: str):
-        begin = time.perf_counter()
-        z = np.asarray(nominal(scene, dict(params), jnp.zeros(()))) / scales
-        if source == "casadi":
-            require_defaults(scene)
-            made = build(params, scales)
-            self.field, self.jacobian = made.callables()
-            self.compile_s = made.compile_s
-            return
-        args = (scene, constants(scene, dict(params)), jnp.asarray(scales))
-        field, jacobian = jax.jit(lambda t, z: _field(t, z, args)), jax.jit(lambda t, z: _jacobian(t, z, args))
-        self.field = lambda t, z: np.asarray(field(t, z))
-        self.jacobian = lambda t, z: np.asarray(jacobian(t, z))
-        self.field(0.0, z)
-        self.jacobian(0.0, z)
-        self.compile_s = time.perf_counter() - begin
-
-
-_COMPILED: dict[Any, _Compiled] = {}
-
-
 def _scipy(
-    method: type,
-    scene: Joint,
-    params: Mapping[str, Any],
-    times: np.ndarray,
-    tol: float,
-    scales: np.ndarray,
-    source: str = "jax",
+    method: type, scene: Joint, params: Mapping[str, Any], times: np.ndarray, tol: float, scales: np.ndarray,
     max_wall_s: float = MAX_WALL_S,
-) -> Peer:
-    numbers = tuple((name, float(value)) for name, value in params.items())
-    key = (scene, numbers, np.asarray(scales).tobytes(), source)
-    if key not in _COMPILED:
-        _COMPILED[key] = _Compiled(scene, params, scales, source)
-    made = _COMPILED[key]
+) -> Peer:  # fmt: skip
+    """By SciPy on the C field of ``joint_casadi``: a call of JAX's costs several times the field."""
+    require_defaults(scene)
+    made = build(params, scales)
+    field, jacobian = made.callables()
     grid = np.asarray(times, dtype=float)
     start = np.asarray(nominal(scene, dict(params), jnp.zeros(()))) / scales
     out = np.full((grid.size, start.size), np.nan)
     out[0], filled, steps, failed = start, 1, 0, None
-
     begin = time.perf_counter()
-    solver = method(made.field, grid[0], start, grid[-1], rtol=RELATIVE * tol, atol=tol, jac=made.jacobian)
+    solver = method(field, grid[0], start, grid[-1], rtol=RELATIVE * tol, atol=tol, jac=jacobian)
     if isinstance(solver, Radau):
         # SciPy takes Newton's tolerance from rtol, which says nothing here: the same formula of tol.
         solver.newton_tol = max(10 * np.finfo(float).eps / tol, min(0.03, tol**0.5))
@@ -172,24 +131,18 @@ def _tsit5(tol: float) -> dfx.Tsit5:
     return dfx.Tsit5()
 
 
-def _implicit(solver: type, finder: type, tol: float) -> Any:
-    """Kvaerno's methods: shipped with ``VeryChord`` at the controller's tolerances, given here with rtol above 0.
-
-    Its frozen Jacobian seldom converges on these contacts; with full Newton iterations the same methods finish.
-    """
-    return solver(root_finder=finder(rtol=RELATIVE * tol, atol=tol, norm=_norm))
+def _implicit(solver: type, tol: float) -> Any:
+    """Kvaerno's methods with full Newton iterations: with the frozen Jacobian that they are shipped with few runs finish."""
+    return solver(root_finder=optx.Newton(rtol=RELATIVE * tol, atol=tol, norm=_norm))
 
 
 SOLVERS: dict[str, Callable[..., Peer]] = {
     "CVODES (CasADi)": cvodes,
-    "LSODA (SciPy, JAX field)": partial(_scipy, LSODA),
-    "LSODA (SciPy, C field)": partial(_scipy, LSODA, source="casadi"),
-    "Radau (SciPy, C field)": partial(_scipy, Radau, source="casadi"),
+    "LSODA (SciPy, C field)": partial(_scipy, LSODA),
+    "Radau (SciPy, C field)": partial(_scipy, Radau),
     "Tsit5 (diffrax)": partial(_diffrax, _tsit5),
-    "Kvaerno3 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno3, optx.Newton)),
-    "Kvaerno5 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno5, optx.Newton)),
-    "Kvaerno3 (diffrax, as shipped)": partial(_diffrax, partial(_implicit, dfx.Kvaerno3, dfx.VeryChord)),
-    "Kvaerno5 (diffrax, as shipped)": partial(_diffrax, partial(_implicit, dfx.Kvaerno5, dfx.VeryChord)),
+    "Kvaerno3 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno3)),
+    "Kvaerno5 (diffrax, Newton)": partial(_diffrax, partial(_implicit, dfx.Kvaerno5)),
 }
 
 
@@ -224,27 +177,3 @@ def errors(found: np.ndarray, reference: np.ndarray) -> Errors:
     samples = np.sqrt(np.mean(square.reshape(len(square), -1), axis=1))
     loaded = reference > LOADED_N
     return Errors(float(np.sqrt(np.mean(square))), float(np.sqrt(np.mean(square[loaded]))), float(np.median(samples)))
-
-
-def main() -> None:
-    """A rough table: errors against CVODES at 1e-9, steps, wall. With an argument: only solvers of that name."""
-    scene = default_scene()
-    params, scales, times = scene.parameters(), default_scales(scene), np.linspace(0.0, 0.6, 301)
-    reference = groove_forces(scene, params, cvodes(scene, params, times, 1e-9, scales).states)
-    print(f"rms {np.sqrt(np.mean(reference**2)):.0f} N, peak {reference.max():.0f} N")
-    for name, solve in SOLVERS.items():
-        if len(sys.argv) > 1 and sys.argv[1] not in name:
-            continue
-        for tol in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
-            found = solve(scene, params, times, tol, scales)
-            error = errors(groove_forces(scene, params, found.states), reference)
-            what = f"rms {error.rms:9.3f}  loaded {error.loaded:9.3f}  median {error.median:9.4f} N"
-            cost = f"{found.wall_s:7.3f} s  {found.steps:7d} steps  compile {found.compile_s:4.1f} s"
-            print(f"{name:30s} {tol:.0e}  {cost}  {found.failed or what}", flush=True)
-            if found.wall_s > MAX_WALL_S / 3:
-                # A tighter one takes longer still.
-                break
-
-
-if __name__ == "__main__":
-    main()

@@ -9,11 +9,9 @@ The field is the one of ``joint_casadi_field`` with the moved parameters left as
 from __future__ import annotations
 
 import contextlib
-import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -21,7 +19,7 @@ import numpy as np
 
 from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import Joint
-from benchmarks.references.joint_casadi import FLAGS, RELATIVE
+from benchmarks.references.joint_casadi import library, on_scales, settings
 from benchmarks.references.joint_casadi_field import Expressions, expressions, require_defaults
 
 MAX_STEPS, JIT_FLAGS = 5_000_000, ["-O1", "-march=native", "-fno-math-errno"]
@@ -45,51 +43,35 @@ class Sensitive:
         self.scene, self.params, self.scales, self.size = scene, dict(params), np.asarray(scales), len(moved)
         # The start, zero clearance and no load, depends on none of them.
         self.start = np.asarray(nominal(scene, dict(params), np.zeros(()))) / self.scales
-        n, k = self.scales.size, self.size
-        logs, z, unused = ca.SX.sym("p", k), ca.SX.sym("z", n), ca.SX.sym("unused", ca.Sparsity(n, 1))
+        logs = ca.SX.sym("p", self.size)
         e = symbolic(params, moved, logs)
-        unit, inverse = ca.DM(self.scales), ca.DM(1.0 / self.scales)
-        rate, jacobian = ca.substitute([e.rate * inverse, e.jacobian], [e.y], [z * unit])
-        scaled = ca.mtimes(ca.diag(inverse), ca.mtimes(jacobian, ca.diag(unit)))
+        z, rate, scaled, unused = on_scales(e, self.scales)
         by_time, by_logs = ca.jacobian(rate, e.t), ca.jacobian(rate, logs)
         field = ca.Function("ode", [e.t, z, logs], [rate], ["t", "z", "p"], ["rate"])
         # The name, arguments and results by which an external function ``ode`` finds its derivative.
         jac = ca.Function("jac_ode", [e.t, z, logs, unused], ca.cse([by_time, scaled, by_logs]))
         self.symbols = {"t": e.t, "x": z, "p": logs, "ode": rate}
         self.folder = tempfile.TemporaryDirectory(prefix="joint_sensitive_")
-        code = ca.CodeGenerator("field.c")
-        for function in (field, jac):
-            code.add(function)
-        source = Path(code.generate(f"{self.folder.name}/"))
-        library = source.with_suffix(".so")
-        subprocess.run(["cc", *FLAGS, "-fPIC", "-shared", str(source), "-o", str(library), "-lm"], check=True)
-        self.field = ca.external("ode", str(library))
+        self.field = ca.external("ode", library(self.folder.name, field, jac))
         self.compile_s = time.perf_counter() - begin
         self._integrators: dict[Any, Any] = {}
 
     def _integrator(self, times: np.ndarray, tol: float, ahead: bool = False, back: bool = False) -> ca.Function:
         key = times.tobytes(), tol, ahead, back
         if key not in self._integrators:
-            settings = {
-                "abstol": tol,
-                "reltol": RELATIVE * tol,
-                "max_num_steps": MAX_STEPS,
-                "newton_scheme": "direct",
-                "linear_solver": "csparse",
-                "disable_internal_warnings": True,
-            }
+            how = settings(tol, MAX_STEPS)
             if ahead or back:
                 # An external function has no second derivatives, which CasADi asks for here: it writes its own C.
                 problem = self.symbols
                 jit = {"compiler": "cc", "flags": JIT_FLAGS, "cleanup": False}
-                settings |= {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": jit}
-                settings |= {"second_order_correction": False}
+                how |= {"jit": True, "compiler": "shell", "jit_cleanup": False, "jit_options": jit}
+                how |= {"second_order_correction": False}
             else:
                 t, z, p = ca.MX.sym("t"), ca.MX.sym("z", self.scales.size), ca.MX.sym("p", self.size)
                 problem = {"t": t, "x": z, "p": p, "ode": self.field(t, z, p)}
             # What CasADi compiles itself it writes to the working directory.
             with contextlib.chdir(self.folder.name):
-                made = ca.integrator("cvodes", "cvodes", problem, float(times[0]), times[1:], settings)
+                made = ca.integrator("cvodes", "cvodes", problem, float(times[0]), times[1:], how)
                 self._integrators[key] = made.forward(self.size) if ahead else _transposed(made) if back else made
         return self._integrators[key]
 

@@ -257,11 +257,6 @@ def _after(p: Impact, e_n: float, v: float, spin: float) -> Rebound:
     return Rebound(e_n, e_t, spin, v - p.radius * spin, v, math.nan, 0.5 * p.mass * kinetic)
 
 
-def sweep(p: Impact, angles: np.ndarray, rtol: float = 1e-10, method: str = "DOP853") -> list[Rebound]:
-    """Rebounds at the angles of impact [rad], shape (A,)."""
-    return [rebound(dataclasses.replace(p, angle=float(angle)), rtol, method) for angle in angles]
-
-
 def mindlin_ratio(young_1: float, poisson_1: float, young_2: float, poisson_2: float) -> float:
     """Tangential over normal stiffness of a Hertz contact before slip, 4 G*/E*, 1/G* = sum of 2 (2 - nu)(1 + nu)/E."""
     shear = 1.0 / sum(2.0 * (2.0 - nu) * (1.0 + nu) / e for e, nu in ((young_1, poisson_1), (young_2, poisson_2)))

@@ -30,7 +30,7 @@ import numpy as np
 
 from bcfj_jax.verification import oracles
 from benchmarks.references.laws import FRICTION, HELPERS, exact_chi, friction, normal, stored
-from benchmarks.references.solving import check, compiled, run
+from benchmarks.references.solving import Motion, check, compiled, run
 
 START = (0.0, 0.0, 0.0, 150.0, -75.0, 0.0)
 
@@ -56,17 +56,6 @@ class SliderGuide:
     friction_dynamic: float = 0.01
     friction_speed: float = 0.01  # m/s
     friction_fast: float = 1.0  # m/s
-
-
-class Motion(NamedTuple):
-    """Motion at T times."""
-
-    times: np.ndarray
-    """[s], shape (T,)."""
-    states: np.ndarray
-    """Angles [rad] and rates [rad/s], shape (T, 6)."""
-    loss: np.ndarray
-    """Energy lost since times[0] [J], shape (T,)."""
 
 
 class Readings(NamedTuple):
@@ -154,13 +143,13 @@ def simulate(
     start: np.ndarray | tuple[float, ...] = START,
     max_step: float = 2e-5,
 ) -> Motion:
-    """Motion with compliant corners at ``times`` [s], shape (T,), from ``start`` (6,) at times[0].
+    """Motion with compliant corners at ``times`` [s], shape (T,), from ``start`` (6,) at times[0]; nothing drives it.
 
     A touch shorter than ``max_step`` [s] may be missed.
     """
     times = np.asarray(times, float)
     states = _integrate(p, times, np.asarray(start, float), rtol, method, False, max_step).states
-    return Motion(times, states[:, :6], states[:, 6])
+    return Motion(times, states[:, :6], np.zeros(times.size), states[:, 6])
 
 
 def free(p: SliderGuide, times: np.ndarray, rtol: float = 1e-13, method: str = "DOP853") -> np.ndarray:

@@ -31,6 +31,15 @@ class Solved(NamedTuple):
     """Accepted steps."""
 
 
+class Motion(NamedTuple):
+    """Motion of a mechanism at T times [s]: states (T, n), work of what drives it and loss to damping and friction [J], (T,)."""
+
+    times: np.ndarray
+    states: np.ndarray
+    work: np.ndarray
+    loss: np.ndarray
+
+
 def compiled(field: Field, helpers: Sequence[Callable] = ()) -> Field:
     """``field`` (t, y, p) compiled by numba, or as it is where numba cannot be imported.
 

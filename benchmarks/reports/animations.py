@@ -10,7 +10,6 @@ docs/howto/animation.md.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import time
@@ -21,6 +20,7 @@ from bcfj_jax.io.view import animation, export, fragment, painter
 from bcfj_jax.models.scenes import SCENES
 from bcfj_jax.solve.simulation import simulate
 from bcfj_jax.xla.compile_cache import open_cache
+from benchmarks.common import options
 
 WIDTHS = (1280, 390)
 _BROWSER = [
@@ -68,10 +68,7 @@ def screenshots(page: Path) -> None:
 
 def main() -> None:
     """See the top of the file."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--picture", type=Path)
-    given = parser.parse_args()
+    given = options(__doc__, folder=Path, picture=Path)
     open_cache()
     if given.picture:
         from PIL import Image

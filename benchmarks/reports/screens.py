@@ -10,7 +10,6 @@ findings of axe-core (``npm install axe-core``) with everything unfolded. Needs 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import base64
 import json
@@ -22,7 +21,8 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.common import ROOT, options
+
 WIDTHS = (1280, 390)
 LARGEST = 1_000_000  # bytes
 # Folder, arguments of bcfj.
@@ -217,12 +217,11 @@ async def examine(program: str, pages: dict[str, Path], axe: str, shots: Path) -
 
 def main() -> int:
     """Make the reports, look at them, say what was found."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "reports", help="where reports and pictures go")
-    parser.add_argument("--axe", type=Path, default=Path("node_modules/axe-core/axe.min.js"), help="axe-core's script")
-    parser.add_argument("--chromium", default="chromium", help="the browser")
-    parser.add_argument("--only", default="", help=f"of {', '.join(VERBS)}, separated by commas")
-    given = parser.parse_args()
+    given = options(
+        __doc__, folder=(ROOT / "build" / "reports", "where reports and pictures go"),
+        axe=(Path("node_modules/axe-core/axe.min.js"), "axe-core's script"), chromium=("chromium", "the browser"),
+        only=("", f"of {', '.join(VERBS)}, separated by commas"),
+    )  # fmt: skip
     program = shutil.which(given.chromium)
     if program is None or not given.axe.is_file():
         print(f"skipped: there is no {'browser ' + given.chromium if program is None else given.axe}")

@@ -9,7 +9,6 @@ digit that became another or a rate in a head, is read as it stands and not held
 
 from __future__ import annotations
 
-import argparse
 import collections
 import re
 import resource
@@ -22,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.calibration import instruments
+from benchmarks.common import options
 from benchmarks.robustness import records
 from benchmarks.robustness.fuzz import Case, run_case
 from benchmarks.robustness.mutations import CELLS, Rng
@@ -178,11 +178,7 @@ def largest() -> int:
 
 def main() -> int:
     """Try every reader, print what came of it, and fail where anything was wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default=",".join(FILES))
-    given, bad = parser.parse_args(), 0
+    given, bad = options(__doc__, cases=500, seed=0, only=",".join(FILES)), 0
     for reader in given.only.split(","):
         with tempfile.TemporaryDirectory() as folder:
             ends: collections.Counter[str] = collections.Counter()

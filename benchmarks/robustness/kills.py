@@ -18,7 +18,6 @@ left out. An INT or TERM that comes while Python starts ends the process by the 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import hashlib
 import json
@@ -29,19 +28,28 @@ import shutil
 import signal
 import subprocess
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bcfj_jax.io.journal import NAME
-from benchmarks.common import load, markdown, save
-from benchmarks.robustness.running import EXAMPLE, STUDY, ended, files, last_line, spent, start, wait_for
+from benchmarks.common import load, markdown, options, save
+from benchmarks.processes import (
+    EXAMPLE,
+    STUDY,
+    command,
+    done,
+    ended,
+    environment,
+    files,
+    last_line,
+    start,
+    wait_for,
+)
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
 # Keys whose values are of a run, not of its result.
 _TIMES = ("wall_s", "compile_s", "written", "spent_s", "seconds")
-_POLL_S = 0.2
 # Processor time [s] that a run may still need when it ends as if there had been no signal: its files are being written.
 _END_S = 2.0
 
@@ -141,43 +149,25 @@ def trial(
     return row
 
 
-def undisturbed(words: list[str], place: Path) -> tuple[float, int, str]:
-    """Processor time, exit code and errors of a run."""
-    with tempfile.TemporaryFile("w+") as file:
-        job = start(words, place, stdout=subprocess.DEVNULL, stderr=file)
-        last = 0.0
-        while job.poll() is None:
-            now = spent(job)
-            last = now if math.isfinite(now) else last
-            time.sleep(_POLL_S)
-        file.seek(0)
-        return last, job.returncode, file.read()
-
-
 def table(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """What came of the trials, a verb a row, and their sum."""
-    head = ["verb", "signals", "while it ran", "right exit code, no traceback", "folder as it was", "run again",
-            "of these equal to the last bit", "good"]  # fmt: skip
-    found = [head]
-    for name in (*names, "all"):
-        of = [row for row in rows if name in (row["verb"], "all")]
-        again = [row for row in of if "again" in row]
-        counts = (
-            len(of), sum(r["running"] for r in of), sum(r["clean"] for r in of), sum(r["same"] is None for r in of),
-            len(again), sum(r["same"] is True for r in again), sum(r["clean"] and r["same"] is not False for r in of),
-        )  # fmt: skip
-        found.append([name, *map(str, counts)])
-    return found
+    counted = {
+        "signals": lambda r: True, "while it ran": lambda r: r["running"],
+        "right exit code, no traceback": lambda r: r["clean"], "folder as it was": lambda r: r["same"] is None,
+        "run again": lambda r: "again" in r, "of these equal to the last bit": lambda r: "again" in r and r["same"] is True,
+        "good": lambda r: r["clean"] and r["same"] is not False,
+    }  # fmt: skip
+    by = {name: [row for row in rows if name in (row["verb"], "all")] for name in (*names, "all")}
+    cells = ([name, *(str(sum(map(of, own))) for of in counted.values())] for name, own in by.items())
+    return [["verb", *counted], *cells]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100)
-    parser.add_argument("--only", default="calibrate,tradeoff,study,sensitivity,design,reproduce")
-    parser.add_argument("--warm", type=int, default=2, help="undisturbed runs, the last of which is the measure")
-    parser.add_argument("--more", action="store_true", help="run the trials that the results lack")
-    parser.add_argument("--within", type=float, default=math.inf, help="latest processor time [s] of a signal")
-    given = parser.parse_args()
+    given = options(
+        __doc__, trials=100, only="calibrate,tradeoff,study,sensitivity,design,reproduce",
+        warm=(2, "undisturbed runs, the last of which is the measure"),
+        more=(False, "run the trials that the results lack"), within=(math.inf, "latest processor time [s] of a signal"),
+    )  # fmt: skip
     file = "kills_early" if math.isfinite(given.within) else "kills"
     rows: list[dict[str, Any]] = load(file)["trials"] if given.more else []
     # Each trial draws its own number, so that those to come do not depend on where a run of them ended.
@@ -189,10 +179,11 @@ def main() -> None:
         for name, verb in known.items():
             for _ in range(given.warm):  # The first compiles.
                 shutil.rmtree(place / "out", ignore_errors=True)
-                lasts[name], code, err = undisturbed([*verb.words, "--out", str(place / "out")], place)
+                ran = done(command([*verb.words, "--out", str(place / "out")]), place, environment())
+                lasts[name], code = ran.cpu_s, ran.code
             good[name] = code, outcome(verb, place / "out")
             if code not in (0, 4):
-                raise SystemExit(f"{name}: exit code {code}: {err}")
+                raise SystemExit(f"{name}: exit code {code}: {ran.err}")
             shutil.rmtree(place / "out")
             print(f"{name}: {lasts[name]:.1f} s of a processor undisturbed, exit code {code}", flush=True)
         for number in sorted(set(range(given.trials)) - {row["number"] for row in rows}):

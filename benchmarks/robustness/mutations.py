@@ -26,22 +26,9 @@ HOSTILE = (
 )  # fmt: skip
 
 KEYS = (
-    "kind",
-    "name",
-    "a.b.c",
-    '""',
-    '"x y"',
-    "nan",
-    "stiffness",
-    "mass",
-    "end",
-    "samples",
-    "free",
-    "scene",
-    "law",
-    "é",
+    "kind", "name", "a.b.c", '""', '"x y"', "nan", "stiffness", "mass", "end", "samples", "free", "scene", "law", "é",
     "9" * 50,
-)
+)  # fmt: skip
 
 
 def of_bytes(rng: Rng, data: bytes) -> bytes:

@@ -12,7 +12,6 @@ folders, one of each mass.
 
 from __future__ import annotations
 
-import argparse
 import collections
 import csv
 import json
@@ -25,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax.analysis.simulation.results import FILES, PICTURES
-from benchmarks.common import markdown, save
-from benchmarks.robustness.running import IMPACT, ended, files, last_line, start
+from benchmarks.common import markdown, options, save
+from benchmarks.processes import IMPACT, ended, files, last_line, start
 
 SAYS = ("another process writes there", "already holds")
 
@@ -76,13 +75,8 @@ def pair(place: Path, kind: str, number: int, draw: random.Random, peaks: dict[f
         good = belongs(out, masses[won[0]], peaks)
     elif good:
         good = files(out) == ["impact.toml"]
-    return {
-        "kind": kind,
-        "pause_s": pause,
-        "codes": codes,
-        "good": good,
-        "said": last_line(said[0], place) if said else "",
-    }
+    line = last_line(said[0], place) if said else ""
+    return {"kind": kind, "pause_s": pause, "codes": codes, "good": good, "said": line}
 
 
 def defaults(place: Path, count: int, peaks: dict[float, float]) -> dict[str, Any]:
@@ -103,11 +97,7 @@ def defaults(place: Path, count: int, peaks: dict[float, float]) -> dict[str, An
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pairs", type=int, default=50, help="pairs of init")
-    parser.add_argument("--simulate", type=int, default=50, help="pairs of simulate")
-    parser.add_argument("--defaults", type=int, default=50)
-    given = parser.parse_args()
+    given = options(__doc__, pairs=(50, "pairs of init"), simulate=(50, "pairs of simulate"), defaults=50)
     draw, peaks, rows = random.Random(0), {}, []
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)

@@ -44,36 +44,9 @@ def _parquet() -> bytes:
     return buffer.getvalue()
 
 
-def _hdf5() -> bytes:
-    import h5py
-
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
-        for name, values in (("time", TIME), ("force", FORCE)):
-            file.create_dataset(name, data=values).attrs["unit"] = "ms" if name == "time" else "N"
-    return buffer.getvalue()
-
-
-def _mat() -> bytes:
-    from scipy.io import savemat
-
-    buffer = io.BytesIO()
-    savemat(buffer, {"run": {"time": TIME, "force": FORCE, "units": {"time": "ms", "force": "N"}}})
-    return buffer.getvalue()
-
-
-def _tdms() -> bytes:
-    import nptdms
-
-    buffer = io.BytesIO()
-    with nptdms.TdmsWriter(buffer) as writer:
-        units = {"time": "ms", "force": "N"}
-        channels: list[Any] = [
-            nptdms.ChannelObject("run", name, values, {"unit_string": units[name]})
-            for name, values in (("time", TIME), ("force", FORCE))
-        ]
-        writer.write_segment(channels)
-    return buffer.getvalue()
+def _pair(unit: str) -> dict[str, tuple[np.ndarray, dict[str, Any]]]:
+    """Both columns with the attribute that tells their unit."""
+    return {"time": (TIME, {unit: "ms"}), "force": (FORCE, {unit: "N"})}
 
 
 def _xlsx() -> bytes:
@@ -101,9 +74,9 @@ FORMATS: dict[str, Callable[[], bytes]] = {
     ".tsv": lambda: _text("\t"),
     ".txt": lambda: _text(";", comma=True),
     ".parquet": _parquet,
-    ".h5": _hdf5,
-    ".mat": _mat,
-    ".tdms": _tdms,
+    ".h5": lambda: instruments.hdf5(_pair("unit")),
+    ".mat": lambda: instruments.mat({"run": {"time": TIME, "force": FORCE, "units": {"time": "ms", "force": "N"}}}),
+    ".tdms": lambda: instruments.tdms("run", _pair("unit_string")),
     ".xlsx": _xlsx,
     ".lvm": _own("lvm_two.lvm"),
     ".uff": _own("force58.uff"),

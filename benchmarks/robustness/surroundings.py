@@ -13,7 +13,6 @@ beyond 300 s.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import hashlib
 import os
@@ -24,16 +23,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.common import RESULTS, load, markdown, save
-from benchmarks.robustness.running import EXAMPLE, IMPACT, STUDY, ended, files, last_line, start
+from benchmarks.common import known, markdown, options, save
+from benchmarks.processes import EXAMPLE, IMPACT, STUDY, ended, files, last_line, start
 
 _HANG_S = 300.0
 _MB = 1 << 20
 # Takes from an administrator's process the rights that other users do not have.
 _BOUND = ("setpriv", "--bounding-set=-all", "--inh-caps=-all")
 PLAIN = "plain"
-# Verbs that write into no folder.
-SILENT = ("validate", "schema", "doctor", "verify")
 
 
 class Case(NamedTuple):
@@ -212,16 +209,13 @@ def table(names: list[str], rows: dict[str, dict[str, Any]]) -> list[list[str]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--verbs", default=",".join(verbs("", "")))
-    parser.add_argument("--cases", default="|".join(CASES), help='separated by "|"')
-    parser.add_argument("--more", action="store_true", help="keep the cells of before that are not run")
-    given = parser.parse_args()
+    cases, more = ("|".join(CASES), 'separated by "|"'), (False, "keep the cells of before that are not run")
+    given = options(__doc__, verbs=",".join(verbs("", "")), cases=cases, more=more)
     names = given.verbs.split(",")
     rows: dict[str, dict[str, Any]] = {title: {} for title in CASES}
-    if given.more and (RESULTS / "surroundings.json").exists():
-        rows |= {title: row for title, row in load("surroundings")["cases"].items() if title in CASES}
-    asked = [title for title in CASES if given.cases == parser.get_default("cases") or title in given.cases.split("|")]
+    if given.more:
+        rows |= {title: row for title, row in known("surroundings").get("cases", {}).items() if title in CASES}
+    asked = [title for title in CASES if title in given.cases.split("|")]
     with tempfile.TemporaryDirectory() as name:
         results = Path(name) / "results"
         code, _, err = ended(start(["simulate", "impact", "--out", str(results)], Path(name)))

@@ -11,7 +11,6 @@ the equations of motion. Compared are all forces, and slips, over the largest.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import time
@@ -30,7 +29,7 @@ from bcfj_jax.core.vectors import Vector, add, negative, subtract
 from bcfj_jax.mechanism.bodies import GROUND, Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
-from benchmarks.common import save
+from benchmarks.common import options, save
 
 LIMIT = 1e-9
 SIZES = {
@@ -427,9 +426,7 @@ def structures() -> list[tuple[tuple[str, ...], bool]]:
 
 def main() -> None:
     """Run all, print and keep."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--draws", type=int, default=1000)
-    given, chosen = asked.parse_args(), structures()
+    given, chosen = options(__doc__, draws=1000), structures()
     each, begin, rows = -(-given.draws // len(chosen)), time.perf_counter(), []
     for k, (names, planar) in enumerate(chosen):
         found = compared(names, planar, range(each), roll=3 * k)

@@ -14,10 +14,11 @@ import statistics
 from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import bcfj_jax as bj
-from benchmarks.common import load, markdown, put_in_readme, save
+import benchmarks.common as harness
+from benchmarks.common import load, publish, save
+from benchmarks.references.impact import bounces, contact
 
 ERRORS = (5e-2, 1e-2, 1e-3, 1e-4, 1e-5)
 MASS, SPEED = 0.0167, 1.5
@@ -30,118 +31,63 @@ def stiffness(exponent: float) -> float:
     return (exponent + 1) * MASS * SPEED**2 / (2 * 25e-6 ** (exponent + 1))
 
 
-def contact(k: float, n: float, a: float, speed: float, gravity: float) -> Any:
-    """One contact, from touch to separation, tight."""
-
-    def force(d, rate):
-        return k * np.maximum(d, 0.0) ** n * np.maximum(1.0 + a * rate, 0.0)
-
-    def separated(_, y):
-        return y[0]
-
-    separated.terminal, separated.direction = True, -1
-    motion = lambda _, y: (y[1], gravity - force(y[0], y[1]) / MASS)  # noqa: E731
-    run = solve_ivp(
-        motion, (0, 1), (1e-18, speed), "DOP853", rtol=1e-12, atol=(1e-17, 1e-13), events=separated, dense_output=True
-    )
-    return run, force
+def worst(rows: list[list[float]]) -> list[float]:
+    """The worst of each error over the rows, and the median number of steps, which stands last."""
+    *errors, steps = zip(*rows, strict=True)
+    return [*map(max, errors), statistics.median(steps)]
 
 
-def impact_errors(error: float) -> tuple[float, float, float, float]:
-    rows = []
-    scene = bj.scenes.impact()
+def impact_errors(error: float) -> list[float]:
+    rows, scene = [], bj.scenes.impact()
     for n, a in CASES:
-        run, force = contact(stiffness(n), n, a, SPEED, 0.0)
-        end = run.t[-1]
-        times = np.linspace(0.0, 1.2 * end, 2001)
-        inside = times <= end
-        states = run.sol(times[inside])
-        exact = np.zeros(times.size)
-        exact[inside] = force(*states)
-        params = scene.parameters(stiffness=stiffness(n), exponent=n, damping=a, mass=MASS, approach_speed=SPEED)
+        law = {"stiffness": stiffness(n), "exponent": n, "damping": a}
+        tight = contact(law, MASS, SPEED)
+
+        times = np.linspace(0.0, 1.2 * tight.end, 2001)
+        exact, impulse = tight.force(times), MASS * (SPEED + tight.rebound)
+        params = scene.parameters({**law, "mass": MASS, "approach_speed": SPEED})
         ours = bj.simulate(scene, params, times, accuracy=error)
-        got = ours.force["contact"][:, 0]
-        peak = exact.max()
-        impulse = MASS * (SPEED - run.y[1, -1])
-        rows.append(
-            (
-                abs(got.max() / peak - 1),
-                abs(np.trapezoid(got - exact, times) / impulse),
-                float(np.max(np.abs(got - exact)) / peak),
-                ours.stats["accepted"] + ours.stats["rejected"],
-            )
-        )
-    worst = [max(row[k] for row in rows) for k in range(3)]
-    return worst[0], worst[1], worst[2], statistics.median(row[3] for row in rows)
+        got, peak = ours.force["contact"][:, 0], exact.max()
+        peaks, impulses = abs(got.max() / peak - 1), abs(np.trapezoid(got - exact, times) / impulse)
+        steps = ours.stats["accepted"] + ours.stats["rejected"]
+        rows.append([peaks, impulses, float(np.max(np.abs(got - exact)) / peak), steps])
+    return worst(rows)
 
 
-def bounce_errors(error: float) -> tuple[float, float, float]:
-    rows = []
-    scene = bj.scenes.bounce()
+def bounce_errors(error: float) -> list[float]:
+    rows, scene = [], bj.scenes.bounce()
     for n, a in [(1.0, 0.05), (1.5, 0.11), (2.5, 0.2)]:
-        speed = np.sqrt(2 * GRAVITY * DROP)
-        peaks, impulses, windows, now = [], [], [], np.sqrt(2 * DROP / GRAVITY)
-        for _ in range(BOUNCES):
-            run, force = contact(stiffness(n), n, a, speed, GRAVITY)
-            states = run.sol(np.linspace(0, run.t[-1], 4001))
-            peaks.append(force(*states).max())
-            rebound = -run.y[1, -1]
-            impulses.append(MASS * (speed + rebound) + MASS * GRAVITY * run.t[-1])
-            windows.append((now, run.t[-1]))
-            now += run.t[-1] + 2 * rebound / GRAVITY
-            speed = rebound
+        law = {"stiffness": stiffness(n), "exponent": n, "damping": a}
+        tight = bounces(law, MASS, DROP, GRAVITY, BOUNCES)
+        peaks = [c.force(np.linspace(c.begin, c.end, 4001)).max() for c in tight]
+        impulses = [MASS * (c.approach + c.rebound + GRAVITY * (c.end - c.begin)) for c in tight]
         # A rebound wrong by a fraction e shifts the next contact by some 3000 e of its duration. Contacts are sampled
         # widely enough that the shift is no error of the peak, and finely enough that the sampling is none either.
         margin, density = np.clip(1e4 * error, 2.0, 500.0), 100 if error > 1e-3 else 2000
-        count = int(density * (2 * margin + 1)) + 1
-        times = np.concatenate([np.linspace(t - margin * d, t + (margin + 1) * d, count) for t, d in windows])
-        params = scene.parameters(
-            stiffness=stiffness(n), exponent=n, damping=a, mass=MASS, drop_height=DROP, gravity=GRAVITY
-        )
-        ours = bj.simulate(scene, params, times, accuracy=error)
+        share = np.linspace(-margin, margin + 1, int(density * (2 * margin + 1)) + 1)
+        clock = np.stack([c.begin + share * (c.end - c.begin) for c in tight])
+        params = scene.parameters({**law, "mass": MASS, "drop_height": DROP, "gravity": GRAVITY})
+        ours = bj.simulate(scene, params, clock.ravel(), accuracy=error)
         got = ours.force["contact"][:, 0].reshape(BOUNCES, -1)
-        clock = times.reshape(BOUNCES, -1)
-        rows.append(
-            (
-                max(abs(got[k].max() / peaks[k] - 1) for k in range(BOUNCES)),
-                max(abs(np.trapezoid(got[k], clock[k]) / impulses[k] - 1) for k in range(BOUNCES)),
-                ours.stats["accepted"] + ours.stats["rejected"],
-            )
-        )
-    return max(r[0] for r in rows), max(r[1] for r in rows), statistics.median(r[2] for r in rows)
+        off = np.abs(got.max(axis=1) / peaks - 1), np.abs(np.trapezoid(got, clock, axis=1) / impulses - 1)
+        rows.append([*(float(x.max()) for x in off), ours.stats["accepted"] + ours.stats["rejected"]])
+    return worst(rows)
 
 
 def table(result: dict[str, Any]) -> str:
-    rows = [
-        [
-            "asked",
-            "impact: peak",
-            "impulse",
-            "history",
-            "steps",
-            f"bounce, {result['bounces']} contacts: peak",
-            "impulse",
-            "steps",
-        ]
+    errors, steps = (lambda of, k: f"{{{of}[{k}]:.1e}}"), (lambda of, k: f"{{{of}[{k}]:.0f}}")
+    impact = [(head, errors("impact", k)) for k, head in enumerate(("impact: peak", "impulse", "history"))]
+    bounce = [
+        (head, errors("bounce", k)) for k, head in enumerate((f"bounce, {result['bounces']} contacts: peak", "impulse"))
     ]
-    for row in result["rows"]:
-        i, b = row["impact"], row["bounce"]
-        cells = [
-            f"{row['asked']:.0e}",
-            *(f"{x:.1e}" for x in i[:3]),
-            f"{i[3]:.0f}",
-            *(f"{x:.1e}" for x in b[:2]),
-            f"{b[2]:.0f}",
-        ]
-        rows.append(cells)
-    return markdown(rows)
+    columns = [("asked", "{asked:.0e}"), *impact, ("steps", steps("impact", 3)), *bounce, ("steps", steps("bounce", 2))]
+    return harness.table(columns, result["rows"])
 
 
 def main() -> None:
     rows = [{"asked": e, "impact": impact_errors(e), "bounce": bounce_errors(e)} for e in ERRORS]
     save("accuracy", {"rows": rows, "bounces": BOUNCES})
-    put_in_readme("accuracy", table(load("accuracy")), "docs/accuracy.md")
-    print(table(load("accuracy")))
+    publish("accuracy", table(load("accuracy")), "docs/accuracy.md")
 
 
 if __name__ == "__main__":

@@ -9,16 +9,13 @@ mechanism to the end of a run.
 
 from __future__ import annotations
 
-import argparse
-import os
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.common import ROOT, options, publish, save, table
+from benchmarks.processes import bcfj, done, environment
 from benchmarks.solve.waiting import importing
 
 COMMANDS = {
@@ -77,36 +74,21 @@ GROWING = {
 }
 
 
-def answer(words: list[str], cache: Path, checkout: Path) -> tuple[float, float, float]:
-    """Seconds to the first line on stdout, to the end, and of all cores."""
-    surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(checkout)}
-    with tempfile.TemporaryDirectory() as folder:
-        begin, spent = time.perf_counter(), os.times()
-        run = subprocess.Popen(
-            [sys.executable, "-m", "bcfj_jax", *words], env=surroundings, cwd=folder, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert run.stdout is not None
-        run.stdout.readline()
-        first = time.perf_counter() - begin
-        run.stdout.read()
-        run.wait()
-        after = os.times()
-    cpu = after.children_user + after.children_system - spent.children_user - spent.children_system
-    return first, time.perf_counter() - begin, cpu
-
-
 def answers(processes: int, checkout: Path) -> dict[str, dict[str, float]]:
     """By command, medians: first answer, all, all cores, the import beside them, in seconds; a first run with nothing kept."""
     found = {}
     for name, words in COMMANDS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            cache = Path(folder)
-            cold = answer(words, cache, checkout)
-            rows = [(*answer(words, cache, checkout), importing()) for _ in range(processes)]
-        found[name] = dict(
-            zip(("first", "all", "cpu", "import"), map(statistics.median, zip(*rows, strict=True)), strict=True)
-        )
+        with tempfile.TemporaryDirectory() as cache:
+
+            def answer(words: list[str] = words, cache: str = cache) -> tuple[float, float, float]:
+                with tempfile.TemporaryDirectory() as folder:
+                    ran = bcfj(words, Path(folder), {"BCFJ_CACHE": cache}, checkout)
+                return ran.first_s, ran.wall_s, ran.cpu_s
+
+            cold = answer()
+            rows = [(*answer(), importing()) for _ in range(processes)]
+        medians = map(statistics.median, zip(*rows, strict=True))
+        found[name] = dict(zip(("first", "all", "cpu", "import"), medians, strict=True))
         found[name] |= {"cold_first": cold[0], "cold_all": cold[1]}
         print(name, {key: round(x, 2) for key, x in found[name].items()}, flush=True)
     return found
@@ -114,15 +96,14 @@ def answers(processes: int, checkout: Path) -> dict[str, dict[str, float]]:
 
 def growth(processes: int, checkout: Path) -> dict[str, dict[str, dict[str, float]]]:
     """By what is counted and its number, medians: seconds of the first run, nothing kept, and of one that is compiled."""
-    surroundings = {**os.environ, "BCFJ_CACHE": "off", "PYTHONPATH": str(checkout)}
+    surroundings = environment({"BCFJ_CACHE": "off"}, checkout)
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name, (made, counts) in GROWING.items():
         rows: dict[str, list[list[float]]] = {str(count): [] for count in counts}
         for _ in range(processes):
-            for count in rows:
-                command = [sys.executable, "-c", made + _MEASURED, count]
-                done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True)
-                rows[count].append([float(x) for x in done.stdout.split()])
+            for count, row in rows.items():
+                ran = done([sys.executable, "-c", made + _MEASURED, count], checkout, surroundings)
+                row.append([float(x) for x in ran.out.split()])
         found[name] = {
             count: dict(zip(("first", "run"), map(statistics.median, zip(*row, strict=True)), strict=True))
             for count, row in rows.items()
@@ -132,34 +113,32 @@ def growth(processes: int, checkout: Path) -> dict[str, dict[str, dict[str, floa
 
 def tables(found: dict[str, dict]) -> tuple[str, str]:
     """Both tables, in Markdown."""
-    first = [["`bcfj ...`, kept programs", "first answer", "all", "over the import", "CPU over wall", "nothing kept"]]
-    for name, row in found["commands"].items():
-        ratios = f"{row['first'] / row['import']:.1f}, {row['all'] / row['import']:.1f}"
-        kept = f"{row['cold_first']:.1f} s, {row['cold_all']:.1f} s"
-        seconds = f"{row['first']:.1f} s", f"{row['all']:.1f} s"
-        first.append([f"`{name}`", *seconds, ratios, f"{row['cpu'] / row['all']:.2f}", kept])
-    second = [["what", "number", "first run", "over the least's", "a compiled run"]]
-    for name, rows in found["growth"].items():
-        least = next(iter(rows.values()))["first"]
-        for count, row in rows.items():
-            seconds = f"{row['first']:.1f} s", f"{row['first'] / least:.2f}", f"{1e3 * row['run']:.1f} ms"
-            second.append([name, count, *seconds])
-    return markdown(first), markdown(second)
+    first = table({
+        "`bcfj ...`, kept programs": "`{name}`", "first answer": "{first:.1f} s", "all": "{all:.1f} s",
+        "over the import": lambda r: f"{r['first'] / r['import']:.1f}, {r['all'] / r['import']:.1f}",
+        "CPU over wall": lambda r: f"{r['cpu'] / r['all']:.2f}", "nothing kept": "{cold_first:.1f} s, {cold_all:.1f} s",
+    }, ({"name": name, **row} for name, row in found["commands"].items()))  # fmt: skip
+    rows = []
+    for name, counts in found["growth"].items():
+        least = next(iter(counts.values()))["first"]
+        rows += [{"name": name, "count": count, "over": row["first"] / least, **row} for count, row in counts.items()]
+    second = table({
+        "what": "{name}", "number": "{count}", "first run": "{first:.1f} s", "over the least's": "{over:.2f}",
+        "a compiled run": lambda r: f"{1e3 * r['run']:.1f} ms",
+    }, rows)  # fmt: skip
+    return first, second
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--processes", type=int, default=5)
-    parser.add_argument("--against", type=Path, help="an older checkout, shown and not kept")
-    given = parser.parse_args()
+    given = options(__doc__, processes=5, against=(Path, "an older checkout, shown and not kept"))
     checkout = given.against.resolve() if given.against else ROOT
     found = {"growth": growth(given.processes, checkout), "commands": answers(given.processes, checkout)}
-    first, second = tables(found)
-    print(first, second, sep="\n\n")
-    if not given.against:
-        save("answers", found)
-        put_in_readme("answers", first, "docs/waiting.md")
-        put_in_readme("alike", second, "docs/waiting.md")
+    if given.against:
+        print(*tables(found), sep="\n\n")
+        return
+    save("answers", found)
+    for name, text in zip(("answers", "alike"), tables(found), strict=True):
+        publish(name, text, "docs/waiting.md")
 
 
 if __name__ == "__main__":

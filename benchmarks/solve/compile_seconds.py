@@ -8,18 +8,18 @@ process while that program alone is traced and compiled, so that other work on t
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from benchmarks.common import ROOT, options
+from benchmarks.processes import call
+
 FILE = ROOT / "bcfj_jax" / "xla" / "compile_seconds.json"
 _SEVERAL = "stiffness,damping"
 COMMANDS: dict[str, list[list[str]]] = {
@@ -35,8 +35,8 @@ COMMANDS: dict[str, list[list[str]]] = {
 _LEAST = 0.5
 
 
-def worker(words: list[str]) -> None:
-    """One command in this process, whose programs compile one after another; their seconds, as JSON, to stdout's end."""
+def worker(words: list[str], folder: str) -> dict[str, float]:
+    """One command in this process, whose programs compile one after another; the seconds of each."""
     from bcfj_jax.cli import main
     from bcfj_jax.xla import programs
 
@@ -51,37 +51,26 @@ def worker(words: list[str]) -> None:
         return found
 
     programs._made = made
-    sys.argv = ["bcfj", *words]
-    try:
+    os.chdir(folder)
+    sys.argv = ["bcfj", *words, "--out", "out"]
+    with contextlib.suppress(SystemExit):
         main()
-    finally:
-        Path("seconds.json").write_text(json.dumps(seconds))
-
-
-def measured(words: list[str]) -> dict[str, float]:
-    """Seconds of the programs of one command [s], by program and kind of model."""
-    with tempfile.TemporaryDirectory() as folder:
-        cache = str(Path(folder) / "cache")
-        env = {**os.environ, "BCFJ_CACHE": cache, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, str(Path(__file__)), "--worker", *words, "--out", "out"]
-        subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True)
-        return json.loads((Path(folder) / "seconds.json").read_text())
+    return seconds
 
 
 def main() -> None:
     """Measure, and keep what takes long enough to be said."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default=",".join(COMMANDS), help="names, separated by commas")
+    only = options(__doc__, only=(",".join(COMMANDS), "names, separated by commas")).only
     found = json.loads(FILE.read_text()) if FILE.exists() else {}
-    for name in parser.parse_args().only.split(","):
+    for name in only.split(","):
         for words in COMMANDS[name]:
-            found |= {key: took for key, took in measured(words).items() if took >= _LEAST}
+            with tempfile.TemporaryDirectory() as folder:
+                variables = {"BCFJ_CACHE": f"{folder}/cache", "OMP_NUM_THREADS": "1"}
+                took = call(__file__, "worker", words, folder, variables=variables)
+            found |= {key: one for key, one in took.items() if one >= _LEAST}
             FILE.write_text(json.dumps(dict(sorted(found.items())), indent=1) + "\n")
             print(" ".join(words), flush=True)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--worker"]:
-        worker(sys.argv[2:])
-    else:
-        main()
+    main()

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 import bcfj_jax as bj
-from benchmarks.common import markdown, save
+import benchmarks.common as harness
+from benchmarks.common import save
 
 # Scene and end [s].
 SCENES = {"oblique_impact": 2e-5, "slider_guide": 0.012, "four_bar": 0.2, "slider_crank": 0.012}
@@ -46,14 +47,12 @@ def measured(name: str, end: float) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """Both solvers side by side; above 1, the explicit one is faster."""
-    rows = [["scene", "asked", "tsit5: error", "time", "rodas3: error", "time", "rodas3 over tsit5"]]
-    for name, by_asked in result.items():
-        for asked, row in by_asked.items():
-            cells = [
-                f(row[s]) for s in row for f in (lambda r: f"{r['error']:.1e}", lambda r: f"{r['run_s'] * 1e3:.2f} ms")
-            ]
-            rows.append([f"`{name}`", asked, *cells, f"{row['rodas3']['run_s'] / row['tsit5']['run_s']:.1f}"])
-    return markdown(rows)
+    rows = [{"name": name, "asked": asked, **row} for name, found in result.items() for asked, row in found.items()]
+    error = lambda s: (f"{s}: error", f"{{{s}[error]:.1e}}")  # noqa: E731
+    run = lambda s: ("time", lambda r: f"{r[s]['run_s'] * 1e3:.2f} ms")  # noqa: E731
+    solvers = [part(s) for s in ("tsit5", "rodas3") for part in (error, run)]
+    ratio = lambda r: f"{r['rodas3']['run_s'] / r['tsit5']['run_s']:.1f}"  # noqa: E731
+    return harness.table([("scene", "`{name}`"), ("asked", "{asked}"), *solvers, ("rodas3 over tsit5", ratio)], rows)
 
 
 def main() -> None:

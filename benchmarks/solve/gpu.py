@@ -20,7 +20,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, machine, markdown, put_in_readme
+import benchmarks.common as harness
+from benchmarks.clock import seconds
+from benchmarks.common import RESULTS, Some, machine, markdown, options, publish
 
 STUDY = """scene = "scene.toml"
 [design]
@@ -90,16 +92,13 @@ def in_batch(what: str, lanes: int) -> dict[str, Any]:
         program = jax.jit(jax.vmap(lambda p: jax.jacfwd(mean)({k: p[k] for k in few}, p)))
     else:
         program = jax.jit(jax.vmap(history))
-    seconds = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        found = jax.block_until_ready(program(leaves))
-        seconds.append(time.perf_counter() - begin)
-        if sum(seconds[1:]) > 12.0:
-            break
+    begin = time.perf_counter()
+    found = jax.block_until_ready(program(leaves))
+    first_s = time.perf_counter() - begin
+    runs = seconds(lambda: program(leaves), 2, time.perf_counter, 12.0)
     first = [leaf[0] for leaf in jax.tree.leaves(found)]
     return {
-        "first_s": seconds[0], "run_s": min(seconds[1:]), "wrt": few if what == "jacobian" else [],
+        "first_s": first_s, "run_s": min(runs), "wrt": few if what == "jacobian" else [],
         "sums": [float(jnp.sum(x)) for x in first], "peaks": [float(jnp.max(jnp.abs(x))) for x in first],
         "device": jax.devices()[0].device_kind,
     }  # fmt: skip
@@ -179,17 +178,16 @@ def differences(out: Path) -> dict[str, float]:
 
 def run(given: argparse.Namespace) -> None:
     """All parts in order, each written as soon as it is there."""
-    out = Path(given.out)
+    out, begin = Path(given.out), time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
-    begin = time.perf_counter()
-    content: dict[str, Any] = {
-        "environment": machine(),
-        "cores": len(os.sched_getaffinity(0)),
-        "rows": [],
-        "quick": given.quick,
-    }
+    content: dict[str, Any] = {"environment": machine(), "cores": len(os.sched_getaffinity(0)), "rows": []}
+    content["quick"] = given.quick
+
+    def keep() -> None:
+        (out / "gpu.json").write_text(json.dumps(content, indent=1) + "\n")
+
     for what, size, tiny, most, where in PARTS:
-        left = given.seconds - (time.perf_counter() - begin)
+        left = vars(given)["for"] - (time.perf_counter() - begin)
         if (given.parts and what not in given.parts) or left < 10.0:
             continue
         size = tiny if given.quick else size
@@ -199,14 +197,14 @@ def run(given: argparse.Namespace) -> None:
             found = {"failed": f"{type(error).__name__}: {error}"[:500]}
         content["rows"].append({"what": what, "size": size, "where": where, **found})
         print(f"{time.perf_counter() - begin:.0f} s", json.dumps(content["rows"][-1])[:700], flush=True)
-        (out / "gpu.json").write_text(json.dumps(content, indent=1) + "\n")
+        keep()
     try:
         content["differences"] = differences(out)
     except Exception as error:  # As above.
         content["differences"] = {}
         print(f"no differences: {error}", flush=True)
     print(json.dumps(content["differences"]), flush=True)
-    (out / "gpu.json").write_text(json.dumps(content, indent=1) + "\n")
+    keep()
 
 
 def tables(path: Path) -> None:
@@ -217,14 +215,11 @@ def tables(path: Path) -> None:
     def cell(key: tuple, number: str = "whole_s") -> str:
         return f"{good[key][number]:.3g}" if number in good.get(key, {}) else "-"
 
-    sizes = sorted({size for what, size, _ in good if what == "study"})
-    studies = [
-        ["joints of 0.6 s", "one GPU, nothing kept [s]", "programs kept [s]", f"{content['cores']} CPU cores [s]"]
-    ]
-    studies += [
-        [str(n), cell(("study", n, "gpu")), cell(("study", n, "gpu"), "kept_s"), cell(("study", n, "cores"))]
-        for n in sizes
-    ]
+    studies = harness.table({
+        "joints of 0.6 s": str, "one GPU, nothing kept [s]": lambda n: cell(("study", n, "gpu")),
+        "programs kept [s]": lambda n: cell(("study", n, "gpu"), "kept_s"),
+        f"{content['cores']} CPU cores [s]": lambda n: cell(("study", n, "cores")),
+    }, sorted({size for what, size, _ in good if what == "study"}))  # fmt: skip
     batches = [["what", "on a GPU", "on one core", "ratio a run", "first call on the GPU [s]"]]
     for what in ("histories", "jacobian", "impact"):
         a, b = (
@@ -237,22 +232,16 @@ def tables(path: Path) -> None:
             batches.append([what, *texts, ratio, cell((what, n, "gpu"), "first_s")])
     worst = max(content["differences"].values(), default=None)
     device = next((r["device"] for k, r in good.items() if k[2] == "gpu" and k[0] != "study"), "a GPU")
-    text = f"Measured on one {device}, and on the {content['cores']} cores of its host.\n\n{markdown(studies)}"
+    text = f"Measured on one {device}, and on the {content['cores']} cores of its host.\n\n{studies}"
     if worst is not None:
         text += f"\n\nFeatures of the GPU and of the CPU differ by {worst:.1g} at most, relative to themselves."
-    put_in_readme("gpu", f"{text}\n\n{markdown(batches)}", "docs/howto/gpu.md")
+    publish("gpu", f"{text}\n\n{markdown(batches)}", "docs/howto/gpu.md")
     (RESULTS / "gpu.json").write_text(json.dumps(content, indent=1) + "\n")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", default="build/gpu")
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--parts", nargs="*", default=[])
-    parser.add_argument("--for", dest="seconds", type=float, default=330.0)
-    parser.add_argument("--tables", type=Path)
-    parser.add_argument("--one", nargs=2)
-    given = parser.parse_args()
+    more: dict[str, Any] = {"for": 330.0}
+    given = options(__doc__, None, out="build/gpu", quick=False, parts=Some(), tables=Path, one=Some(), **more)
     if given.one:
         print(json.dumps(in_batch(given.one[0], int(given.one[1]))))
     elif given.tables:

@@ -4,25 +4,21 @@ Each program runs in fresh processes that differ in these options alone, in turn
 of the processes.
 
     python -m benchmarks.solve.kernels [--processes 2]    keeps benchmarks/results/kernels.json and docs/xla.md
-    python -m benchmarks.solve.kernels --worker           (internal) one process: all programs
 """
 
 from __future__ import annotations
 
-import argparse
 import base64
 import functools
-import json
-import os
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+import benchmarks.common as harness
+from benchmarks.clock import clocked, seconds
+from benchmarks.common import options, publish, save
+from benchmarks.processes import call
 
 LOOPS, WRITER = "xla_cpu_small_while_loop_byte_threshold", "xla_cpu_disable_new_fusion_emitters"
 EXTRA, MANY = "--xla_backend_extra_options=", 1 << 20
@@ -44,19 +40,15 @@ SCENES = {"impact": 5e-5, "slider_crank": 0.012, "joint": 0.1}
 JACOBIANS = {"joint, 8 derivatives": (2e-4, True)}
 
 
-def measured(first: Callable[[], Any], again: Callable[[], Any]) -> tuple[dict[str, Any], Any]:
+def measured(run: Callable[[], Any]) -> tuple[dict[str, Any], Any]:
     """CPU seconds of a first call less a run's, and of a run; what the first call gave."""
-    begin = time.process_time()
-    found = first()
-    cold, runs = time.process_time() - begin, []
-    for _ in range(RUNS):
-        begin = time.process_time()
-        again()
-        runs.append(time.process_time() - begin)
-    return {"run_s": min(runs), "compile_s": cold - min(runs)}, found
+    found, cold = clocked(run)
+    least = min(seconds(run, RUNS))
+    return {"run_s": least, "compile_s": cold["cpu_s"] - least}, found
 
 
-def worker() -> None:
+def worker() -> dict[str, Any]:
+    """All programs in this process."""
     import jax
     import jax.numpy as jnp
 
@@ -72,7 +64,7 @@ def worker() -> None:
     for name, end in SCENES.items():
         scene, at = getattr(bj.scenes, name)(), np.linspace(0.0, end, 400)
         run = functools.partial(bj.simulate, scene, scene.parameters(), at)
-        row, first = measured(run, run)
+        row, first = measured(run)
         found[name] = kept(row, np.concatenate([f.ravel() for f in first.force.values()]))
     scene, times, none = bj.scenes.joint_of_keys(**PLAIN), jnp.linspace(0.0, 0.1, 101), jnp.zeros(len(MOVED))
     for name, (tolerance, controlled) in JACOBIANS.items():
@@ -84,62 +76,46 @@ def worker() -> None:
             params = moved(scene.parameters(), logs)
             return normals(bj.force_history(scene, params, times, accuracy=how, mode="forward"))
 
-        run = lambda f=slopes: jax.block_until_ready(f(none))  # noqa: E731
-        row, first = measured(run, run)
+        row, first = measured(lambda f=slopes: jax.block_until_ready(f(none)))
         found[name] = kept(row, first)
-    print(json.dumps(found))
-
-
-def one_process(options: str) -> dict[str, Any]:
-    surroundings = {**os.environ, "XLA_FLAGS": options, "EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
-    command = [sys.executable, "-m", "benchmarks.solve.kernels", "--worker"]
-    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True, cwd=ROOT)
-    return json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def numbers(row: dict[str, Any]) -> np.ndarray:
     return np.frombuffer(base64.b64decode(row["numbers"]))
 
 
-def main(processes: int) -> None:
-    rounds = []
+def main() -> None:
+    rounds, processes = [], options(__doc__, processes=2).processes
     for _ in range(processes):
         rounds.append({})
-        for name, options in OPTIONS.items():
-            rounds[-1][name] = one_process(options)
+        for name, flags in OPTIONS.items():
+            variables = {"XLA_FLAGS": flags, "EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
+            rounds[-1][name] = call(__file__, "worker", variables=variables)
             print(name, {k: (r["run_s"], r["compile_s"]) for k, r in rounds[-1][name].items()}, flush=True)
     result: dict[str, Any] = {}
     for program in (*SCENES, *JACOBIANS):
         sides = {name: [r[name][program] for r in rounds] for name in OPTIONS}
         before = numbers(sides[BEFORE][0])
-        off = {name: np.abs(numbers(rows[0]) - before).max() / np.abs(before).max() for name, rows in sides.items()}
         result[program] = {
             name: {
-                "run_s": min(row["run_s"] for row in rows),
-                "compile_s": min(row["compile_s"] for row in rows),
-                "difference": float(off[name]),
+                **{key: min(row[key] for row in rows) for key in ("run_s", "compile_s")},
+                "difference": float(np.abs(numbers(rows[0]) - before).max() / np.abs(before).max()),
             }
             for name, rows in sides.items()
         }
     save("kernels", {"processes": processes, "options": OPTIONS, "programs": result})
-    put_in_readme("kernels", table(result), "docs/xla.md")
-    print(table(result))
+    publish("kernels", table(result), "docs/xla.md")
 
 
 def table(result: dict[str, Any]) -> str:
     """CPU milliseconds of a run and CPU seconds of the first call less a run, by program and options."""
-    rows = [
-        ["program", *(f"{key}: {side}" for key in ("run [ms]", "first call [s]") for side in OPTIONS), "difference"]
-    ]
-    for name, sides in result.items():
-        cells = [f"{1e3 * r['run_s']:.3g}" for r in sides.values()] + [f"{r['compile_s']:.3g}" for r in sides.values()]
-        rows.append([f"`{name}`", *cells, f"{sides[OURS]['difference']:.1e}"])
-    return markdown(rows)
+    runs = [(f"run [ms]: {side}", lambda r, s=side: f"{1e3 * r[s]['run_s']:.3g}") for side in OPTIONS]
+    firsts = [(f"first call [s]: {side}", lambda r, s=side: f"{r[s]['compile_s']:.3g}") for side in OPTIONS]
+    difference = ("difference", lambda r: f"{r[OURS]['difference']:.1e}")
+    rows = ({"name": name, **sides} for name, sides in result.items())
+    return harness.table([("program", "`{name}`"), *runs, *firsts, difference], rows)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--worker", action="store_true")
-    parser.add_argument("--processes", type=int, default=2)
-    given = parser.parse_args()
-    worker() if given.worker else main(given.processes)
+    main()

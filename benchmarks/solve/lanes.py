@@ -8,9 +8,7 @@ count; a lane has its own state, its own parameters and its own step. States are
 
 from __future__ import annotations
 
-import argparse
 import os
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -27,7 +25,8 @@ from bcfj_jax.models.joint import arrowhead
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve import rodas
 from bcfj_jax.xla.backend import set_up
-from benchmarks.common import RESULTS, load, markdown, save
+from benchmarks.clock import clocked, seconds
+from benchmarks.common import Some, add, markdown, options
 
 SCENES: dict[str, dict[str, Any]] = {"default": {}, "plain": PLAIN}
 LANES = (1, 64, 256)
@@ -81,50 +80,35 @@ def timed(scene: Any, params: dict[str, Array], y: Array, what: Callable[..., An
         empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(batch, c, factors, t, y, h))
         return jax.lax.fori_loop(0, count, body, (y, empty))
 
-    begin = time.process_time()
-    program = jax.jit(loop).lower(jnp.asarray(1), prepared, factors, t, y, h).compile()
-    compile_s = time.process_time() - begin
+    arguments = prepared, factors, t, y, h
+    program, took = clocked(lambda: jax.jit(loop).lower(jnp.asarray(1), *arguments).compile())
 
-    def seconds(count: int) -> float:
-        begin = time.process_time()
-        jax.block_until_ready(program(jnp.asarray(count), prepared, factors, t, y, h))
-        return time.process_time() - begin
+    def took_s(count: int, repeats: int = 1) -> float:
+        return float(np.median(seconds(lambda: program(jnp.asarray(count), *arguments), repeats)))
 
     count = 1
-    while seconds(count) < LEAST:
+    while took_s(count) < LEAST:
         count *= 2
-    return {
-        "us": 1e6 * float(np.median([seconds(count) for _ in range(REPEATS)])) / count / lanes,
-        "compile_s": compile_s,
-    }
+    return {"us": 1e6 * took_s(count, REPEATS) / count / lanes, "compile_s": took["cpu_s"]}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--lanes", type=int, nargs="*", default=LANES)
-    parser.add_argument("--name", default="now")
-    parser.add_argument("--scenes", nargs="*", default=list(SCENES))
-    parser.add_argument("--what", nargs="*", default=None)
-    given = parser.parse_args()
+    every = ["field", "blocks", "factor", "solve", "step"]
+    given = options(__doc__, lanes=Some(LANES), name="now", scenes=SCENES, what=every)
     set_up()
     jax.config.update("jax_enable_compilation_cache", False)
     found: dict[str, Any] = {}
+    table: list[list[Any]] = [["joint", "lanes", *given.what]]
     for name in given.scenes:
-        scene = bj.scenes.joint_of_keys(**SCENES[name])
+        scene, found[name] = bj.scenes.joint_of_keys(**SCENES[name]), {}
         for lanes in given.lanes:
             params, y = states(scene, lanes)
-            for what, operation in operations(scene).items():
-                if given.what is not None and what not in given.what:
-                    continue
-                found.setdefault(name, {}).setdefault(str(lanes), {})[what] = row = timed(scene, params, y, operation)
-                print(name, lanes, what, {k: round(v, 3) for k, v in row.items()}, flush=True)
-    table = [["joint", "lanes", *next(iter(next(iter(found.values())).values()))]]
-    for name, rows in found.items():
-        table += [[name, lanes, *(f"{cell['us']:.3g}" for cell in row.values())] for lanes, row in rows.items()]
+            row = {what: timed(scene, params, y, operations(scene)[what]) for what in given.what}
+            print(name, lanes, row, flush=True)
+            found[name][str(lanes)] = row
+            table.append([name, lanes, *(f"{cell['us']:.3g}" for cell in row.values())])
     print(markdown(table))
-    known = load("lanes") if (RESULTS / "lanes.json").exists() else {}
-    known.pop("environment", None)
-    save("lanes", known | {given.name: found})
+    add("lanes", {given.name: found})
 
 
 if __name__ == "__main__":

@@ -11,18 +11,15 @@ and the promise to scenes drawn anew.
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
+import benchmarks.common as harness
 from bcfj_jax import scenes
 from bcfj_jax.analysis.tradeoff.measures import Measured, errors, worst
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -30,7 +27,8 @@ from bcfj_jax.models.joint.periodic import risen
 from bcfj_jax.models.joint.scene import WINDOW_END, Joint
 from bcfj_jax.solve.plan import LEVELS, Plan, plan
 from bcfj_jax.solve.simulation import outcome
-from benchmarks.common import RESULTS, ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import IMAGES, add, load, options, publish
 from benchmarks.solve.random_scenes import LAWS, joints, springs
 
 KINDS = ("impact", "bounce", "joint")
@@ -180,7 +178,7 @@ def derived(kind: str, rows: list[Row]) -> list[Row]:
     return table
 
 
-def at_level(kind: str, rows: list[Row], level: str, error: str = "error") -> list[str]:
+def at_level(kind: str, rows: list[Row], level: str, error: str = "error") -> Row:
     """A row of the table: a level's promise, and what came of it at the next tighter level of the ladder."""
     rows = [row for row in rows if calm(row)]
     promised = error == "error"
@@ -188,23 +186,17 @@ def at_level(kind: str, rows: list[Row], level: str, error: str = "error") -> li
     promise, tolerance = LEVELS[level], float(plan(scenes.make(kind), level).tolerance)
     k = next((k for k, level in enumerate(LADDER[kind]) if level <= tolerance * 1.001), len(LADDER[kind]) - 1)
     sure = [row[error][k] for row in rows if row[apart] <= CERTAIN * promise]
-    steps = np.median([row["steps"][k] for row in rows if row[apart] < LOST])
-    kept = sum(e <= promise for e in sure)
-    worst_seen = f"{100 * max(sure):.2g} %" if sure else "-"
-    return [
-        kind if promised else f"{kind}, {OTHER_ERRORS[error]}",
-        level,
-        f"{100 * promise:g} %" if promised else "none",
-        f"{tolerance:.1g}",
-        f"{kept} of {len(sure)}",
-        worst_seen,
-        f"{steps:.0f}",
-    ]
+    return {
+        "scene": kind if promised else f"{kind}, {OTHER_ERRORS[error]}", "level": level, "tolerance": tolerance,
+        "promise": f"{100 * promise:g} %" if promised else "none", "kept": f"{sum(e <= promise for e in sure)} of {len(sure)}",
+        "worst": f"{100 * max(sure):.2g} %" if sure else "-",
+        "steps": np.median([row["steps"][k] for row in rows if row[apart] < LOST]),
+    }  # fmt: skip
 
 
 def report(kept: dict[str, Any]) -> None:
     """The table of the levels and the picture."""
-    table = [["scene", "level", "promise", "tolerance", "kept it", "worst error", "steps (median)"]]
+    table = []
     figure, axes = plt.subplots(1, len(KINDS), figsize=(12, 4), sharey=True, layout="constrained")
     for axis, kind in zip(axes, KINDS, strict=True):
         if kind not in kept:
@@ -224,34 +216,29 @@ def report(kept: dict[str, Any]) -> None:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("worst of force rms, peak, impulse [of peak]")
     axes[0].legend(fontsize=8)
-    figure.savefig(ROOT / "docs" / "images" / "levels.png", dpi=110)
-    put_in_readme("levels", markdown(table), "docs/tradeoff.md")
-    print(markdown(table))
+    figure.savefig(IMAGES / "levels.png", dpi=110)
+    publish("levels", harness.table({
+        "scene": "{scene}", "level": "{level}", "promise": "{promise}", "tolerance": "{tolerance:.1g}", "kept it": "{kept}",
+        "worst error": "{worst}", "steps (median)": "{steps:.0f}",
+    }, table), "docs/tradeoff.md")  # fmt: skip
 
 
 def keep(kind: str, rows: list[Row]) -> None:
     """Save a kind's rows; what another process measured meanwhile stays."""
-    kept = {k: v for k, v in load("levels").items() if k in KINDS} if (RESULTS / "levels.json").exists() else {}
-    kept[kind] = {"ladder": LADDER[kind], "derived": derived(kind, rows), "rows": rows}
-    save("levels", kept)
+    add("levels", {kind: {"ladder": LADDER[kind], "derived": derived(kind, rows), "rows": rows}})
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", type=int, default=60, help="of each law")
-    parser.add_argument("--joints", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", default=KINDS, choices=KINDS)
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    for kind in asked.only:
+    given = options(__doc__, scenes=(60, "of each law"), joints=30, seed=0, only=list(KINDS))
+    keep_programs()
+    for kind in given.only:
         if kind == "joint":
             rows: list[Row] = []
-            for row in joints_down(asked.joints, asked.seed, LADDER["joint"]):
+            for row in joints_down(given.joints, given.seed, LADDER["joint"]):
                 rows.append(row)
                 keep(kind, rows)
         else:
-            keep(kind, [x for law in LAWS for x in springs_down(kind, law, asked.scenes, asked.seed, LADDER[kind])])
+            keep(kind, [x for law in LAWS for x in springs_down(kind, law, given.scenes, given.seed, LADDER[kind])])
         print(kind, load("levels")[kind]["derived"], flush=True)
     report(load("levels"))
 

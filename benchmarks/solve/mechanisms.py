@@ -10,16 +10,12 @@ constant (``mechanism.EXPLICIT``, ``IMPLICIT``) that the case would bear.
 
 from __future__ import annotations
 
-import argparse
-import os
 from typing import Any, NamedTuple
 
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+import benchmarks.common as harness
 from bcfj_jax.contact.gaps import PointOnPlane
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
@@ -29,7 +25,8 @@ from bcfj_jax.models import scenes
 from bcfj_jax.solve import measured_error
 from bcfj_jax.solve.plan import MAX_STEPS, Plan
 from bcfj_jax.solve.simulation import Run, timed
-from benchmarks.common import RESULTS, ROOT, load, markdown, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import known, load, options, save
 
 ASKED = (5e-2, 1e-2, 1e-3, 1e-5)
 LADDER = {
@@ -142,28 +139,26 @@ def _kept(errors: list[float], ladder: tuple[float, ...], promise: float) -> flo
 
 def report(rows: dict[str, dict[str, Any]]) -> str:
     """A table: by case the error over what was asked and, in brackets, the constant that would keep it."""
-    table = [["case", "solver", *(f"{100 * a:g} %" for a in ASKED), "steps", "references apart"]]
-    for name, row in rows.items():
-        cells = []
-        for asked, error, kept in zip(ASKED, row["error"], row["kept"], strict=True):
-            sure = row["apart"] <= CERTAIN * asked
-            bears = "-" if kept is None else f"{kept:.1g}"
-            cells.append(f"{error / asked:.2g} ({bears})" if sure else "no reference")
-        way = "implicit" if row["stiff"] else "explicit"
-        table.append([name, way, *cells, str(row["steps"][1]), f"{row['apart']:.1g}"])
-    return markdown(table)
+
+    def cell(row: dict[str, Any], k: int) -> str:
+        bears = "-" if row["kept"][k] is None else f"{row['kept'][k]:.1g}"
+        return f"{row['error'][k] / ASKED[k]:.2g} ({bears})" if row["apart"] <= CERTAIN * ASKED[k] else "no reference"
+
+    return harness.table({
+        "case": "{name}", "solver": lambda row: "implicit" if row["stiff"] else "explicit",
+        **{f"{100 * asked:g} %": lambda row, k=k: cell(row, k) for k, asked in enumerate(ASKED)},
+        "steps": "{steps[1]}", "references apart": "{apart:.1g}",
+    }, ({"name": name, **row} for name, row in rows.items()))  # fmt: skip
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", default=list(CASES), choices=list(CASES))
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    known = load("mechanisms")["cases"] if (RESULTS / "mechanisms.json").exists() else {}
-    for name in asked.only:
-        known[name] = measured(CASES[name])
-        print(report({name: known[name]}).splitlines()[-1], flush=True)
-        kept = {name: known[name] for name in CASES if name in known}
+    only = options(__doc__, only=CASES).only
+    keep_programs()
+    every = known("mechanisms").get("cases", {})
+    for name in only:
+        every[name] = measured(CASES[name])
+        print(report({name: every[name]}).splitlines()[-1], flush=True)
+        kept = {name: every[name] for name in CASES if name in every}
         save("mechanisms", {"asked": ASKED, "ladder": {str(k): v for k, v in LADDER.items()}, "cases": kept})
     print(report(load("mechanisms")["cases"]))
 

@@ -8,12 +8,7 @@ its own runs the batches in each; the parent compares.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
@@ -21,19 +16,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bcfj_jax.models.joint.scene import PLAIN
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import benchmarks.common as harness
 from bcfj_jax import scenes
+from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import outcome
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs, seconds
+from benchmarks.common import load, options, publish, save
+from benchmarks.processes import call
 
 BATCH, REPEATS, BUDGET = 16, 5, 200_000
 ASKED = (1e-2, 1e-3, 1e-4)
@@ -67,17 +62,14 @@ def measured(case: str, count: int, asks: tuple[float, ...]) -> Iterator[tuple[f
             planned = plan(scene, asked, BUDGET)
         how = eqx.tree_at(lambda p: p.tolerance, planned, jnp.asarray(float(planned.tolerance)))
         code, force = jax.device_get(run(values, how))
-        walls = []
-        for _ in range(REPEATS if asked in ASKED else 0):
-            begin = time.perf_counter()
-            jax.block_until_ready(run(values, how))
-            walls.append(time.perf_counter() - begin)
+        walls = seconds(lambda how=how: run(values, how), REPEATS if asked in ASKED else 0, time.perf_counter)
         found = {f"force {key}": np.asarray(x, float) for key, x in force.items()}
         yield asked, found | {"code": np.asarray(code)}, statistics.median(walls) if walls else float("nan")
 
 
-def child(bits: int, cases: list[str], folder: Path) -> None:
-    """Run cases in numbers of so many bits."""
+def child(bits: int, cases: list[str], folder: str) -> dict[str, float]:
+    """Run cases in numbers of so many bits, whose forces it writes into a folder; median walls by case and accuracy [s]."""
+    keep_programs()
     if bits == 32:
         jax.config.update("jax_enable_x64", False)
         warnings.filterwarnings("ignore", message="Explicitly requested dtype")
@@ -85,9 +77,8 @@ def child(bits: int, cases: list[str], folder: Path) -> None:
     for case in cases:
         for asked, found, wall in measured(case, BATCH, (*ASKED, TIGHT) if bits == 64 else ASKED):
             walls[f"{case} {asked:g}"] = wall
-            print(f"{bits} bits, {case}, {asked:g}: {wall:.3g} s", flush=True)
-            np.savez(folder / f"{bits} {case} {asked:g}.npz", allow_pickle=False, **found)
-    (folder / f"{bits}.json").write_text(json.dumps(walls))
+            np.savez(Path(folder) / f"{bits} {case} {asked:g}.npz", allow_pickle=False, **found)
+    return walls
 
 
 def error(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> float:
@@ -106,18 +97,19 @@ def error(found: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> float:
     return float(np.max(worst))
 
 
-def main(cases: list[str]) -> None:
-    rows = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        for bits in ("64", "32"):
-            subprocess.run([sys.executable, __file__, *cases, "--bits", bits, "--folder", place], check=True)
-        walls = {bits: json.loads((folder / f"{bits}.json").read_text()) for bits in (64, 32)}
+def main() -> None:
+    rows, cases = [], options(__doc__, {"cases": CASES}).cases
+    with tempfile.TemporaryDirectory() as folder:
+        walls = {bits: call(__file__, "child", bits, cases, folder) for bits in (64, 32)}
+
+        def runs(bits: int, key: str) -> dict[str, np.ndarray]:
+            return dict(np.load(Path(folder) / f"{bits} {key}.npz"))
+
         for case in cases:
-            truth = dict(np.load(folder / f"64 {case} {TIGHT:g}.npz"))
+            truth = runs(64, f"{case} {TIGHT:g}")
             for asked in ASKED:
                 key = f"{case} {asked:g}"
-                both = {bits: dict(np.load(folder / f"{bits} {key}.npz")) for bits in (64, 32)}
+                both = {bits: runs(bits, key) for bits in (64, 32)}
                 rows.append({
                     "case": case, "asked": asked,
                     "error": {bits: error(found, truth) for bits, found in both.items()},
@@ -125,26 +117,21 @@ def main(cases: list[str]) -> None:
                     "lane_ms": {bits: 1e3 * walls[bits][key] / BATCH for bits in both},
                 })  # fmt: skip
     save("precision", {"lanes": BATCH, "rows": rows})
-    table = [["scene", "asked", "error, 64 bit", "32 bit", f"failed of {BATCH}", "64 bit over 32 bit, time"]]
-    for row in rows:
-        e, ms = row["error"], row["lane_ms"]
-        worst = "-" if np.isnan(e[32]) else f"{100 * e[32]:.1g} %"
-        asked = "" if "kinematic" in row["case"] or "static" in row["case"] else f"{100 * row['asked']:g} %"
-        table.append(
-            [row["case"], asked, f"{100 * e[64]:.1g} %", worst, str(row["failed"][32]), f"{ms[64] / ms[32]:.2g}"]
-        )
-    put_in_readme("precision", markdown(table), "docs/tradeoff.md")
-    print(markdown(table))
+    publish("precision", table(load("precision")["rows"]), "docs/tradeoff.md")
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Of kept rows, whose bits are texts."""
+    free = ("kinematic", "static")
+    return harness.table({
+        "scene": "{case}",
+        "asked": lambda r: "" if any(word in r["case"] for word in free) else f"{100 * r['asked']:g} %",
+        "error, 64 bit": lambda r: f"{100 * r['error']['64']:.1g} %",
+        "32 bit": lambda r: "-" if np.isnan(r["error"]["32"]) else f"{100 * r['error']['32']:.1g} %",
+        f"failed of {BATCH}": lambda r: r["failed"]["32"],
+        "64 bit over 32 bit, time": lambda r: f"{r['lane_ms']['64'] / r['lane_ms']['32']:.2g}",
+    }, rows)  # fmt: skip
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"by default all of {', '.join(CASES)}")
-    parser.add_argument("--bits", type=int, choices=(32, 64), help="be the process that runs them in these")
-    parser.add_argument("--folder", type=Path)
-    asked = parser.parse_args()
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    if asked.bits:
-        child(asked.bits, asked.cases, asked.folder)
-    else:
-        main(asked.cases or list(CASES))
+    main()

@@ -5,16 +5,11 @@ the least of some runs in a process, then the median over the rounds.
 
     python -m benchmarks.solve.run_times OTHER    OTHER: folder of an older checkout; keeps run_times.json, docs/waiting.md
     ... OTHER --values                            without derivatives; keeps run_times_values.json, no page
-    python benchmarks/solve/run_times.py --worker (internal) one process, with the package of PYTHONPATH
 """
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -26,7 +21,8 @@ _EIGHT = (
 )  # fmt: skip
 
 
-def worker() -> None:
+def worker(derivatives: bool) -> dict[str, float]:
+    """One process, with the package of its checkout."""
     import numpy as np
 
     import bcfj_jax as bj
@@ -48,7 +44,7 @@ def worker() -> None:
     params = scene.parameters()
     forces = jax.jit(lambda p: bj.force_history(scene, p, t))
     found["joint, 0.1 s"] = quickest(lambda: jax.block_until_ready(forces(params)))
-    if "--values" not in sys.argv:
+    if derivatives:
         slopes = [bj.sensitivity(scene, params, t, _EIGHT, certify=False) for _ in range(1 + RUNS)]
         found["joint, 0.1 s, Jacobian of 8"] = min(s.stats["wall_s"] for s in slopes[1:])
     short = np.linspace(0.0, 0.02, 21)
@@ -66,35 +62,34 @@ def worker() -> None:
         at, times = one.parameters(), np.linspace(0.0, end, 400)
         run = jax.jit(lambda p, one=one, times=times: bj.force_history(one, p, times))
         found[name] = quickest(lambda run=run, at=at: jax.block_until_ready(run(at)))
-    print(json.dumps(found))
+    return found
 
 
-def one_process(checkout: Path) -> dict[str, float]:
-    surroundings = {**os.environ, "PYTHONPATH": str(checkout), "EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
-    command = [sys.executable, os.path.abspath(__file__), "--worker", *sys.argv[2:]]
-    done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True, cwd=checkout)
-    return json.loads(done.stdout.splitlines()[-1])
+def main() -> None:
+    # A worker has the package of its checkout, whose benchmarks may be others.
+    from benchmarks.common import ROOT, options, publish, save, table
+    from benchmarks.processes import call, commit
 
-
-def main(other: Path) -> None:
-    from benchmarks.common import ROOT, markdown, put_in_readme, save
-
-    rounds = [{side: one_process(path) for side, path in (("before", other), ("after", ROOT))} for _ in range(ROUNDS)]
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=other, capture_output=True, text=True).stdout.strip()
-    names = rounds[0]["after"]
-    table = {
-        name: {side: statistics.median(r[side][name] for r in rounds) for side in ("before", "after")} for name in names
+    given = options(__doc__, {"other": Path}, values=False)
+    sides = {"before": given.other.resolve(), "after": ROOT}
+    variables = {"EQX_ON_ERROR": "nan", "BCFJ_CACHE": "off"}
+    rounds = [
+        {
+            side: call(__file__, "worker", not given.values, variables=variables, checkout=path)
+            for side, path in sides.items()
+        }
+        for _ in range(ROUNDS)
+    ]
+    runs = {
+        name: {side: statistics.median(r[side][name] for r in rounds) for side in sides} for name in rounds[0]["after"]
     }
-    values = "--values" in sys.argv
-    save("run_times_values" if values else "run_times", {"before": commit, "rounds": ROUNDS, "runs": table})
-    rows = [["", "before", "after", "before over after"]]
-    for name, row in table.items():
-        times = [f"{1e3 * row[side]:.3g} ms" for side in ("before", "after")]
-        rows.append([name, *times, f"{row['before'] / row['after']:.2f}"])
-    if not values:
-        put_in_readme("run-times", markdown(rows), "docs/waiting.md")
-    print(markdown(rows))
+    name = "run_times_values" if given.values else "run_times"
+    save(name, {"before": commit(sides["before"]), "rounds": ROUNDS, "runs": runs})
+    times = {side: lambda row, side=side: f"{1e3 * row[side]:.3g} ms" for side in sides}
+    ratio = {"before over after": lambda row: f"{row['before'] / row['after']:.2f}"}
+    text = table({"": "{name}", **times, **ratio}, ({"name": name, **row} for name, row in runs.items()))
+    print(text) if given.values else publish("run-times", text, "docs/waiting.md")
 
 
 if __name__ == "__main__":
-    worker() if "--worker" in sys.argv else main(Path(sys.argv[1]).resolve())
+    main()

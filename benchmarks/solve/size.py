@@ -10,25 +10,24 @@ do not touch. Memory is what the compiled program reserves beside its input and 
 
 from __future__ import annotations
 
-import os
 import resource
 import time
 from collections.abc import Callable
 from typing import Any
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.stats import t as student
 
+import benchmarks.common as harness
 from bcfj_jax import scenes, simulate
 from bcfj_jax.analysis.derivatives.jacobian import level
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.simulation import force_history
-from benchmarks.common import ROOT, markdown, put_in_readme, save
+from benchmarks.clock import keep_programs
+from benchmarks.common import load, publish, save
 
 REPEATS = 5
 REVOLUTION = 0.6
@@ -111,35 +110,35 @@ def sized(params: Any, balls: int) -> dict[str, float]:
 
 
 def main() -> None:
-    jax.config.update("jax_compilation_cache_dir", str(ROOT / "build" / "jax-cache"))
-    rows = []
-    drop = scenes.bounce()
-    elastic = drop.parameters(damping=0.0)
+    keep_programs()
+    drop, joint = scenes.bounce(), scenes.joint_of_keys(**PLAIN)
+    elastic, params = drop.parameters(damping=0.0), joint.parameters()
     flight = 2 * float(np.sqrt(2 * 0.1 / 9.81))
-    memory = [reserved(drop, elastic, n * flight) for n in DROPS]
-    pairs = [runs(drop, elastic, (n + 0.5) * flight) for n in DROPS]
-    rows.append(row("bounce by contacts", DROPS, *map(list, zip(*pairs, strict=True))))
-    joint = scenes.joint_of_keys(**PLAIN)
-    params = joint.parameters()
-    pairs = [runs(joint, params, n * REVOLUTION) for n in TURNS]
-    rows.append(row("joint by revolutions", TURNS, *map(list, zip(*pairs, strict=True))))
     names = tuple(name for name in joint.quantities if params.get(name) and name != "load_ramp")
-    pairs = [slopes(joint, params, names[:n], 0.1) for n in PARAMETERS]
-    rows.append(row("joint's derivatives by parameters", PARAMETERS, *map(list, zip(*pairs, strict=True))))
-    pairs = []
-    for n in BALLS:
+
+    def of_balls(n: int) -> tuple[float, int]:
         scene = scenes.joint_of_keys(balls=n, **PLAIN)
-        pairs.append(runs(scene, scene.parameters(sized(joint.parameters(), n)), 0.1))
-    rows.append(row("joint by balls", BALLS, *map(list, zip(*pairs, strict=True))))
+        return runs(scene, scene.parameters(sized(params, n)), 0.1)
+
+    memory = [reserved(drop, elastic, n * flight) for n in DROPS]
+    cases: dict[str, tuple[tuple, Callable[..., tuple[float, int]]]] = {
+        "bounce by contacts": (DROPS, lambda n: runs(drop, elastic, (n + 0.5) * flight)),
+        "joint by revolutions": (TURNS, lambda n: runs(joint, params, n * REVOLUTION)),
+        "joint's derivatives by parameters": (PARAMETERS, lambda n: slopes(joint, params, names[:n], 0.1)),
+        "joint by balls": (BALLS, of_balls),
+    }
+    rows = [row(name, sizes, *map(list, zip(*map(one, sizes), strict=True))) for name, (sizes, one) in cases.items()]
     save("size", {"rows": rows, "memory": memory})
-    table = [["size", "from", "to", "time goes as size to the", "time a step as size to the"]]
-    text = "{:.2f} ({:.2f} to {:.2f})".format
-    for r in rows:
-        table.append([r["what"], f"{r['sizes'][0]:g}", f"{r['sizes'][-1]:g}", text(*r["time"]), text(*r["work"])])
-    kept = [f"{m['program']:.2f}" for m in memory]
-    note = f"\n\nForward derivatives of {DROPS[0]} to {DROPS[-1]} contacts reserve {kept[0]} to {kept[-1]} MB."
-    put_in_readme("size", markdown(table) + note, "docs/tradeoff.md")
-    print(markdown(table) + note)
+    publish("size", table(load("size")), "docs/tradeoff.md")
+
+
+def table(result: dict[str, Any]) -> str:
+    text, memory = "{%s[0]:.2f} ({%s[1]:.2f} to {%s[2]:.2f})", result["memory"]
+    note = f"Forward derivatives of {DROPS[0]} to {DROPS[-1]} contacts reserve {memory[0]['program']:.2f} to "
+    return harness.table({
+        "size": "{what}", "from": "{sizes[0]:g}", "to": lambda r: f"{r['sizes'][-1]:g}",
+        "time goes as size to the": text.replace("%s", "time"), "time a step as size to the": text.replace("%s", "work"),
+    }, result["rows"]) + f"\n\n{note}{memory[-1]['program']:.2f} MB."  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -14,18 +14,17 @@ its step differs from it by more than a tenth of the limit, the draw is not judg
 
 from __future__ import annotations
 
-import argparse
-import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from itertools import combinations
 from typing import Any, NamedTuple
-
-os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import benchmarks.common as harness
 from bcfj_jax.contact import gaps
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism import loads
@@ -34,7 +33,7 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.solve.integrate import integrate
 from bcfj_jax.solve.plan import Plan, plan
-from benchmarks.common import RESULTS, load, markdown, put_in_readme, save
+from benchmarks.common import known, load, options, publish, save
 
 ACCURACIES = ("balanced", 1e-4)
 EXPLICIT, IMPLICIT = ("tsit5", "dopri5", "dopri8", "bosh3", "kvaerno5"), ("rodas3", "sdirk2", "bdf")
@@ -47,7 +46,7 @@ LIMITS = {"balanced": 3e-2, 1e-4: 3e-3}
 
 
 class Family(NamedTuple):
-    """A scene whose numbers are parameters, how they are drawn, and its end.
+    """A scene whose numbers are parameters, and how they are drawn.
 
     Attributes:
         scene: the mechanism; ``draw``: (random generator) -> its parameters of its own and the end [s].
@@ -57,8 +56,13 @@ class Family(NamedTuple):
     draw: Callable[[np.random.Generator], tuple[dict[str, float], float]]
 
 
-def _own(*names: str) -> list[tuple[Quantity, float]]:
-    return [(Quantity(name, "1", name), 0.0) for name in names]
+def _family(
+    draw: Callable[[np.random.Generator], tuple[dict[str, float], float]], name: str, bodies: list[Body],
+    contacts: list[Contact], forces: Sequence[Any] = (), apart: Sequence[str] = (),
+) -> Family:  # fmt: skip
+    """A family whose mechanism has the numbers that are drawn as its own, but for those ``apart``, which its loads have."""
+    own = [(Quantity(key, "1", key), 0.0) for key in draw(np.random.default_rng(0))[0] if key not in apart]
+    return Family(Mechanism(name, bodies, contacts, forces, own=own, given=HARD), draw)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -73,14 +77,18 @@ def _meeting(rng: np.random.Generator, radius: float) -> tuple[float, float]:
     return radius * _log(rng, 3.0, 1e3), _log(rng, 1e-2, 1e2)
 
 
+def _balls(name: str, first: str, second: str, radius: Any = "radius", **options: Any) -> Contact:
+    """The contact of two balls of one radius."""
+    sizes = {"radius_a": radius, "radius_b": radius}
+    return Contact(name, (first, second), gaps.SphereOnSphere(), values=sizes, **options)
+
+
 def two_balls() -> Family:
     """Two balls in space; the second may pass beside the first."""
-    names = ("ax", "ay", "vx", "vy", "ux", "radius")
     bodies = [
         Body("a", "particle", mass=0.1, start={"x": "ax", "y": "ay", "vx": "vx", "vy": "vy"}),
         Body("b", "particle", mass=0.2, start={"vx": "ux"}),
     ]
-    hit = Contact("hit", ("a", "b"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         radius = _log(rng, 1e-3, 1e-1)
@@ -92,7 +100,7 @@ def two_balls() -> Family:
             "ax": -far, "ay": aim, "vx": speed + drift, "vy": 0.0, "ux": drift, "radius": radius,
         }, time / way  # fmt: skip
 
-    return Family(Mechanism("two_balls", bodies, [hit], own=_own(*names), given=HARD), draw)
+    return _family(draw, "two_balls", bodies, [_balls("hit", "a", "b")])
 
 
 def in_mid_air() -> Family:
@@ -101,19 +109,14 @@ def in_mid_air() -> Family:
         Body("down", "particle", mass=0.05, start={"y": "height", "x": "aim"}),
         Body("up", "particle", mass=0.05, start={"vy": "speed"}),
     ]
-    hit = Contact("hit", ("down", "up"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         radius = _log(rng, 1e-3, 3e-2)
         height, speed = _meeting(rng, radius)
-        return {"height": height, "speed": speed, "radius": radius, "aim": rng.uniform(-1.8, 1.8) * radius}, min(
-            1.0, height / speed / rng.uniform(0.3, 0.9)
-        )
+        found = {"height": height, "speed": speed, "radius": radius, "aim": rng.uniform(-1.8, 1.8) * radius}
+        return found, min(1.0, height / speed / rng.uniform(0.3, 0.9))
 
-    return Family(
-        Mechanism("in_mid_air", bodies, [hit], [loads.Gravity("-y")], own=_own("height", "speed", "radius", "aim"), given=HARD),
-        draw,
-    )  # fmt: skip
+    return _family(draw, "in_mid_air", bodies, [_balls("hit", "down", "up")], [loads.Gravity("-y")])
 
 
 def row() -> Family:
@@ -123,10 +126,6 @@ def row() -> Family:
         Body(f"b{k}", "slide", axis="x", mass=0.1 * (1 + k % 2), start={"position": place} | (first if k == 0 else {}))
         for k, place in enumerate(places)
     ]
-    hits = [
-        Contact(f"hit{k}", (f"b{k}", f"b{k + 1}"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
-        for k in range(4)
-    ]  # fmt: skip
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         radius = _log(rng, 1e-3, 3e-2)
@@ -137,7 +136,7 @@ def row() -> Family:
             at += radius * (2.0 + _log(rng, 1.0, 300.0))
         return found | {"speed": speed, "radius": radius}, 1.5 * at / speed
 
-    return Family(Mechanism("row", bodies, hits, own=_own(*places, "speed", "radius"), given=HARD), draw)
+    return _family(draw, "row", bodies, [_balls(f"hit{k}", f"b{k}", f"b{k + 1}") for k in range(4)])
 
 
 def rolling() -> Family:
@@ -150,33 +149,18 @@ def rolling() -> Family:
         for name, start in (("a", {"x": "ax", "y": "aim", "vx": "speed", "wy": "spin"}), ("b", {}))
     ]
     table = {
-        "stiffness": stiff,
-        "exponent": 1.0,
-        "damping": 0.5,
-        "radius": radius,
-        "friction_dynamic": 0.2,
-        "friction_speed": 1e-2,
-    }
+        "stiffness": stiff, "exponent": 1.0, "damping": 0.5, "radius": radius, "friction_dynamic": 0.2, "friction_speed": 1e-2,
+    }  # fmt: skip
     felt = [
         Contact("felt_" + n, ("ground", n), gaps.SphereOnPlane("z"), friction="coulomb", values=table) for n in "ab"
     ]
-    hit = Contact("hit", ("a", "b"), gaps.SphereOnSphere(), values={"radius_a": radius, "radius_b": radius})
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         far, speed = radius * _log(rng, 3.0, 100.0), _log(rng, 3e-2, 10.0)
-        return {
-            "ax": -far,
-            "aim": rng.uniform(-1.2, 1.2) * radius,
-            "speed": speed,
-            "spin": speed / radius,
-        }, far / speed / rng.uniform(0.5, 0.9)
+        found = {"ax": -far, "aim": rng.uniform(-1.2, 1.2) * radius, "speed": speed, "spin": speed / radius}
+        return found, far / speed / rng.uniform(0.5, 0.9)
 
-    return Family(
-        Mechanism(
-            "rolling", bodies, [*felt, hit], [loads.Gravity("-z")], own=_own("ax", "aim", "speed", "spin"), given=HARD
-        ),
-        draw,
-    )
+    return _family(draw, "rolling", bodies, [*felt, _balls("hit", "a", "b", radius)], [loads.Gravity("-z")])
 
 
 def rotor() -> Family:
@@ -185,15 +169,13 @@ def rotor() -> Family:
         Body("rotor", "hinge", mass=1.0, inertia=1e-2, start={"speed": "spin"}),
         Body("ball", "particle", mass=0.01, start={"x": "bx", "y": "by"}),
     ]
-    hit = Contact("hit", ("rotor", "ball"), gaps.SphereOnSphere(), at=((0.2, 0, 0), (0, 0, 0)),
-                  values={"radius_a": 0.004, "radius_b": 0.004})  # fmt: skip
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         spin, angle, off = _log(rng, 1e-1, 1e3), rng.uniform(0.3, 6.0), rng.uniform(-0.0078, 0.0078)
         away = (0.2 + off) * np.exp(1j * angle)
         return {"spin": spin, "bx": away.real, "by": away.imag}, angle / spin / rng.uniform(0.3, 0.9)
 
-    return Family(Mechanism("rotor", bodies, [hit], own=_own("spin", "bx", "by"), given=HARD), draw)
+    return _family(draw, "rotor", bodies, [_balls("hit", "rotor", "ball", 0.004, at=((0.2, 0, 0), (0, 0, 0)))])
 
 
 def paddle() -> Family:
@@ -202,29 +184,30 @@ def paddle() -> Family:
         Body("paddle", "hinge", mass=1.0, inertia=1e-2, drive=Drive("constant", speed="spin")),
         Body("ball", "particle", mass=0.01, start={"x": "bx", "y": "by"}),
     ]
-    hit = Contact("hit", ("paddle", "ball"), gaps.PointOnPlane("y"))
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         spin, angle, arm = _log(rng, 1e-1, 1e3), rng.uniform(0.2, 1.5), _log(rng, 1e-2, 1.0)
-        return {"spin": spin, "bx": arm * np.cos(angle), "by": arm * np.sin(angle)}, angle / spin / rng.uniform(
-            0.3, 0.9
-        )
+        found = {"spin": spin, "bx": arm * np.cos(angle), "by": arm * np.sin(angle)}
+        return found, angle / spin / rng.uniform(0.3, 0.9)
 
-    return Family(Mechanism("paddle", bodies, [hit], own=_own("spin", "bx", "by"), given=HARD), draw)
+    return _family(draw, "paddle", bodies, [Contact("hit", ("paddle", "ball"), gaps.PointOnPlane("y"))])
+
+
+# A block that something drives, and a wall that it may reach.
+_BLOCK = Body("block", "slide", axis="x", mass=1.0)
+_WALL = Contact("wall", ("ground", "block"), gaps.PointOnPlane("-x"), at=(("far", 0, 0), (0, 0, 0)))
 
 
 def pulse() -> Family:
     """A pulse of a function of time drives a block; it may reach a wall."""
-    block = Body("block", "slide", axis="x", mass=1.0)
-    wall = Contact("wall", ("ground", "block"), gaps.PointOnPlane("-x"), at=(("far", 0, 0), (0, 0, 0)))
+    names = ("middle", "width", "peak")
 
     def push(t: Any, bodies: Any, p: Any) -> list[loads.Action]:
         inside = jnp.abs(t - p["middle"]) < 0.5 * p["width"]
         wave = jnp.where(inside, jnp.cos(jnp.pi * (t - p["middle"]) / p["width"]), 0.0)
         return [loads.Action("block", (p["peak"] * wave, 0.0, 0.0))]
 
-    known = [(Quantity(name, "1", name), 0.0) for name in ("middle", "width", "peak")]
-    load = loads.Load("pulse", push, ("block",), tuple(known))
+    load = loads.Load("pulse", push, ("block",), tuple((Quantity(name, "1", name), 0.0) for name in names))
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         end, middle = _log(rng, 1e-2, 1e2), rng.uniform(0.1, 0.6)
@@ -235,13 +218,11 @@ def pulse() -> Family:
             "middle": middle * end, "width": width * end, "peak": speed * np.pi / (2.0 * width * end), "far": far,
         }, end  # fmt: skip
 
-    return Family(Mechanism("pulse", [block], [wall], [load], own=_own("far"), given=HARD), draw)
+    return _family(draw, "pulse", [_BLOCK], [_WALL], [load], names)
 
 
 def table_pulse() -> Family:
     """A pulse of a table, 1e-5 to 1e-1 of the run, by a table of shares of the run."""
-    block = Body("block", "slide", axis="x", mass=1.0)
-    wall = Contact("wall", ("ground", "block"), gaps.PointOnPlane("-x"), at=(("far", 0, 0), (0, 0, 0)))
     knots, values = [0.0], [0.0]
     for k, width in enumerate((1e-5, 1e-4, 1e-3, 1e-2, 1e-1)):
         knots += [0.15 * (k + 1), 0.15 * (k + 1) + 0.5 * width, 0.15 * (k + 1) + width]
@@ -252,7 +233,7 @@ def table_pulse() -> Family:
         speed = _log(rng, 1e-2, 1e2)
         return {"speed": speed, "far": speed * rng.uniform(0.2, 3.0)}, 1.0
 
-    return Family(Mechanism("table_pulse", [block], [wall], [push], own=_own("far", "speed"), given=HARD), draw)
+    return _family(draw, "table_pulse", [_BLOCK], [_WALL], [push])
 
 
 def ram() -> Family:
@@ -271,13 +252,10 @@ def ram() -> Family:
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         end = _log(rng, 1e-1, 1e1)
-        return {
-            "middle": rng.uniform(0.2, 0.8) * end,
-            "width": _log(rng, 3e-3, 1e-1) * end,
-            "far": _log(rng, 1e-3, 1e-1),
-        }, end
+        middle, width = rng.uniform(0.2, 0.8) * end, _log(rng, 3e-3, 1e-1) * end
+        return {"middle": middle, "width": width, "far": _log(rng, 1e-3, 1e-1)}, end
 
-    return Family(Mechanism("ram", bodies, [hit], [spring], own=_own("middle", "width", "far"), given=HARD), draw)
+    return _family(draw, "ram", bodies, [hit], [spring])
 
 
 def stops() -> Family:
@@ -289,20 +267,15 @@ def stops() -> Family:
         speed, free = _log(rng, 1e-2, 1e2), _log(rng, 1e-3, 1.0)
         return {"speed": speed, "free": free}, rng.uniform(0.5, 7.0) * free / speed
 
-    return Family(Mechanism("stops", [body], [stop], own=_own("speed", "free"), given=HARD), draw)
+    return _family(draw, "stops", [body], [stop])
 
 
 def six() -> Family:
     """Six balls in a plane, all towards the middle."""
-    names = [f"{c}{k}" for k in range(6) for c in ("x", "y", "u", "v")]
     bodies = [
         Body(f"b{k}", "particle", mass=0.1, start={"x": f"x{k}", "y": f"y{k}", "vx": f"u{k}", "vy": f"v{k}"})
         for k in range(6)
     ]
-    hits = [
-        Contact(f"h{i}{k}", (f"b{i}", f"b{k}"), gaps.SphereOnSphere(), values={"radius_a": "radius", "radius_b": "radius"})
-        for i in range(6) for k in range(i + 1, 6)
-    ]  # fmt: skip
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         radius = _log(rng, 1e-3, 3e-2)
@@ -315,7 +288,7 @@ def six() -> Family:
             found |= {f"x{k}": away.real, f"y{k}": away.imag, f"u{k}": way.real, f"v{k}": way.imag}
         return found, 1.15 * far / speed
 
-    return Family(Mechanism("six", bodies, hits, own=_own(*names, "radius"), given=HARD), draw)
+    return _family(draw, "six", bodies, [_balls(f"h{i}{k}", f"b{i}", f"b{k}") for i, k in combinations(range(6), 2)])
 
 
 def spun() -> Family:
@@ -325,22 +298,18 @@ def spun() -> Family:
         Body("ball", "particle", mass=0.2),
     ]
     hits = [
-        Contact(f"end_{side}", ("bar", "ball"), gaps.SphereOnSphere(), at=((0.0, y, 0.0), (0.0, 0.0, 0.0)),
-                values={"radius_a": 0.01, "radius_b": 0.01})
+        _balls(f"end_{side}", "bar", "ball", 0.01, at=((0.0, y, 0.0), (0.0, 0.0, 0.0)))
         for side, y in (("a", 0.03), ("b", -0.03))
-    ]  # fmt: skip
+    ]
 
     def draw(rng: np.random.Generator) -> tuple[dict[str, float], float]:
         far, speed = 0.03 * _log(rng, 3.0, 100.0), _log(rng, 1e-2, 1e2)
         turns = rng.uniform(-20.0, 20.0) * speed / far
         return {
-            "ax": -far,
-            "speed": speed,
-            "spin": turns,
-            "tumble": rng.uniform(-5.0, 5.0) * speed / far,
-        }, 1.6 * far / speed
+            "ax": -far, "speed": speed, "spin": turns, "tumble": rng.uniform(-5.0, 5.0) * speed / far,
+        }, 1.6 * far / speed  # fmt: skip
 
-    return Family(Mechanism("spun", bodies, hits, own=_own("ax", "speed", "spin", "tumble"), given=HARD), draw)
+    return _family(draw, "spun", bodies, hits)
 
 
 FAMILIES: dict[str, Callable[[], Family]] = {
@@ -364,27 +333,23 @@ class _Before(Mechanism):
 
 def table() -> str:
     """By solver and accuracy: runs, and in how many of them a contact was missed or a velocity was off."""
-    rows = [["solver, accuracy", "runs", "a contact missed", "velocities off", "failed", "the same before"]]
-    totals: dict[str, dict[str, float]] = {}
-    before: dict[str, float] = {}
-    for name, into in (("stepped_over", totals), ("stepped_over_before", None)):
+    totals: dict[str, Counter[str]] = {}
+    before: dict[str, Counter[str]] = {}
+    for name, into in (("stepped_over", totals), ("stepped_over_before", before)):
         for family in load(name)["families"].values():
             for solver, counts in family["solvers"].items():
-                if into is None:
-                    wrong = max(counts["contact missed"], counts["velocity off"])
-                    before[solver] = before.get(solver, 0) + wrong
-                    before[f"{solver} runs"] = before.get(f"{solver} runs", 0) + counts["runs"]
-                    continue
-                sums = into.setdefault(solver, dict.fromkeys(counts, 0))
-                for key, value in counts.items():
-                    sums[key] = max(sums[key], value) if key == "worst" else sums[key] + value
-    for solver, sums in totals.items():
-        told = f"{before[solver]} of {before[f'{solver} runs']} wrong" if solver in before else ""
-        missed = "not looked at" if solver.startswith("bdf") else f"{sums['contact missed']}"
-        rows.append(
-            [solver.replace(" ", ", "), f"{sums['runs']}", missed, f"{sums['velocity off']}", f"{sums['failed']}", told]
-        )
-    return markdown(rows)
+                wrong = {"wrong": max(counts["contact missed"], counts["velocity off"])}
+                into.setdefault(solver, Counter()).update({**counts, **wrong})
+
+    def wrong_before(solver: str) -> str:
+        return f"{before[solver]['wrong']} of {before[solver]['runs']} wrong" if solver in before else ""
+
+    return harness.table({
+        "solver, accuracy": lambda one: one[0].replace(" ", ", "), "runs": lambda one: one[1]["runs"],
+        "a contact missed": lambda one: "not looked at" if one[0].startswith("bdf") else one[1]["contact missed"],
+        "velocities off": lambda one: one[1]["velocity off"], "failed": lambda one: one[1]["failed"],
+        "the same before": lambda one: wrong_before(one[0]),
+    }, totals.items())  # fmt: skip
 
 
 def _program(scene: Mechanism, how: Plan) -> Callable[..., Any]:
@@ -432,15 +397,8 @@ def judged(name: str, draws: int, solvers: Sequence[str], before: bool = False, 
             how = Plan(jnp.zeros(()), 400_000, solver=solver, extremes=looked)
             program = _program(scene, how)
             tolerance = plan(scene, accuracy, solver=solver).tolerance
-            counts = {
-                "runs": 0,
-                "failed": 0,
-                "contact missed": 0,
-                "count off": 0,
-                "velocity off": 0,
-                "worst": 0.0,
-                "steps": 0,
-            }
+            names = ("runs", "failed", "contact missed", "count off", "velocity off", "worst", "steps")
+            counts = dict.fromkeys(names, 0) | {"worst": 0.0}
             for (values, end), truth, sure in zip(cases, references, certain, strict=True):
                 if not sure:
                     continue
@@ -466,26 +424,19 @@ def _off(found: Any, truth: Any) -> float:
 
 def main() -> None:
     """Run the families and keep the result."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=250)
-    parser.add_argument("--only", nargs="*", default=list(FAMILIES))
-    parser.add_argument("--solvers", nargs="*", default=[*EXPLICIT, *IMPLICIT])
-    parser.add_argument("--before", action="store_true")
-    parser.add_argument("--name", default="")
-    parser.add_argument("what", nargs="?", choices=["run", "page"], default="run")
-    options = parser.parse_args()
-    name = options.name or ("stepped_over_before" if options.before else "stepped_over")
-    if options.what == "page":
-        put_in_readme("stepped_over", table(), "docs/theory/steps.md")
+    given = options(
+        __doc__, {"what": "run"}, draws=250, only=FAMILIES, solvers=[*EXPLICIT, *IMPLICIT], before=False, name=""
+    )
+    if given.what == "page":
+        publish("stepped_over", table(), "docs/theory/steps.md")
         return
+    name = given.name or ("stepped_over_before" if given.before else "stepped_over")
     # Runs of several calls add up in one file.
-    path = RESULTS / f"{name}.json"
-    found = load(name)["families"] if path.exists() else {}
-    for family in options.only:
-        new = judged(family, options.draws, options.solvers, options.before)
-        print(family, new["not judged"], "of", options.draws, "not judged", flush=True)
-        for solver, counts in new["solvers"].items():
-            print("   ", solver, counts, flush=True)
+    found = known(name).get("families", {})
+    for family in given.only:
+        new = judged(family, given.draws, given.solvers, given.before)
+        print(family, new["not judged"], "of", given.draws, "not judged", flush=True)
+        print(*(f"    {solver} {counts}" for solver, counts in new["solvers"].items()), sep="\n", flush=True)
         found[family] = {**new, "solvers": found.get(family, {}).get("solvers", {}) | new["solvers"]}
         save(name, {"families": found})
         jax.clear_caches()

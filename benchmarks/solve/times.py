@@ -4,28 +4,26 @@ Three situations, each in fresh processes: nothing cached; the persistent cache 
 second call with new parameter values. Medians of several repetitions.
 
     python -m benchmarks.solve.times            measures, keeps benchmarks/results/times.json, and docs/accuracy.md
-    python -m benchmarks.solve.times --worker   (internal) one process
 """
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from typing import Any
 
-from benchmarks.common import ROOT, load, markdown, put_in_readme, save
+from benchmarks.clock import clocked
+from benchmarks.common import ROOT, load, markdown, publish, save
+from benchmarks.processes import call
 
 PROCESSES, WARM_CALLS = 3, 20
 
 
-def worker() -> None:
+def worker() -> dict[str, float]:
+    """One process."""
     begin = time.perf_counter()
-    os.environ["EQX_ON_ERROR"] = "nan"
     import jax
 
     jax.config.update("jax_compilation_cache_dir", os.environ["BCFJ_CACHE"])
@@ -41,33 +39,13 @@ def worker() -> None:
     runs = []
     for k in range(WARM_CALLS):
         params = {**file.params, "stiffness": file.params["stiffness"] * (1.0 + 1e-3 * (k + 1))}
-        again = bj.simulate(file.scene, params, file.times, accuracy=file.accuracy)
-        runs.append(again.stats["wall_s"])
+        runs.append(bj.simulate(file.scene, params, file.times, accuracy=file.accuracy).stats["wall_s"])
     problem = calibration.load(ROOT / "examples" / "chung_ooi_fit.toml")
-    start = time.perf_counter()
-    calibration.fit(problem, seed=0)
-    fitted = time.perf_counter()
-    refits = []
-    for seed in (1, 2, 3):
-        begin_fit = time.perf_counter()
-        calibration.fit(problem, seed=seed)
-        refits.append(time.perf_counter() - begin_fit)
-    result = {
-        "import_s": imported - begin,
-        "load_s": loaded - imported,
-        "simulate_compile_s": first.stats["compile_s"],
-        "simulate_run_s": statistics.median(runs),
-        "fit_first_s": fitted - start,
-        "fit_again_s": statistics.median(refits),
-    }
-    print(json.dumps(result))
-
-
-def one_process(cache: str) -> dict[str, Any]:
-    environment = {**os.environ, "BCFJ_CACHE": cache}
-    command = [sys.executable, __file__, "--worker"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd=ROOT)
-    return json.loads(done.stdout.splitlines()[-1])
+    fits = [clocked(lambda seed=seed: calibration.fit(problem, seed=seed))[1]["wall_s"] for seed in range(4)]
+    return {
+        "import_s": imported - begin, "load_s": loaded - imported, "simulate_compile_s": first.stats["compile_s"],
+        "simulate_run_s": statistics.median(runs), "fit_first_s": fits[0], "fit_again_s": statistics.median(fits[1:]),
+    }  # fmt: skip
 
 
 def median(rows: list[dict[str, float]]) -> dict[str, float]:
@@ -91,12 +69,11 @@ def main() -> None:
     cold, cached = [], []
     for _ in range(PROCESSES):
         with tempfile.TemporaryDirectory() as cache:
-            cold.append(one_process(cache))
-            cached.append(one_process(cache))
+            for rows in (cold, cached):
+                rows.append(call(__file__, "worker", variables={"BCFJ_CACHE": cache, "EQX_ON_ERROR": "nan"}))
     save("times", {"cold": median(cold), "cached": median(cached), "processes": PROCESSES})
-    put_in_readme("times", table(load("times")), "docs/accuracy.md")
-    print(table(load("times")))
+    publish("times", table(load("times")), "docs/accuracy.md")
 
 
 if __name__ == "__main__":
-    worker() if "--worker" in sys.argv else main()
+    main()

@@ -8,21 +8,19 @@ once more in one process.
 
     python -m benchmarks.solve.waiting [--processes 5] [--only NAME,...]    keeps benchmarks/results/waiting.json
     python -m benchmarks.solve.waiting --before OTHER [--only ...]          one process each of an older checkout, beside it
-    python benchmarks/solve/waiting.py --worker WORDS                       (internal) one process, its stages to stderr
 """
 
 from __future__ import annotations
 
-import argparse
 import builtins
 import contextlib
-import json
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +119,9 @@ _EVENTS = {
 }
 
 
-def worker(words: list[str]) -> None:
-    """The command or script in this process; where its time went, as JSON, to stderr."""
+def worker(words: list[str], folder: str) -> dict[str, float]:
+    """The command or script in this process, and where its time went."""
+    os.chdir(folder)
     begin, depth = time.perf_counter(), [0]
     spent: dict[str, float] = dict.fromkeys(STAGES, 0.0)
     plain = builtins.__import__
@@ -172,22 +171,25 @@ def worker(words: list[str]) -> None:
             main()
     whole = time.perf_counter() - begin
     spent["rest"] = max(whole - sum(spent.values()), 0.0)
-    print(json.dumps(spent), file=sys.stderr)
+    return spent
 
 
-def process(words: list[str] | str, cache: Path, worker: bool = False, checkout: Path = ROOT) -> tuple[float, str]:
-    """Seconds of one whole process, and what it printed: a script on stdout, a worker its stages on stderr."""
-    given = ["-c", words] if isinstance(words, str) else words
-    inner = [str(Path(__file__).resolve()), "--worker"] if worker else ["-m", "bcfj_jax"] if given == words else []
+def prepared(folder: Path) -> None:
+    """The files that commands and scripts name."""
+    (folder / "study.toml").write_text(_STUDY)
+    joint_problem(folder)
+
+
+def process(words: list[str] | str, cache: Path, checkout: Path = ROOT) -> tuple[float, str]:
+    """Seconds of one whole process, and what it printed."""
+    from benchmarks.processes import done, environment
+
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "study.toml").write_text(_STUDY)
-        if "joint.toml" in given or words == _COMPUTING["fit"]:
-            joint_problem(Path(folder))
-        surroundings = {**os.environ, "BCFJ_CACHE": str(cache), "PYTHONPATH": str(checkout), "EQX_ON_ERROR": "nan"}
-        command = [sys.executable, *inner, *given]
-        begin = time.perf_counter()
-        done = subprocess.run(command, env=surroundings, cwd=folder, capture_output=True, text=True)
-        return time.perf_counter() - begin, done.stderr if worker else done.stdout
+        prepared(Path(folder))
+        inner = ["-c", words] if isinstance(words, str) else ["-m", "bcfj_jax", *words]
+        surroundings = environment({"BCFJ_CACHE": str(cache), "EQX_ON_ERROR": "nan"}, checkout)
+        ran = done([sys.executable, *inner], Path(folder), surroundings)
+        return ran.wall_s, ran.out
 
 
 def joint_problem(folder: Path) -> None:
@@ -212,8 +214,14 @@ def joint_problem(folder: Path) -> None:
 
 def stages_of(words: list[str] | str, cache: Path, checkout: Path = ROOT) -> dict[str, float]:
     """Stages of one process; none of one whose budget ended it while something computed."""
-    *_, last = process(words, cache, True, checkout)[1].splitlines() or [""]
-    return json.loads(last) if last.startswith("{") else {}
+    from benchmarks.processes import call
+
+    given = ["-c", words] if isinstance(words, str) else words
+    with tempfile.TemporaryDirectory() as folder, contextlib.suppress(SystemExit, ValueError, IndexError):
+        prepared(Path(folder))
+        variables = {"BCFJ_CACHE": str(cache), "EQX_ON_ERROR": "nan"}
+        return call(__file__, "worker", given, folder, variables=variables, checkout=checkout)
+    return {}
 
 
 def importing() -> float:
@@ -222,92 +230,74 @@ def importing() -> float:
     return time.perf_counter() - begin
 
 
+def both(of: Callable[[Path], Any]) -> dict[str, Any]:
+    """What is found of a process with nothing kept, and of the next one."""
+    with tempfile.TemporaryDirectory() as folder:
+        return {kind: of(Path(folder)) for kind in ("cold", "warm")}
+
+
 def measured(words: list[str] | str, count: int) -> dict[str, Any]:
     """Seconds cold and warm, the import beside them, and the stages of one process of each kind."""
-    row: dict[str, list[float]] = {"cold": [], "warm": [], "import": []}
-    stages = {}
-    for k in range(count):
-        with tempfile.TemporaryDirectory() as folder:
-            cache = Path(folder)
-            row["cold"].append(process(words, cache)[0])
-            row["import"].append(importing())
-            row["warm"].append(process(words, cache)[0])
-            if k == count - 1:
-                stages["warm"] = stages_of(words, cache)
-                with tempfile.TemporaryDirectory() as other:
-                    stages["cold"] = stages_of(words, Path(other))
+    rows = [both(lambda cache: process(words, cache)[0]) | {"import": importing()} for _ in range(count)]
+    row = {name: [one[name] for one in rows] for name in rows[0]}
+    stages = both(lambda cache: stages_of(words, cache))
     return {name: statistics.median(values) for name, values in row.items()} | {"all": row, "stages": stages}
 
 
 def before(words: list[str] | str, checkout: Path) -> dict[str, Any]:
     """Seconds of one process, cold and warm, of an older checkout, and where they went."""
-    row: dict[str, Any] = {"stages": {}}
-    with tempfile.TemporaryDirectory() as folder:
-        for kind in ("cold", "warm"):
-            row[kind] = process(words, Path(folder), False, checkout)[0]
-    with tempfile.TemporaryDirectory() as folder:
-        for kind in ("cold", "warm"):
-            row["stages"][kind] = stages_of(words, Path(folder), checkout)
-    return row
+    stages = both(lambda cache: stages_of(words, cache, checkout))
+    return {**both(lambda cache: process(words, cache, checkout)[0]), "stages": stages}
 
 
 def table(result: dict[str, Any]) -> str:
     """Seconds, goals, and the ratio of the warm process to the import."""
-    rows = [["`bcfj ...`, or a script", "before: cold", "warm", "cold", "goal", "warm", "goal", "warm over import"]]
-    for name, row in result["commands"].items():
-        goals = [f"{goal:g} s" if goal else "" for goal in COMMANDS[name][1:]]
-        if "computing" in row:
-            goals[1] = f"{row['computing'] + BEYOND[name][1]:.1f} s"
-        rows.append(
-            [
-                f"`{name}`",
-                *(f"{row['before'][kind]:.1f} s" if "before" in row else "" for kind in ("cold", "warm")),
-                f"{row['cold']:.2f} s",
-                goals[0],
-                f"{row['warm']:.2f} s",
-                goals[1],
-                f"{row['warm'] / row['import']:.2f}",
-            ]
-        )
-    from benchmarks.common import markdown
+    from benchmarks.common import table
 
-    return markdown(rows)
+    def goal(row: dict[str, Any], kind: int) -> str:
+        given = COMMANDS[row["name"]][kind]
+        if kind == 2 and "computing" in row:
+            return f"{row['computing'] + BEYOND[row['name']][1]:.1f} s"
+        return f"{given:g} s" if given else ""
+
+    def old(kind: str) -> Callable[[dict[str, Any]], str]:
+        return lambda row: f"{row['before'][kind]:.1f} s" if "before" in row else ""
+
+    columns = [
+        ("`bcfj ...`, or a script", "`{name}`"), ("before: cold", old("cold")), ("warm", old("warm")), ("cold", "{cold:.2f} s"),
+        ("goal", lambda row: goal(row, 1)), ("warm", "{warm:.2f} s"), ("goal", lambda row: goal(row, 2)),
+        ("warm over import", lambda row: f"{row['warm'] / row['import']:.2f}"),
+    ]  # fmt: skip
+    return table(columns, ({"name": name, **row} for name, row in result["commands"].items()))
 
 
 def where(result: dict[str, Any]) -> str:
     """Where the seconds go."""
+    from benchmarks.common import markdown
+
     rows = [["`bcfj ...`, or a script", "", *STAGES]]
     for name, row in result["commands"].items():
         for kind in ("cold", "warm"):
-            if "before" in row:
-                old = row["before"]["stages"][kind]
-                rows.append([f"`{name}`", f"before, {kind}", *(f"{old.get(stage, 0.0):.2f}" for stage in STAGES)])
-            if row["stages"][kind]:
-                rows.append([f"`{name}`", kind, *(f"{row['stages'][kind][stage]:.2f}" for stage in STAGES)])
-    from benchmarks.common import markdown
-
+            sides = {f"before, {kind}": row["before"]["stages"][kind]} if "before" in row else {}
+            sides |= {kind: row["stages"][kind]} if row["stages"][kind] else {}
+            rows += [[f"`{name}`", k, *(f"{s.get(stage, 0.0):.2f}" for stage in STAGES)] for k, s in sides.items()]
     return markdown(rows)
 
 
 def main() -> None:
-    from benchmarks.common import RESULTS, load, put_in_readme, save
+    # A worker has the package of its checkout, whose benchmarks may be others.
+    from benchmarks.common import known, options, publish, save
 
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--processes", type=int, default=5)
-    parser.add_argument("--only", default="")
-    parser.add_argument("--before", type=Path)
-    given = parser.parse_args()
-    wanted = [name for name in given.only.split(",") if name] or list(COMMANDS)
+    given = options(__doc__, processes=5, only="", before=Path)
     result: dict[str, Any] = {}
-    kept = load("waiting")["commands"] if (RESULTS / "waiting.json").exists() else {}
-    for name in wanted:
+    kept = known("waiting").get("commands", {})
+    for name in [name for name in given.only.split(",") if name] or COMMANDS:
         old = kept.get(name, {})
         if given.before:
             kept[name] = {**old, "before": before(COMMANDS[name][0], given.before.resolve())}
         else:
             kept[name] = measured(COMMANDS[name][0], given.processes)
-            if "before" in old:
-                kept[name]["before"] = old["before"]
+            kept[name] |= {"before": old["before"]} if "before" in old else {}
             if name in BEYOND:
                 with tempfile.TemporaryDirectory() as folder:
                     text = process(_COMPUTING[BEYOND[name][0]], Path(folder))[1]
@@ -316,13 +306,9 @@ def main() -> None:
         result = {"commands": {name: kept[name] for name in COMMANDS if "cold" in kept.get(name, {})}}
         # What was measured is kept, whatever comes after it.
         save("waiting", result)
-    put_in_readme("waiting", table(result), "docs/waiting.md")
-    put_in_readme("stages", where(result), "docs/waiting.md")
-    print(table(result), where(result), sep="\n\n")
+    publish("waiting", table(result), "docs/waiting.md")
+    publish("stages", where(result), "docs/waiting.md")
 
 
 if __name__ == "__main__":
-    if "--worker" in sys.argv:
-        worker(sys.argv[sys.argv.index("--worker") + 1 :])
-    else:
-        main()
+    main()

@@ -8,10 +8,9 @@ import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 from bcfj_jax.analysis import export as leaving
-from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError
 
 SCENE = """[scene]
@@ -88,14 +87,14 @@ def test_the_command_writes_a_file_from_a_fits_folder_and_replaces_none(tmp_path
     (tmp_path / "fitted_scene.toml").write_text(scene(tmp_path).read_text())
     (tmp_path / "fit.json").write_text("{}")
     words = ["export", str(tmp_path / "fit.json"), "--to", "adams", "--out", str(tmp_path / "out"), "--json"]
-    done = CliRunner().invoke(app, words)
+    done = bcfj(*words)
     assert done.exit_code == 0, done.stderr
     said = json.loads(done.stdout)["result"]
     assert (
         said["terms"]["k"] == 1e9
         and "IMPACT(DZ(2, 1), VZ(2, 1), 0.0, 1000000000," in (tmp_path / "out/drop.adm").read_text()
     )
-    assert CliRunner().invoke(app, words).exit_code == 2
+    assert bcfj(*words).exit_code == 2
 
 
 def _file(tmp_path, tool, **scene_of):

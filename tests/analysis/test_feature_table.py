@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import features
@@ -19,7 +19,6 @@ from bcfj_jax.analysis.derivatives.names import feature, feature_unit, smooth
 from bcfj_jax.analysis.features import EVENTS, KINDS, Kind
 from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import from_table
-from bcfj_jax.cli import app
 from bcfj_jax.core.dual import backend
 from calibration import Experiment, Free, Observation, Problem
 from calibration.forward import model
@@ -132,7 +131,7 @@ def test_the_shortest_contact_of_a_design_has_the_stiffest_spring():
 @pytest.mark.slow
 def test_commands_show_a_duration(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app, ["simulate", "impact", "--out", "run"])
+    done = bcfj("simulate", "impact", "--out", "run")
     assert done.exit_code == 0, done.stderr
     told = json.loads(Path("run/summary.json").read_text())
     one = told["contacts"]["contact"]
@@ -140,7 +139,7 @@ def test_commands_show_a_duration(tmp_path, monkeypatch):
     assert one["duration"] == pytest.approx(one["contact_end"] - one["contact_start"], rel=1e-9)
     assert "duration" in done.stdout and "duration" in Path("run/report.html").read_text()
     asked = ["sensitivity", "impact", "--wrt", "stiffness", "--features", ",".join(NAMES), "--out", "by"]
-    done = CliRunner().invoke(app, asked)
+    done = bcfj(*asked)
     assert done.exit_code == 0, done.stderr
     told = json.loads(Path("by/certificate.json").read_text())["features"]
     assert [told[name]["unit"] for name in NAMES] == ["s", "s"] and all(name in done.stdout for name in NAMES)

@@ -6,12 +6,11 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 import bcfj_jax as bj
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.plausibility import PENETRATION, PRESSURE
-from bcfj_jax.cli import app
 
 TIMES = np.linspace(0.0, 2e-4, 401)
 MODULUS = 1.15e11
@@ -127,7 +126,7 @@ def folder(tmp_path_factory):
 
 
 def run(*arguments: str):
-    return CliRunner().invoke(app, list(arguments))
+    return bcfj(*list(arguments))
 
 
 def test_simulate_says_it_first(folder):

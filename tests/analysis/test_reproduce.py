@@ -6,12 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from joints import plain_joint
 from pages import check
-from typer.testing import CliRunner
 
-from bcfj_jax.cli import app
 from bcfj_jax.reproduction import command, fit, frames, sudden, tables
 from bcfj_jax.reproduction.claims import CLAIMS, FIGURE, INPUT, STATEMENT, claim
 from bcfj_jax.reproduction.fit import TARGETS, instants, peaks, still_scene, tied
@@ -286,7 +285,7 @@ def test_command(tmp_path, monkeypatch):
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
     whole = command.run
     monkeypatch.setattr(command, "run", lambda out, say: whole(out, say, end=1.9))
-    done = CliRunner().invoke(app, ["reproduce", "--out", "out"])
+    done = bcfj("reproduce", "--out", "out")
     assert done.exit_code == 0, done.output
     # The run ends before the second window of the fit does.
     assert {p.name for p in (tmp_path / "out").iterdir()} == set(command.FILES) - {"no_clearance_fit.png"}
@@ -307,5 +306,5 @@ def test_command(tmp_path, monkeypatch):
     check(tmp_path / "out/report.html")
     page = (tmp_path / "out/report.html").read_text()
     assert page.index("claims with a number") < page.index("Q20") and "http" not in page.split("<body>")[1][:2000]
-    again = CliRunner().invoke(app, ["reproduce", "--out", "out"])
+    again = bcfj("reproduce", "--out", "out")
     assert again.exit_code == 2

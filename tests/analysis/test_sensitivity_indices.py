@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import bcfj
 from studies import IMPACT, ishigami, peak_variances
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.studies import sensitivity
 from bcfj_jax.analysis.studies.finished import Finished, read
 from bcfj_jax.analysis.studies.specification import from_table
-from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError
 
 pytest.importorskip("SALib", reason="the extra study is not installed")
@@ -147,10 +146,6 @@ def test_elementary_effects_of_the_impacts_peak_are_in_order(here):
     assert np.argsort(found.values["mu_star"]).tolist() == np.argsort(c).tolist()
     # Every one of them pushes the peak up.
     np.testing.assert_array_equal(found.values["mu"], found.values["mu_star"])
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def test_on_the_command_line(here):

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import bcfj
 from pages import check
 from studies import STUDY
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax import InputError
@@ -21,14 +21,9 @@ from bcfj_jax.analysis.studies.block import Blocks
 from bcfj_jax.analysis.studies.finished import read
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import Store
-from bcfj_jax.cli import app
 
 pytest.importorskip("pyarrow", reason="the extra study is not installed")
 filelock = pytest.importorskip("filelock", reason="the extra study is not installed")
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def digest(path: Path) -> str:

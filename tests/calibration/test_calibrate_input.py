@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from commands import bcfj
 from problems import FORCES, FREE, TIMES, drop, lines, swap
-from typer.testing import CliRunner
 
 from bcfj_jax import InputError
-from bcfj_jax.cli import app
 from calibration import command
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -19,7 +18,7 @@ def refused(*parts: str, outs=((), ("--out", "out"))) -> None:
     """The command refuses with these words, on stderr, with exit code 2, and leaves the folder as it was."""
     before = {p: p.read_bytes() for p in Path(".").rglob("*") if p.is_file()}
     for out in outs:
-        done = CliRunner().invoke(app, ["calibrate", "p.toml", "--starts", "4", *out])
+        done = bcfj("calibrate", "p.toml", "--starts", "4", *out)
         assert done.exit_code == 2, done.exception
         assert done.stdout == ""
         for part in parts:
@@ -216,5 +215,5 @@ def test_a_parameter_that_moves_nothing_is_refused(here):
 
 
 def test_fewer_than_four_starts_are_refused_with_the_help(here):
-    done = CliRunner().invoke(app, ["calibrate", "p.toml", "--starts", "3"])
+    done = bcfj("calibrate", "p.toml", "--starts", "3")
     assert done.exit_code == 2 and "--starts" in done.output

@@ -11,14 +11,13 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from oracles import family
 from scipy.integrate import solve_ivp
 from scipy.stats import t as student
-from typer.testing import CliRunner
 
 from bcfj_jax import scenes
-from bcfj_jax.cli import app
 from benchmarks.calibration import trap
 from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.forward import model
@@ -254,7 +253,7 @@ def test_all_starts_failed_exits_3(monkeypatch, tmp_path):
     text = text[: text.index("exponent =")].replace('"chung', f'"{EXAMPLES.as_posix()}/chung')
     (tmp_path / "p.toml").write_text(text)
     out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["calibrate", str(tmp_path / "p.toml"), "--out", str(out), "--starts", "4"])
+    done = bcfj("calibrate", tmp_path / "p.toml", "--out", out, "--starts", "4")
     assert done.exit_code == 3, done.stderr
     assert "none of 32 starting points simulates" in done.stderr
     assert not out.exists()

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import bcfj
 from scipy.integrate import solve_ivp
 from test_records import MASS, SPEED, TRUTH, drop, impact, law, table
-from typer.testing import CliRunner
 
 from bcfj_jax import InputError
-from bcfj_jax.cli import app
 from calibration import load
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -23,7 +22,7 @@ PLACE, RATE, ACCELERATION, PUSH = impact(TIMES - 21.3e-3)
 
 
 def init(*arguments: str):
-    return CliRunner().invoke(app, ["init", "calibration", *arguments])
+    return bcfj("init", "calibration", *arguments)
 
 
 def written(record: str, *options: str) -> dict:
@@ -73,9 +72,9 @@ def test_nothing_is_overwritten_and_nothing_else_is_taken(here):
     written("drop.csv")
     again = init("drop.csv")
     assert again.exit_code == 2 and "already holds drop.toml" in again.output
-    assert CliRunner().invoke(app, ["init", "impact", "drop.csv"]).exit_code == 2
-    assert CliRunner().invoke(app, ["init", "calibration"]).exit_code == 2
-    assert CliRunner().invoke(app, ["init", "impact"]).exit_code == 0 and Path("impact.toml").exists()
+    assert bcfj("init", "impact", "drop.csv").exit_code == 2
+    assert bcfj("init", "calibration").exit_code == 2
+    assert bcfj("init", "impact").exit_code == 0 and Path("impact.toml").exists()
 
 
 def test_what_a_force_alone_cannot_tell_is_asked_for(here):
@@ -83,7 +82,7 @@ def test_what_a_force_alone_cannot_tell_is_asked_for(here):
     found = written("f.csv")
     assert found["experiment"][0]["parameters"] == {"mass": "? kg"}
     assert found["experiment"][0]["observe"] == {"contact.normal": "-load [kN]"}
-    done = CliRunner().invoke(app, ["calibrate", "f.toml", "--out", "fit"])
+    done = bcfj("calibrate", "f.toml", "--out", "fit")
     assert done.exit_code == 2 and "[[experiment]] 1 parameters.mass" in done.output and "give a mass" in done.output
     Path("f.toml").unlink()
     known = written("f.csv", "--mass", "0.4 kg")["free"]["approach_speed"]
@@ -200,10 +199,10 @@ def test_the_file_calibrates_at_once(here):
     question = '# parameters.struck_mass = "fixed"'
     assert Path("drop.toml").read_text().count(question) == 1
     command = ["calibrate", "drop.toml", "--starts", "4", "--out"]
-    asked = CliRunner().invoke(app, [*command, "asked"])
+    asked = bcfj(*command, "asked")
     assert asked.exit_code == 4 and "verdict: not_identified" in asked.stdout, asked.output
     Path("drop.toml").write_text(Path("drop.toml").read_text().replace(question, question[2:]))
-    done = CliRunner().invoke(app, [*command, "fit"])
+    done = bcfj(*command, "fit")
     assert done.exit_code == 0, done.output
     assert "verdict: identified" in done.stdout
     open_, known = (json.loads(Path(f"{name}/fit.json").read_text()) for name in ("asked", "fit"))
@@ -239,7 +238,7 @@ def test_a_german_lab_file_is_understood_and_what_it_lacks_is_asked_for(here):
         assert said in done.output
     text = Path("lab_drop.toml").read_text(encoding="utf-8")
     Path("lab_drop.toml").write_text(text.replace("? kg", "0,5 kg"), encoding="utf-8")
-    done = CliRunner().invoke(app, ["calibrate", "lab_drop.toml"])
+    done = bcfj("calibrate", "lab_drop.toml")
     assert done.exit_code == 2 and 'write "0.5 kg"' in done.output
 
 
@@ -247,7 +246,7 @@ def test_a_german_lab_file_is_understood_and_what_it_lacks_is_asked_for(here):
 def test_a_german_lab_file_goes_to_a_verdict_in_two_commands(here):
     Path("lab_drop.csv").write_bytes(LAB.read_bytes())
     assert init("lab_drop.csv", "--mass", "0.5 kg").exit_code == 0
-    done = CliRunner().invoke(app, ["calibrate", "lab_drop.toml", "--starts", "4", "--out", "fit"])
+    done = bcfj("calibrate", "lab_drop.toml", "--starts", "4", "--out", "fit")
     assert done.exit_code == 0, done.output
     assert "verdict: identified" in done.stdout
     found = json.loads(Path("fit/fit.json").read_text(encoding="utf-8"))["parameters"]

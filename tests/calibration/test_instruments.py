@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 from bcfj_jax import InputError
-from bcfj_jax.cli import app
 from bcfj_jax.data import clock
 from bcfj_jax.data.reading import read
 from bcfj_jax.data.sensitivity import Sensitivities
@@ -188,9 +187,7 @@ def _two_sensors(path):
 
 
 def _init(path, *options):
-    return CliRunner().invoke(
-        app, ["init", "calibration", str(path), "--out", str(path.with_suffix(".toml")), *options]
-    )
+    return bcfj("init", "calibration", path, "--out", path.with_suffix(".toml"), *options)
 
 
 @pytest.mark.parametrize(("sensor", "share"), [("A", 1.0), ("B", 0.5)])

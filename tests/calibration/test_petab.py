@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 from bcfj_jax import InputError
-from bcfj_jax.cli import app
 from bcfj_jax.io import scenefile
 from calibration import problemfile
 from calibration.filters import Filter
@@ -211,7 +210,7 @@ def test_the_command_writes_what_the_problem_file_says(tmp_path, monkeypatch):
         'scene = "impact"\n[[experiment]]\nfile = "d.csv"\ntime = "time"\nobserve = { "contact.normal" = "force" }\n'
         'noise = "2 %"\n[free.stiffness]\nlower = 1e8\nupper = 1e12\n[free.force_offset]\nlower = -1\nupper = 1\n'
     )
-    done = CliRunner().invoke(app, ["calibrate", "p.toml", "--export-petab", "out"])
+    done = bcfj("calibrate", "p.toml", "--export-petab", "out")
     assert (done.exit_code, done.stdout.strip()) == (0, "out/problem.yaml")
     same(problemfile.load("p.toml"), load("out/problem.yaml"))
 

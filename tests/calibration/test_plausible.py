@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import bcfj
 from scipy.integrate import solve_ivp
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax import InputError
-from bcfj_jax.cli import app
 from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.command import text
 from calibration.diagnostics.signatures import weight
@@ -280,7 +279,7 @@ def test_init_takes_no_force_over_acceleration_for_the_mass_of_a_contact(tmp_pat
     monkeypatch.chdir(tmp_path)
     written(tmp_path, 'mass = "1 kg", approach_speed = "1 m/s"', "", BLOCK)
     Path("run.toml").unlink()
-    done = CliRunner().invoke(app, ["init", "calibration", "run.csv"])
+    done = bcfj("init", "calibration", "run.csv")
     content = Path("run.toml").read_text()
     assert done.exit_code == 0 and 'mass = "? kg"' in content and "Force over acceleration is 3." in content
     assert '# parameters.struck_mass = "fixed"' in content
@@ -292,7 +291,7 @@ def test_the_box_of_init_holds_the_speed_of_every_run(tmp_path, monkeypatch):
     for run, speed in enumerate(speeds):
         lines += [f"{run},{t:.6f},{f:.6g}" for t, f in zip(CLOCK, pulse(CLOCK, 0.5, speed), strict=True)]
     Path("run.csv").write_text("run,time [s],force [N]\n" + "\n".join(lines) + "\n")
-    assert CliRunner().invoke(app, ["init", "calibration", "run.csv", "--mass", "0.5 kg"]).exit_code == 0
+    assert bcfj("init", "calibration", "run.csv", "--mass", "0.5 kg").exit_code == 0
     (box,) = [f for f in load("run.toml").free if f.name == "approach_speed"]
     assert box.lower < min(speeds) and max(speeds) < box.upper
 

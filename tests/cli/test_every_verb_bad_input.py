@@ -11,11 +11,10 @@ from pathlib import Path
 from types import MappingProxyType
 
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from problems import PROBLEM, TABLE
-from typer.testing import CliRunner
 
-from bcfj_jax.cli import app
 from bcfj_jax.io.scenefile import load
 from bcfj_jax.models import scenes
 
@@ -37,10 +36,6 @@ def here(tmp_path, monkeypatch):
     for name, text in files.items():
         Path(name).write_text(text)
     return tmp_path
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def refused(done, *parts: str, usage: bool = False) -> None:

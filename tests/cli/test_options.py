@@ -10,10 +10,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from joints import plain_joint
 from problems import PROBLEM, TABLE
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax import InputError
@@ -40,10 +40,6 @@ def here(tmp_path, monkeypatch):
     Path("p.toml").write_text(PROBLEM)
     Path("d.csv").write_text(TABLE)
     return tmp_path
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def changed(what: str, *texts: str):

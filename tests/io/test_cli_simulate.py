@@ -13,13 +13,12 @@ import jax
 import numpy as np
 import platformdirs
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from pages import check
-from typer.testing import CliRunner
 
 from bcfj_jax.analysis.simulation import pictures, results
 from bcfj_jax.analysis.simulation.results import accuracy_sentences
-from bcfj_jax.cli import app
 from bcfj_jax.io.scenefile import load
 from bcfj_jax.solve.measured_error import Accuracy
 from bcfj_jax.solve.simulation import Run
@@ -40,10 +39,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
     return tmp_path
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def rows_of(path: Path) -> list[list[str]]:

@@ -12,12 +12,11 @@ import jax
 import numpy as np
 import pytest
 import tomli_w
+from commands import bcfj
 from compiled import COMPILED
 from conftest import BUILD
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
-from bcfj_jax.cli import app
 from bcfj_jax.io import scenefile
 from bcfj_jax.io.scenefile import load, template
 from bcfj_jax.mechanism import checks
@@ -95,10 +94,6 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
     return tmp_path
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 def written(text: str, name: str = "my.toml") -> Path:

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from pages import check
-from typer.testing import CliRunner
 
 from bcfj_jax.analysis.simulation import folder as runs
-from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import plots, report
 from bcfj_jax.io.page import (
@@ -220,10 +219,6 @@ def test_numbers_have_three_digits_and_one_unit():
 
 
 # Folders of runs.
-
-
-def bcfj(*arguments: object):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
 @pytest.mark.full

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import bcfj
 from compiled import COMPILED
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, Drive, InputError, Mechanism, Quantity, gaps, loads
@@ -27,7 +27,6 @@ from bcfj_jax.analysis.simulation import results
 from bcfj_jax.analysis.studies import specification
 from bcfj_jax.analysis.tradeoff import advice
 from bcfj_jax.analysis.tradeoff.settings import settings
-from bcfj_jax.cli import app
 from bcfj_jax.contact.restitution import exact
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.observed import observing
@@ -77,10 +76,6 @@ friction_speed = "10 mm/s"
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-def bcfj(*arguments):
-    return CliRunner().invoke(app, [str(x) for x in arguments])
 
 
 def written(text, name="my.toml"):

@@ -7,10 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import bcfj
 
 from bcfj_jax import stiffness
-from bcfj_jax.cli import app
 from bcfj_jax.contact import restitution
 from bcfj_jax.verification import check, command, derivatives, formulas, motion, oracles
 from calibration import verification as calibrated
@@ -23,7 +22,7 @@ def outcome(one):
 
 
 def verified(*names):
-    return CliRunner().invoke(app, ["verify", "--only", ",".join(names)])
+    return bcfj("verify", "--only", ",".join(names))
 
 
 @pytest.mark.parametrize("one", formulas.CHECKS, ids=lambda one: one.name)
@@ -34,7 +33,7 @@ def test_formulas_pass(one):
 
 @pytest.mark.full
 def test_the_command_passes_and_its_rows_are_complete():
-    done = CliRunner().invoke(app, ["verify", "--only", ",".join(QUICK), "--json"])
+    done = bcfj("verify", "--only", ",".join(QUICK), "--json")
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
     assert found["exit_code"] == 0 and "2 of 2 checks passed" in found["text"]
@@ -52,7 +51,7 @@ def test_the_joint_is_that_of_the_references(name):
 
 @pytest.mark.slow
 def test_every_check_passes():
-    done = CliRunner().invoke(app, ["verify"])
+    done = bcfj("verify")
     assert done.exit_code == 0, done.output
 
 

@@ -7,12 +7,11 @@ import tomllib
 
 import numpy as np
 import pytest
+from commands import bcfj
 from conftest import BUILD
 from joints import plain_joint
-from typer.testing import CliRunner
 
 import bcfj_jax as bj
-from bcfj_jax.cli import app
 from bcfj_jax.models.joint.scene import PLAIN
 
 FULLER = dict.fromkeys(PLAIN, True)
@@ -53,7 +52,7 @@ def test_a_scene_file_runs_and_states_what_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
     lines = "".join(f"{name} = true\n" for name in FULLER)
     (tmp_path / "s.toml").write_text(f'[scene]\nkind = "joint"\n{lines}[time]\nend = "0.2 s"\n', encoding="utf-8")
-    done = CliRunner().invoke(app, ["simulate", "s.toml", "--out", "out"])
+    done = bcfj("simulate", "s.toml", "--out", "out")
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert {"pilot_band", "clearance_cage_window_end"} <= set(

@@ -5,11 +5,10 @@ from __future__ import annotations
 import jax
 import numpy as np
 import pytest
+from commands import bcfj
 from conftest import BUILD
-from typer.testing import CliRunner
 
 from bcfj_jax import scenes
-from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import check_order
 from bcfj_jax.io.scenefile import load
@@ -94,7 +93,7 @@ def test_bad_joint_files_exit_2_and_write_nothing(text, parts, tmp_path, monkeyp
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     for out in ([], ["--out", "out"]):
-        done = CliRunner().invoke(app, ["simulate", "s.toml", *out])
+        done = bcfj("simulate", "s.toml", *out)
         assert done.exit_code == 2 and done.stdout == ""
         for part in ["error: s.toml", *parts]:
             assert part in done.stderr
@@ -126,5 +125,5 @@ def test_sliding_friction_above_static_is_refused_where_a_contact_reads_both():
 
 def test_init_joint_writes_a_file_of_the_defaults(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(app, ["init", "joint"]).exit_code == 0
+    assert bcfj("init", "joint").exit_code == 0
     assert load("joint.toml").resolved == load("joint").resolved

@@ -1,7 +1,8 @@
-"""The command ``bcfj`` as a process of its own, for what other processes, signals and surroundings do to it."""
+"""Processes of their own: the command ``bcfj``, functions of benchmarks, and what signals and surroundings do to them."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -10,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, NamedTuple
 
 import psutil
 
@@ -39,15 +40,82 @@ features = ["contact.peak", "contact.impulse", "contact.contact_fraction"]
 EXAMPLE = ROOT / "examples" / "chung_ooi_fit.toml"
 
 
-def environment(variables: Mapping[str, str | None] | None = None) -> dict[str, str]:
-    """The variables of a process: ours, with some set and, by None, some taken away."""
+def environment(variables: Mapping[str, str | None] | None = None, checkout: Path = ROOT) -> dict[str, str]:
+    """The variables of a process: ours, with the package of a checkout, and some set and, by None, some taken away."""
+    paths = [str(checkout), os.environ.get("PYTHONPATH", "")] if checkout == ROOT else [str(checkout)]
     found: dict[str, str | None] = {
         **{k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64", "EQX_ON_ERROR")},
         "BCFJ_CACHE": str(ROOT / "build" / "jax-cache"),
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "PYTHONPATH": os.pathsep.join(paths),
         **(variables or {}),
     }
     return {name: value for name, value in found.items() if value is not None}
+
+
+class Done(NamedTuple):
+    """How a process ended.
+
+    Attributes:
+        first_s: until its first line on stdout.
+        cpu_s, peak_mb: processor time, and most memory held, of the process and its children.
+    """
+
+    code: int
+    out: str
+    err: str
+    first_s: float
+    wall_s: float
+    cpu_s: float
+    peak_mb: float
+
+
+def done(command: Sequence[str | Path], cwd: Path = ROOT, environment: Mapping[str, str] | None = None) -> Done:
+    """Run a process to its end; its errors are passed on with the exit code."""
+    with tempfile.TemporaryFile("w+") as err:
+        begin = time.perf_counter()
+        job = subprocess.Popen(
+            command, cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=err, text=True
+        )
+        assert job.stdout is not None
+        line = job.stdout.readline()
+        first = time.perf_counter() - begin
+        out = line + job.stdout.read()
+        _, status, used = os.wait4(job.pid, 0)
+        wall, job.returncode = time.perf_counter() - begin, os.waitstatus_to_exitcode(status)
+        err.seek(0)
+        return Done(job.returncode, out, err.read(), first, wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+
+
+def bcfj(
+    words: Sequence[str], cwd: Path = ROOT, variables: Mapping[str, str | None] | None = None, checkout: Path = ROOT
+) -> Done:
+    """The command of a checkout, run to its end."""
+    return done([sys.executable, "-m", "bcfj_jax", *words], cwd, environment(variables, checkout))
+
+
+# Runs a function of a file, whose folder need not be a package's, and ends with its result as JSON.
+_CALL = "import json, runpy, sys; print(json.dumps(runpy.run_path(sys.argv[1])[sys.argv[2]](*json.loads(sys.argv[3]))))"
+
+
+def call(
+    file: str, function: str, *arguments: Any, variables: Mapping[str, str | None] | None = None, checkout: Path = ROOT
+) -> Any:
+    """What a function of a file gives in a process of its own, with the package of a checkout; both sides are JSON."""
+    command = [sys.executable, "-c", _CALL, file, function, json.dumps(arguments)]
+    ran = done(command, checkout, environment(variables, checkout))
+    if ran.code:
+        raise SystemExit(f"{file}, {function}: exit code {ran.code}\n{ran.err[-3000:]}")
+    return json.loads(ran.out.splitlines()[-1])
+
+
+def commit(checkout: Path) -> str:
+    """What a checkout is at."""
+    return done(["git", "rev-parse", "HEAD"], checkout).out.strip()
+
+
+def command(words: Sequence[str]) -> list[str]:
+    """``bcfj`` with these words, which heeds Ctrl-C."""
+    return [sys.executable, "-c", _COMMAND, *words]
 
 
 def start(
@@ -66,7 +134,7 @@ def start(
         stderr: where it says what it does.
     """
     return subprocess.Popen(
-        [*prefix, sys.executable, "-c", _COMMAND, *arguments], cwd=cwd, env=environment(variables), umask=umask,
+        [*prefix, *command(arguments)], cwd=cwd, env=environment(variables), umask=umask,
         stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, text=True, errors="replace",
     )  # fmt: skip
 
