@@ -27,11 +27,12 @@ from jax import Array
 import bcfj_jax as bj
 import benchmarks.clock as clock
 from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.model import field
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.scene import PLAIN
-from bcfj_jax.solve.integrate import _field, _solved, problem
+from bcfj_jax.solve.integrate import _solved, problem
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
 from benchmarks.common import save
@@ -64,8 +65,8 @@ GENERIC = dataclasses.replace(as_mechanism(JOINT), scale=sizes)
 # By variant: the model, and the structure for an implicit solver.
 VARIANTS: dict[str, tuple[Any, AbstractStructure]] = {
     "closed form, arrowhead": (JOINT, Arrowhead()),
-    "closed form, dense": (JOINT, Dense(_field)),
-    "generic, dense": (GENERIC, Dense(_field)),
+    "closed form, dense": (JOINT, Dense(field)),
+    "generic, dense": (GENERIC, Dense(field)),
 }
 
 
