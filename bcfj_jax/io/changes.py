@@ -22,9 +22,11 @@ from typing import Any, NamedTuple
 from bcfj_jax.core.errors import InputError, nearest, quoted
 
 # The tables of a file of each kind, and the keys at its top.
-SCENE = ("scene", "parameters", "time", "accuracy", "body", "contact", "load", "quantity", "read")
+SCENE = ("scene", "parameters", "time", "accuracy", "body", "contact", "load", "quantity", "read", "life")
 STUDY = ("design", "vary", "results")
-CALIBRATION = ("scene", "experiment", "free", "loss", "accuracy", "adequate", "sensor", "model", "candidate")
+CALIBRATION = (
+    "scene", "experiment", "free", "instrument", "loss", "accuracy", "adequate", "sensor", "filter", "model", "candidate",
+)  # fmt: skip
 DESIGN = ("objective", "vary", "search")
 # Tables of tables, whose names may have a point: ``free.seat_ball.stiffness.lower``.
 _NAMED = ("free", "vary", "quantity")

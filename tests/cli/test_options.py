@@ -21,6 +21,7 @@ from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.designs import command as designs
 from bcfj_jax.analysis.designs import designfile
 from bcfj_jax.analysis.studies import command as studies
+from bcfj_jax.analysis.studies import specification
 from bcfj_jax.cli import app, plan
 from bcfj_jax.cli.options import asked
 from bcfj_jax.core.progress import Waiting, stage
@@ -121,6 +122,20 @@ def test_the_seed_of_a_study_is_an_option_and_is_said_again():
             again = changes.as_options()
     assert (drawn[0] != drawn[1]).all() and (drawn[1] == drawn[2]).all()
     assert sorted(again.split(" --")) == ["", "seed 3", "set 'time.end=50 us'"] and changes.as_options() == ""
+
+
+@pytest.mark.parametrize(
+    ("made", "known"),
+    [
+        (scenefile.schema, changes.SCENE),
+        (specification.schema, changes.STUDY),
+        (problemfile.schema, changes.CALIBRATION),
+        (designfile.schema, changes.DESIGN),
+    ],
+    ids=["scene", "study", "calibration", "design"],
+)
+def test_every_table_of_a_file_can_be_set(made, known):
+    assert {*known, "scene"} == {*made()["properties"]}
 
 
 def test_a_calibration_is_changed():
