@@ -79,9 +79,9 @@ class Dynamics(AbstractModel):
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
         """Bodies, each after the one that it hangs on."""
-        return tuple(sorted(self.bodies, key=lambda b: len(self.chain(b.name))))
+        return tuple(sorted(self.bodies, key=lambda b: len(self.ancestry(b.name))))
 
-    def chain(self, name: str) -> list[Body]:
+    def ancestry(self, name: str) -> list[Body]:
         """A body, the one that it hangs on, and so on down to the ground, which is not among them."""
         found: list[Body] = []
         while name != GROUND:
@@ -119,7 +119,7 @@ class Dynamics(AbstractModel):
 
     def turning(self, name: str) -> bool:
         """Whether anything turns a body: its own joint or one that it hangs on."""
-        return any(b.turns for b in self.chain(name))
+        return any(b.turns for b in self.ancestry(name))
 
     @property
     def quantities(self) -> dict[str, Quantity]:

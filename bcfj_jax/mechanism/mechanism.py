@@ -110,7 +110,7 @@ class Mechanism(Dynamics):
     @property
     def unweighed(self) -> bool:
         """Where the motion of both bodies of a contact is given."""
-        given = {GROUND, *(b.name for b in self.bodies if all(x.drive is not None for x in self.chain(b.name)))}
+        given = {GROUND, *(b.name for b in self.bodies if all(x.drive is not None for x in self.ancestry(b.name)))}
         return any(given.issuperset(c.between) for c in self.contacts)
 
     # What is worked out beside, as ``AbstractModel`` has it.
