@@ -18,6 +18,7 @@ from bcfj_jax.mechanism.model import Proximity
 from bcfj_jax.mechanism.structure import Dense
 from bcfj_jax.solve import crossings, integrate, landing, seeking
 from bcfj_jax.solve.crossings import Watch
+from bcfj_jax.solve.cubic import Cubic
 from bcfj_jax.solve.landing import Landing, Look
 from bcfj_jax.solve.plan import plan
 from bcfj_jax.solve.sdirk import Sdirk
@@ -27,7 +28,7 @@ from bcfj_jax.solve.seeking import Seeker
 @pytest.mark.parametrize("third", [0.0, 1.0])
 def test_extremes_of_a_cubic_are_those_of_many_points(third):
     value, slope, second, bend = np.random.default_rng(2).normal(size=(4, 300)) * [[1.0], [3.0], [5.0], [5.0 * third]]
-    high, low = seeking._Cubic(*map(jnp.asarray, (value, slope, second, bend))).extremes()
+    high, low = Cubic(*map(jnp.asarray, (value, slope, second, bend))).extremes()
     s = np.linspace(0.0, 1.0, 20001)[:, None]
     every = value + s * (slope + s * (second + s * bend))
     for found, best, at in (

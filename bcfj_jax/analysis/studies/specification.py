@@ -305,7 +305,7 @@ def _axis(given: SceneFile, name: str, table: _Axis, kind: str, where: str) -> A
         (listed and some, "", "values and bounds are both given", "give one of them"),
         (listed and size, " values", f"a {kind} draws between bounds", "give lower and upper"),
         (table.values == [], " values", "is empty", "give one value or more"),
-        (not listed and None in (lower, upper), "", "no bounds", "give lower and upper, or values"),
+        (not listed and (lower is None or upper is None), "", "no bounds", "give lower and upper, or values"),
         (not listed and kind == "list", "", "a list needs values", "give values = [...]"),
         (size and table.steps is not None, " steps", f"a {kind} has no steps", f"say [design] {size} in place of it"),
         (not (size or listed or table.steps), " steps", "missing", "give the number of values of the grid"),
