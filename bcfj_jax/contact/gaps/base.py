@@ -194,6 +194,7 @@ class FromDepth(AbstractGap):
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Those that it was given, by name."""
         return {q.name: q for q in self.known}
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
