@@ -30,12 +30,12 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import field
 from bcfj_jax.mechanism.structure import AbstractStructure, Dense
 from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.scene import PLAIN
 from bcfj_jax.solve.integrate import _solved, problem
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.rodas import Rodas
 from benchmarks.common import save
+from benchmarks.references.joint_parts import as_mechanism
 
 # Waiting for another thread costs CPU time.
 jax.config.update("jax_cpu_enable_async_dispatch", False)

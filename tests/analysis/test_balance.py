@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from by_numpy import by_numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -51,8 +52,8 @@ def closure(scene, times=TIMES, asked=1e-2, looked=True, **given):
     ("joints", "touching", "seed"),
     [
         (["free", "slide"], sorted(GAPS)[:2], 4),
-        pytest.param(list(JOINTS), sorted(GAPS), 6, marks=pytest.mark.full),
-        pytest.param(["hinge"] * 4, sorted(GAPS), 3, marks=pytest.mark.full),
+        pytest.param(list(JOINTS), sorted(GAPS), 6, marks=pytest.mark.slow),
+        pytest.param(["hinge"] * 4, sorted(GAPS), 3, marks=pytest.mark.slow),
     ],
 )
 def test_rates_of_momenta_are_those_of_the_motion(joints, touching, seed):
@@ -105,7 +106,7 @@ def test_an_impact_closes_and_its_impulse_is_what_the_bodies_exchange():
     assert abs(steps.work) < 1e-2 * 0.5 * MASS * SPEED**2
 
 
-@pytest.mark.parametrize("samples", [2, 11, 1001])
+@pytest.mark.parametrize("samples", tiers.ci([2, 11, 1001], 2, 1001))
 def test_features_of_the_steps_do_not_depend_on_samples(samples):
     # Hertz: d0 = (5 m v^2 / 4 K)^(2/5), contact for 2.943275 d0/v, impulse 2 m v; rebound without a loss.
     scene = bj.scenes.impact(law="hertz", smoothing=False)
@@ -229,7 +230,7 @@ class Deaf(Mechanism):
         return Mechanism(self.kind, self.bodies, self.contacts).vector_field(t, y, prepared)
 
 
-@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize("alone", tiers.ci([True, False], True))
 def test_a_torque_of_rounding_is_no_contradiction(alone):
     """A ball in a circular track, without friction: no force turns it, and what is computed of the torque is rounding."""
     sizes = {"clearance": 2e-3, "ball_radius": 8e-3, "pitch_radius": 0.04, "offset": 0.0}
@@ -280,6 +281,7 @@ def test_a_contact_that_is_stepped_over_is_found(looked):
     assert page.balances(content)[0].rows[1:]
 
 
+@pytest.mark.slow
 def test_a_pulse_that_is_stepped_over_is_found():
     table = ((0.0, 0.02, 0.0205, 0.021, 1.0), (0.0, 0.0, 100.0, 0.0, 0.0))
     _, found = closure(balls(kind=Deaf, more=[loads.Force("pulse", "b", "y", table=table)]))
@@ -288,6 +290,7 @@ def test_a_pulse_that_is_stepped_over_is_found():
     assert right.verdict == balance.CLOSED
 
 
+@pytest.mark.slow
 def test_what_cannot_be_known_says_why():
     scene = balls()
     run, _ = closure(scene)
@@ -306,7 +309,7 @@ def test_what_cannot_be_known_says_why():
     assert run.totals and not sparse.totals
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_energy_of_the_joint_closes_by_its_samples():
     scene = plain_joint()
     run = bj.simulate(scene, scene.parameters(), np.linspace(0.0, 0.1, 1001))

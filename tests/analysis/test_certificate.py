@@ -189,7 +189,7 @@ def test_the_figure_stated_is_the_size_of_the_error():
     assert max(ratios) < 1.0 and np.median(ratios) > 1.0 / 3.0, ratios
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_jump_exactly_at_an_output_time_is_caught():
     # Kelvin and Voigt's force jumps at the touch, by dashpot times speed, at 10 us.
     scene = bj.scenes.impact("kelvin_voigt", smoothing=False)

@@ -42,6 +42,7 @@ def check(found, exact, wrt, tolerance, values=1e-6) -> None:
             assert np.max(np.abs(own - true) / size) < tolerance, (kind, name)
 
 
+@pytest.mark.slow
 def test_thirty_bounces_at_balanced_are_those_of_the_closed_form(optimised):
     """Times, peaks and impulses and their derivatives to 1e-4, where the force at a fixed time is a spike."""
     exact, wrt = closed(LINEAR, 30), ("stiffness", "mass", "gravity", "drop_height")

@@ -59,7 +59,7 @@ def test_a_crest_between_samples_states_its_error():
 
 
 @pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "flores" else pytest.mark.slow) for x in IMPULSE])
-@pytest.mark.full
+@pytest.mark.slow
 def test_remembering_laws_in_a_sensitivity(law):
     scene = bj.scenes.bounce(law=law)
     given = scene.parameters(restitution=0.7)
@@ -96,7 +96,7 @@ def test_a_memory_passes_the_touch(law, way):
         assert float(jax.jit(slope)(0.1)) == pytest.approx(right, rel=1e-4)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_memory_passes_the_touch_of_implicit_steps():
     scene = replace(bj.scenes.bounce(law="flores"), implicit=True)
     given, times = scene.parameters(restitution=0.7), np.linspace(0, 0.2, 41)
@@ -145,7 +145,7 @@ def test_derivatives_land_at_every_accuracy():
     assert int(plain(params)) == int(given(params))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", [7, pytest.param(17, marks=pytest.mark.slow)])
 def test_walton_braun_through_many_contacts(contacts):
     # Each flight is e times the one before: begins are t1 (1 + 2 e + 2 e^2 + ...) but for the contacts' own lengths.
@@ -188,6 +188,7 @@ def test_a_witness_sees_what_all_tolerances_miss():
     assert 0.04 < found[0, 0] < 0.07 and found[0, 1] < 1e-4 and np.array_equal(found[1], bounds[1])
 
 
+@pytest.mark.slow
 def test_an_implicit_solver_has_the_same_continuous_derivatives():
     scene = bj.scenes.impact()
     params, times = scene.parameters(), np.linspace(0.0, 8e-5, 201)

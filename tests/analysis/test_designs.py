@@ -55,6 +55,7 @@ def dashpot():
     return scene, scene.parameters(stiffness=K, mass=M, approach_speed=V, dashpot=0.05 * UNIT)
 
 
+@pytest.mark.slow
 def test_least_peak_of_a_damped_impact(dashpot, tmp_path, monkeypatch):
     found = bj.design(*dashpot, TIMES, "contact.peak", {"dashpot": (*BOX, 0.1, True)}, **HOW)
     right = brentq(lambda z: slope(peak, z), 0.2, 0.3, xtol=1e-13)

@@ -61,6 +61,7 @@ def test_rainflow_of_the_standard_and_its_damage():
         life.rainflow([1.0])
 
 
+@pytest.mark.slow
 def test_the_derivative_of_wear_agrees_with_differences():
     scene = bj.scenes.oblique_impact()
     params = scene.parameters()

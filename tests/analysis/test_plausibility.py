@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import tiers
 from commands import bcfj
 
 import bcfj_jax as bj
@@ -141,7 +142,7 @@ def test_simulate_says_it_first(folder):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("verb", ["sensitivity", "study", "design"])
+@pytest.mark.parametrize("verb", tiers.ci(["sensitivity", "study", "design"], "study"))
 def test_every_verb_says_it_first(verb, folder):
     scene, out = str(folder / "ball.toml"), str(folder / verb)
     study = folder / "vary.toml"

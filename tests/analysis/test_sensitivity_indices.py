@@ -125,7 +125,7 @@ def test_a_grid_has_no_distribution():
 # 2048 or more points of each study: blocks of one size, one compiled program.
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_sobol_indices_of_the_impacts_peak_are_those_of_a_product_of_powers(here):
     result = bj.study(tomllib.loads(IMPACT + '[design]\nkind = "saltelli"\nsamples = 512'), here / "out", workers=1)
     found = sensitivity.indices(result, "contact.peak")

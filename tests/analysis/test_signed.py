@@ -108,7 +108,7 @@ def yoke(axis="y"):
     return bj.Mechanism("yoke", [crank, slide], [pin], [load], given=given, end=0.02)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_yoke_that_is_pushed_either_way(tmp_path):
     """The other wall bears; the crank starts at its dead centre, so that peaks differ, and no number is 0 under a force."""
     scene, times = yoke(), np.linspace(0.0, 0.02, 401)

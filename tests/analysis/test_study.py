@@ -263,7 +263,7 @@ def test_histories_are_kept_and_guarded(here):
     assert np.array_equal(again.forces(1)[1], kept)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_derivatives_are_those_of_sensitivity(here):
     table = {
         "scene": "impact", "vary": {"stiffness": {"values": [2e6, 3e7]}},

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax.analysis.studies import api
 from bcfj_jax.analysis.studies.block import Blocks
@@ -48,7 +49,7 @@ def test_blocks_follow_from_the_device(accelerator):
     assert 64 < tangents.size <= large <= 16_384
 
 
-@pytest.mark.parametrize("derivatives", [[], ["stiffness"]])
+@pytest.mark.parametrize("derivatives", tiers.ci([[], ["stiffness"]], []))
 def test_one_large_block_gives_what_small_ones_give(tmp_path: Path, accelerator, derivatives: list[str]):
     table = {**IMPACT, "results": {**IMPACT["results"], "derivatives": derivatives}}
     large = api.study(table, tmp_path / "large", workers=2)

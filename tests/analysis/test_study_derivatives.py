@@ -64,7 +64,7 @@ def test_derivatives_of_a_study_are_those_of_the_closed_form(done):
         assert result.column(f"d(contact.peak)/d({name})") == pytest.approx(slope, rel=1e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_derivatives_of_a_study_are_those_of_single_runs(done, monkeypatch):
     table, (result, _) = impacts(), done
     alone = one_by_one(monkeypatch, table)

@@ -139,7 +139,7 @@ def refused(*_, **__):
     raise InputError("problem", "cannot be fitted", "give other data")
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_fit_that_knows_nothing_says_what_its_contacts_do(monkeypatch):
     """Of a fit that failed, with that of its contacts."""
     drop = Drop(cutoff=0.0, seed=3, power=1.5, loss=3e4, rate=4000.0)

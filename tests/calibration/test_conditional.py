@@ -32,6 +32,7 @@ def told(found: Fit, names: tuple[str, ...]) -> list[tuple[float, float]]:
     return [source[name].ci95 for name in names]
 
 
+@pytest.mark.slow
 def test_at_a_bound_the_others_are_given_as_if_it_were_stated(elastic):
     found = fit(replace(elastic, free=(*FREE, Free("damping", 1e-4, 3.0))), starts=4)
     assert found.verdict == "not_identified" and all(p.ci95 is None for p in found.parameters.values())
@@ -47,6 +48,7 @@ def test_at_a_bound_the_others_are_given_as_if_it_were_stated(elastic):
     assert content["parameters"]["stiffness"]["ci95"] == ends[0]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_a_bound_on_a_linear_scale_is_held_too(elastic):
     """The exponent, whose bounds leave the truth out: the stiffness is given as if that exponent were stated."""

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from pages import check
 from scipy.signal import lsim
 
@@ -59,7 +60,7 @@ def fitted(force: np.ndarray, change=lambda f: f, seed: int = 0) -> tuple[Proble
     return problem, fit(problem, starts=4)
 
 
-@pytest.mark.parametrize("kind", ["hum", "resonance"])
+@pytest.mark.parametrize("kind", tiers.ci(["hum", "resonance"], "resonance"))
 def test_what_was_planted_is_named(force, kind):
     problem, plain = fitted(force, PLANTED[kind])
     found = rank(problem, plain)

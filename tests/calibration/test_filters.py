@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from scipy import signal
 from scipy.integrate import solve_ivp
 
@@ -122,6 +123,7 @@ def held(found) -> bool:
     return all(inside) and found.reference.ci95[0] <= true <= found.reference.ci95[1]
 
 
+@pytest.mark.slow
 def test_a_filter_far_above_the_contact_is_none(tmp_path):
     problem = written(tmp_path, 'filter = { cutoff = "1 GHz" }')
     plain = replace(problem, filter="none", experiments=tuple(replace(e, fixed={
@@ -146,7 +148,7 @@ def test_a_record_that_no_filter_touched_stays_identified_with_intervals_that_al
 
 @pytest.mark.full
 @pytest.mark.parametrize("passed", [Filter("butterworth", 3, True), Filter("bessel", 2), Filter("butterworth", 6)])
-@pytest.mark.parametrize("share", [1.5, 4.0])
+@pytest.mark.parametrize("share", tiers.ci([1.5, 4.0], 4.0))
 def test_a_filter_that_nobody_stated_is_never_taken_for_the_law(tmp_path, passed, share):
     duration = float(np.ptp(np.flatnonzero(force(1e-5 * np.arange(4000)))) * 1e-5)
     found = fit(written(tmp_path, "", passed, share / (2.0 * duration)))
@@ -159,7 +161,7 @@ def test_a_filter_that_nobody_stated_is_never_taken_for_the_law(tmp_path, passed
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", tiers.ci([True, False], True))
 def test_a_stated_filter_is_part_of_the_model_with_its_cutoff_given_or_free(tmp_path, known):
     cutoff = ', cutoff = "300 Hz"' if known else ""
     line = f'filter = {{ kind = "butterworth", order = 3, zero_phase = true{cutoff} }}'

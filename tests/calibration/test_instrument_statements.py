@@ -168,6 +168,7 @@ def test_python_states_it_by_texts_too():
     assert replace(plain, jitter=1e-6).instrument == plain.instrument
 
 
+@pytest.mark.slow
 def test_what_would_narrow_it_is_what_does():
     """Three runs at another speed are made and fitted: the interval is as wide as was foretold. A better gain changes little."""
     plain = problem()
@@ -207,6 +208,7 @@ def test_a_file_asks_what_would_narrow_it(tmp_path):
             candidates(tmp_path / "ask.toml", plain)
 
 
+@pytest.mark.slow
 def test_a_record_with_a_clock_of_its_own_is_extended_too():
     """Its coordinate has no number in a fit of one record; the new runs have clocks of their own."""
     plain = problem()

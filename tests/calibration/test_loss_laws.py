@@ -6,12 +6,14 @@ speed of approach, to first order: with q = 1 it is Hunt and Crossley's law, wit
 
 from __future__ import annotations
 
+import itertools
 import json
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tiers
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
@@ -73,7 +75,9 @@ def test_the_record_loses_as_a_power_of_the_speed():
     np.testing.assert_allclose(powers, 0.2, atol=0.03)
 
 
-@pytest.mark.parametrize(("law", "power"), [("memory_free", 0.2), ("memory_free", 2.0), ("exact", 1.0)])
+@pytest.mark.parametrize(
+    ("law", "power"), tiers.ci([("memory_free", 0.2), ("memory_free", 2.0), ("exact", 1.0)], ("memory_free", 2.0))
+)
 def test_a_loss_that_goes_otherwise_is_named_before_jitter(law, power):
     problem, plain = calibrated(law, 0.05 if power == 2.0 else 0.15, power)
     found = rank(problem, plain)
@@ -112,8 +116,15 @@ SENSORS = {
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("speeds", [(0.6, 1.2), SPEEDS])
-@pytest.mark.parametrize("kind", SENSORS)
+@pytest.mark.parametrize(
+    ("kind", "speeds"),
+    tiers.ci(
+        itertools.product(SENSORS, [(0.6, 1.2), SPEEDS]),
+        ("bandwidth", SPEEDS),
+        ("gain bend", (0.6, 1.2)),
+        ("drift", SPEEDS),
+    ),
+)
 def test_a_sensor_that_errs_at_several_speeds_is_no_loss(kind, speeds):
     """Each bends the loops of all runs, too, and is named by what it is."""
     found = rank(*calibrated("memory_free", 0.1, 1.0, speeds, change=SENSORS[kind]))
@@ -141,6 +152,7 @@ def test_one_speed_shows_no_dependence_on_it():
     assert found is not None and LOSS not in {f.name for f in found.found}
 
 
+@pytest.mark.slow
 def test_models_of_a_file_agree_on_an_elastic_force():
     """Of two laws, neither of which has the loss: the truth lies between what they say, and a law that misses is left out."""
     pairs = {law: calibrated(law, 0.15, 0.2) for law in COEFFICIENT}

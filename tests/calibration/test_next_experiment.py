@@ -62,7 +62,7 @@ def candidate(speed: float, share: float = 0.01) -> Candidate:
     return Candidate(f"{speed:g} m/s", at_peak(speed), {"contact.normal": share}, {"approach_speed": speed}, share=True)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_exponent_of_hertz_needs_two_speeds():
     # Peaks of one speed fix one combination of K and n: every other speed tells the second, the further the better.
     speeds = (1.0, 1.2, 2.0, 4.0)

@@ -44,7 +44,7 @@ def test_a_slow_test_is_proposed_with_its_driven_scene(restitution, shape, tmp_p
     assert 'scene = "impact"' in (tmp_path / "hit.toml").read_text()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_loop_of_loading_and_unloading_is_identified(tmp_path):
     init.run(press(tmp_path / "pad.csv", 0.7), tmp_path / "pad.toml", init.Said(), lambda line: None)
     found = fit(load(tmp_path / "pad.toml"))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax import scenes, simulate
 from calibration import Channel, Experiment, Free, Problem, fit
@@ -43,7 +44,7 @@ def problem(change: Change, size: float) -> Problem:
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0])
-@pytest.mark.parametrize("change", [_jump, _sticks, _rings, _skips])
+@pytest.mark.parametrize("change", tiers.ci([_jump, _sticks, _rings, _skips], _sticks, _rings))
 def test_what_no_prior_knows_is_a_shape_that_is_missed(change, size):
     """A zero that jumps, a sensor that sticks, one that rings nine times, a clock that skips: 15 to 100 deviations."""
     found = fit(problem(change, size), starts=4)

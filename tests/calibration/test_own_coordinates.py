@@ -24,6 +24,7 @@ def experiment(k, count, features):
 OWN = (("time_offset", "gain"), False), (("approach_speed",), True), ((), True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("own", "features"), [OWN[0], *(pytest.param(*case, marks=pytest.mark.slow) for case in OWN[1:])]
 )

@@ -212,7 +212,7 @@ def test_records_of_several_speeds_cannot_share_one(tmp_path, speeds, struck):
     assert not hits(tmp_path, speeds, mass, "{ lower = 0.001, upper = 9.0, each = true }", struck).doubts
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_hits_of_several_speeds_by_the_mass_of_the_block_say_what_holds_on_which_condition(tmp_path):
     """K goes as m^n and a as m, the exponent not at all: with those the right law follows from a wrong mass."""
     problem = hits(tmp_path, (0.7, 1.5), 'mass = "3.5 kg"', "[0.001, 9.0]")
@@ -248,7 +248,7 @@ def test_a_mass_that_impulse_and_speed_contradict_is_what_they_imply_on_conditio
     assert not hits(tmp_path, (1.5,), 'mass = "0.3 kg", struck_mass = "3.5 kg", approach_speed = "1.5 m/s"', "").doubts
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_with_a_doubt_nothing_is_identified_and_with_both_masses_the_law_is(tmp_path):
     wrong = fit(written(tmp_path, 'mass = "3.5 kg"', SPEED_FREE, BLOCK))
     assert wrong.verdict == "not_identified" and "struck_mass" in wrong.reasons[0]
@@ -320,7 +320,7 @@ def test_a_record_of_too_many_samples_keeps_its_contact_and_its_noise(tmp_path, 
     assert prepared("run.toml")[0].averaged == 1
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_weight_is_in_the_budget_of_an_impact_that_knows_none_and_may_be_asked_for():
     heavy, plain = bj.scenes.impact(smoothing=False, gravity=True), bj.scenes.impact(smoothing=False)
     params = {"stiffness": 1e5, "exponent": 1.5, "damping": 0.3, "mass": 0.6, "approach_speed": 0.4}

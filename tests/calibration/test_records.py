@@ -190,6 +190,7 @@ def test_motion_alone_says_what_it_leaves_open(observe, rig):
     assert any("only for the mass given" in note and "read a force as well" in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [pytest.param(1, marks=pytest.mark.full), pytest.param(3, marks=pytest.mark.slow)])
 def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -96,6 +96,7 @@ def test_a_tolerance_is_a_share_or_a_value():
         stated("0.55 kg +- 2 mm")
 
 
+@pytest.mark.slow
 def test_what_is_known_better_widens_less():
     """Errors of the mass: none, 1 % (not said) and 5 %; every error at its limit is wider than any of these."""
     plain = problem(lambda f: f)
@@ -222,6 +223,7 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         assert not systematic.of_sensor(model, readings, [one._replace(touching=force > 99.0)], frozenset())
 
 
+@pytest.mark.slow
 def test_what_may_be_zero_has_no_share_of_itself():
     """A fixed place and speed of a body's start have an error only where it is said; a mass has one."""
     place, speed = bj.Quantity("place", "m", "where it starts"), bj.Quantity("speed", "m/s", "how it starts")

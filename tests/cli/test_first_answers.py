@@ -43,6 +43,7 @@ def in_order(text, *parts):
     assert places == sorted(places) and places[0] < 200
 
 
+@pytest.mark.slow
 def test_a_design_shows_its_best_point_first(tmp_path, monkeypatch):
     words = ("design", "impact", "--minimize", "contact.peak", "--vary", "damping=0.1:1", "--starts", 2)
     out = tmp_path / "out"
@@ -62,6 +63,7 @@ def test_a_design_shows_its_best_point_first(tmp_path, monkeypatch):
     assert found["after"] == pytest.approx(kept["after"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_a_design_tells_changes_nothing():
     scene = bj.scenes.impact()
     times, told = np.linspace(0.0, 7.7e-5, 201), []

@@ -349,7 +349,7 @@ def test_fast_relaxation_asks_for_an_implicit_solver():
     assert not scenes.bounce("walton_braun").traits.stiff
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_batch_is_its_runs():
     scene, times = scenes.impact("thornton"), np.linspace(0.0, 9e-5, 201)
     params = scene.parameters()

@@ -109,9 +109,9 @@ def check_features(ways, name):
                 assert off <= (min(bound, 1e-3) + 2e-4) * max(abs(difference), 1e-2 * size)
 
 
-@pytest.mark.full
-# That of the exact law takes a minute: another test of CI's tier takes it through a touch.
-@pytest.mark.parametrize("law", [pytest.param(x, marks=pytest.mark.slow if x == "exact" else ()) for x in SPEEDS])
+# In CI's tier: memories through a touch, in test_continuous_derivatives.py and test_memory.py.
+@pytest.mark.slow
+@pytest.mark.parametrize("law", SPEEDS)
 def test_laws_with_an_approach_speed(speeds, law):
     check(speeds, law)
 

@@ -130,7 +130,7 @@ def test_what_was_run_loads_back_to_the_same_model():
     assert parameters["rod.center_x"] == 0.06 and parameters["rod_length"] == 0.12 and parameters["gas.ramp"] == 1e-3
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_command_line_keeps_what_is_read():
     done = bcfj("simulate", written(TOML + '[[read]]\nof = "crank.torque"\n'), "--out", "out", "--no-measure-error")
     assert done.exit_code == 0, done.stderr

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from joints import plain_joint
 from scipy.spatial.transform import Rotation
 
@@ -95,7 +96,7 @@ SHOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", tiers.ci(SHOWN, "yoke", "slider_crank", "chain", "oblique_impact", "impact"))
 def test_pictures_show_the_tables_numbers(name):
     """Every arrow is as long as the force of its sample in forces.csv, and points as its readings in the world's axes."""
     scene = SHOWN[name]()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax import Body, Contact, Mechanism, gaps
 from bcfj_jax.mechanism import alike, scales
@@ -82,9 +85,14 @@ def answers(scene: Mechanism) -> dict:
     return found | ({"approaches": scene.approaches(t, y, prepared)} if scene.remembered else {})
 
 
-@pytest.mark.parametrize("friction", FRICTIONS)
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("made", [tossed, row])
+# Both machines, both laws and each friction once in CI's tier.
+MACHINES = tiers.ci(
+    itertools.product([tossed, row], LAWS, FRICTIONS),
+    (tossed, "flores", "lugre"), (row, "memory_free", "brown_mcphee"), (tossed, "flores", None),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("made", "law", "friction"), MACHINES)
 def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction, monkeypatch):
     together = made(law, friction)
     assert len(together.bundles) < len(together.contacts)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 
 import bcfj_jax as bj
 from bcfj_jax.mechanism.arrays import Held
@@ -122,7 +123,7 @@ def test_a_part_with_arrays_runs_as_one_with_numbers(whole):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("mode", ["auto", "reverse"])
+@pytest.mark.parametrize("mode", tiers.ci(["auto", "reverse"], "auto"))
 def test_gradients_of_modules_are_those_of_differences(whole, mode):
     scene, modules = whole
 
@@ -148,7 +149,7 @@ def _trained(x):
     return isinstance(x, (jax.Array, np.ndarray)) and jnp.issubdtype(x.dtype, jnp.floating)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_arrays_go_through_vmap_and_jvp(whole):
     scene, _ = whole
     params = scene.parameters()

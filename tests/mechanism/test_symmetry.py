@@ -303,7 +303,7 @@ def test_a_wheel_that_turns_on_its_pin_is_braked_alike_whoever_holds_the_pin(pin
     assert inertia * best[5] == pytest.approx(-weight * lever * np.sin(q), rel=1e-6)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_runs_over_the_first_contact_are_alike():
     got = compared(("sphere_on_sphere", "pin_in_bearing"), True, range(4))
     assert np.all(got["peaks"] > 1.0)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax import scenes, simulate
 from bcfj_jax.solve.measured_error import measured
@@ -75,7 +76,7 @@ def test_ideal_kinematics():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("asked", [1e-2, 1e-3])
+@pytest.mark.parametrize("asked", tiers.ci([1e-2, 1e-3], 1e-3))
 @pytest.mark.parametrize("clearance", UNTIL)
 def test_forces_and_motion_are_those_of_the_reference(clearance, asked):
     made, motion, read = of(clearance)

@@ -276,6 +276,7 @@ def test_fast_leaves_an_open_fidelity_to_auto():
         assert quickest(other) is other and other.scene.fidelity == "dynamic"
 
 
+@pytest.mark.slow
 def test_commands_that_need_a_model_refuse(tmp_path):
     path = tmp_path / "little.toml"
     path.write_text(FILE.format(friction="false", angle=20, end=0.6, error=5))

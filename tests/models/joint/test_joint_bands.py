@@ -14,8 +14,8 @@ from oracles import within
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import bands, system
 from bcfj_jax.models.joint.equilibrium_residual import Places, balance
-from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import posed, quasistatic_forces
+from benchmarks.references.joint_parts import as_mechanism
 
 AXIS = np.array([0.2, 0.1, 1.0]) / np.linalg.norm([0.2, 0.1, 1.0])
 LATITUDE = np.radians(30.0)

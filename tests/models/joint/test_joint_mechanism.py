@@ -17,9 +17,9 @@ from bcfj_jax.core.vectors import array
 from bcfj_jax.mechanism.bodies import _attitude
 from bcfj_jax.mechanism.model import Flows
 from bcfj_jax.models.joint.geometry import cage_axes
-from bcfj_jax.models.joint.parts import as_mechanism
 from bcfj_jax.models.joint.scene import PILOTS, split
 from bcfj_jax.models.joint.system import drive_motion
+from benchmarks.references.joint_parts import as_mechanism
 
 OPTIONS = {
     "default": {},

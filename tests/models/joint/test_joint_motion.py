@@ -33,7 +33,7 @@ def run(turn=0.0):
     return params, times, solved(JOINT, params, nominal(JOINT, params, jnp.asarray(turn)), times, 1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_cage_is_in_dynamic_equilibrium_at_every_instant():
     params, times, states = run()
     c = constants(JOINT, params)

@@ -17,7 +17,7 @@ from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism import programmes as generic
 from bcfj_jax.models.joint import programmes, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
-from bcfj_jax.models.joint.parts import as_mechanism
+from benchmarks.references.joint_parts import as_mechanism
 
 T_TABLE, W_TABLE = [[0.0, 0.02, 0.1], [0.0, -900.0, 300.0]], [[0.0, 0.01, 0.03], [2.0, 2.0, 10.0]]
 OPTIONS = {
