@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+import tiers
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTSIDE = (ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md")
@@ -204,7 +205,7 @@ def run_commands(block: Block) -> None:
 
 
 # Tutorials and how-to pages whose commands are cheap; the others run in the slow tier.
-CHEAP = ("data_files", "units", "resume")
+CHEAP = ("data_files",)
 GUIDES = [page for page in PAGES if page.parent.name in ("tutorials", "howto")]
 
 
@@ -293,7 +294,10 @@ def test_commands_run(command, folder):
     assert {*common, *WRITES[command]} <= written
 
 
-@pytest.mark.parametrize(("more", "verdict", "code"), [("", "adequate", 0), ('adequate = "0.01 %"\n', "misfit", 4)])
+MISSES = [("", "adequate", 0), ('adequate = "0.01 %"\n', "misfit", 4)]
+
+
+@pytest.mark.parametrize(("more", "verdict", "code"), tiers.ci(MISSES, MISSES[1]))
 def test_exit_codes_of_a_law_that_misses(folder, more, verdict, code):
     """README: "its correlation is estimated, too; without it the verdict is `adequate`"."""
     file = folder / "examples/chung_ooi_fit.toml"

@@ -179,7 +179,7 @@ def linked(spatial, kind=Mechanism):
 
 
 # In space, in CI's tier: every joint at one instant (``check_rates``).
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("spatial", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("asked", [1e-2, 1e-4])
 def test_bodies_on_joints_close(spatial, asked):

@@ -73,7 +73,7 @@ def test_remembering_laws_in_a_sensitivity(law):
     assert set(check.feature_verdicts.values()) == {"trusted"} and max(check.features.values()) < 1e-4
 
 
-# The others, and in reverse: tests/contact/test_remembered_derivatives.py takes them in CI's tier.
+# The others, and in reverse: tests/contact/test_remembered_derivatives.py, too, in the slow tier.
 @pytest.mark.parametrize("way", ["ahead", pytest.param("back", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "exact" else pytest.mark.slow) for x in REMEMBERING])
 def test_a_memory_passes_the_touch(law, way):
@@ -113,6 +113,7 @@ def test_a_memory_passes_the_touch_of_implicit_steps():
         assert float(along(0.1)) == pytest.approx(right, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_land_at_every_accuracy():
     body = Body(
         "a",

@@ -187,7 +187,7 @@ def test_rest_within_a_wide_regularisation():
     assert run.force["contact"][-1, 0] == within(1.89e-5 * GRAVITY, 1e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_short_run_ends_where_it_was_asked_to():
     """Let go on a soft surface, the natural first step is some seconds: a run of 0.1 us once went on for that long."""
     scene = scenes.bounce("memory_free")

@@ -84,7 +84,7 @@ def test_a_block_with_derivatives_that_is_lost_comes_back_in_the_same_bytes(done
     assert len(files) == 3 and after == before
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_point_that_fails_is_a_row_with_its_time_and_harms_no_other():
     table = {
         "scene": {

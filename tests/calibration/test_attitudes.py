@@ -79,6 +79,7 @@ def problem(quaternions, more=(), sigma=2e-3):
     return Problem(TOP, dict(TOP.parameters()), (experiment,), (Free("third", 1e-3, 2.9e-3),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signs", [False, True])
 def test_an_attitude_is_fitted_to_whatever_its_sign(signs):
     found = fit(problem(record(signs)[0]), starts=4)

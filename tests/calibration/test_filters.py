@@ -134,7 +134,7 @@ def test_a_filter_far_above_the_contact_is_none(tmp_path):
     np.testing.assert_allclose(with_it, without, atol=1e-5 * np.abs(without).max())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_record_that_no_filter_touched_stays_identified_with_intervals_that_allow_for_one(tmp_path):
     problem = written(tmp_path)
     assert problem.filter == "unknown"

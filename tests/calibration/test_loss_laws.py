@@ -122,7 +122,6 @@ SENSORS = {
         itertools.product(SENSORS, [(0.6, 1.2), SPEEDS]),
         ("bandwidth", SPEEDS),
         ("gain bend", (0.6, 1.2)),
-        ("drift", SPEEDS),
     ),
 )
 def test_a_sensor_that_errs_at_several_speeds_is_no_loss(kind, speeds):
@@ -146,6 +145,7 @@ def test_the_laws_own_loss_names_none():
     assert plain.law.answer == "consistent" and found is not None and not found.named
 
 
+@pytest.mark.slow
 def test_one_speed_shows_no_dependence_on_it():
     problem, plain = calibrated("memory_free", 0.15, 0.2, speeds=(1.2, 1.2, 1.2))
     found = rank(problem, plain)

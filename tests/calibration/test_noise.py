@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from scipy import stats
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.optimize import minimize
@@ -448,7 +449,7 @@ def test_noise_is_known_where_all_is_stated(force):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("accuracy", [pytest.param(4e-4, marks=pytest.mark.slow), 1e-7])
+@pytest.mark.parametrize("accuracy", tiers.ci([4e-4, 1e-7]))
 def test_noise_below_the_integrators_error_is_the_integrators(accuracy):
     """A clean record of a linear contact, in closed form: what is left is no noise, and no interval rests on it."""
     scene, omega = scenes.impact(smoothing=False), np.sqrt(1e5 / 0.1)

@@ -38,7 +38,7 @@ def problem(error, seed=0) -> Problem:
     return Problem(SCENE, params, (Experiment("drop", TIMES, (Channel("contact.normal", values, None),)),), free)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_line_says_what_a_fit_of_that_error_moves_by(tmp_path, monkeypatch):
     """Of the mass and of a bend of the gain, as large as their lines say."""
     found = fit(problem(lambda f: f), starts=4)

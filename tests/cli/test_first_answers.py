@@ -99,6 +99,7 @@ def test_a_tradeoff_shows_its_own_run_first(tmp_path, monkeypatch):
         assert [row[name] for name in MAIN] == [other[name] for name in MAIN]
 
 
+@pytest.mark.slow
 def test_a_fit_shows_its_values_before_they_are_tested(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, text in {"s.toml": SCENE, "d.csv": TABLE, "p.toml": PROBLEM}.items():

@@ -269,7 +269,7 @@ def test_every_bounce_has_the_restitution():
     [
         ("standard_linear_solid", ("relaxation", "relaxation_time", "stiffness")),
         pytest.param("walton_braun", ("restitution", "stiffness", "approach_speed"), marks=pytest.mark.slow),
-        ("thornton", ("yield_penetration", "stiffness", "approach_speed")),
+        pytest.param("thornton", ("yield_penetration", "stiffness", "approach_speed"), marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_are_those_of_an_accurate_solver(law, names):

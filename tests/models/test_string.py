@@ -5,6 +5,7 @@ import math
 import jax
 import numpy as np
 import pytest
+import tiers
 
 import bcfj_jax as bj
 from bcfj_jax.models.string import buckling_force, loads
@@ -18,7 +19,7 @@ def told(count=10, **more):
     return params, loads(params, count)
 
 
-@pytest.mark.parametrize("fidelity", ["kinematic", "quasistatic"])
+@pytest.mark.parametrize("fidelity", tiers.ci(["kinematic", "quasistatic"], "kinematic"))
 def test_one_joint_is_the_joint(fidelity):
     string, joint = bj.scenes.string(n=1, fidelity=fidelity), bj.scenes.joint(fidelity=fidelity)
     params = string.parameters()
@@ -30,6 +31,7 @@ def test_one_joint_is_the_joint(fidelity):
         assert np.allclose(found.force[name], force, atol=1e-9 * max(1.0, np.abs(force).max()))
 
 
+@pytest.mark.slow
 def test_each_of_several_is_the_joint_under_its_own_load():
     string, joint = bj.scenes.string(n=3), bj.scenes.joint(fidelity="quasistatic")
     params = string.parameters()

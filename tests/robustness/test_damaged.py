@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax.data.readers import READERS
 from benchmarks.robustness import damaged
@@ -25,9 +26,10 @@ def faults(reader, count, folder):
 
 @pytest.mark.full
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("count", tiers.ci([4, 15], 4))
 @pytest.mark.parametrize("reader", damaged.FILES)
-def test_a_damaged_record_is_refused_in_words_or_read_as_it_stands(reader, tmp_path):
-    assert not faults(reader, 15, tmp_path)
+def test_a_damaged_record_is_refused_in_words_or_read_as_it_stands(reader, count, tmp_path):
+    assert not faults(reader, count, tmp_path)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiers
 from oracles import impact, within
 
 from bcfj_jax import InputError
@@ -32,7 +33,8 @@ NAMES = ("scene", "calibration", "study", *WHOLE, *fuzz.records.FORMATS, *fuzz.k
 
 @pytest.mark.full
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", NAMES)
+# Records of other formats: test_damaged.py in CI's tier.
+@pytest.mark.parametrize("name", tiers.ci(NAMES, "scene", "calibration", "study", *WHOLE, ".csv", *fuzz.kept.KINDS))
 def test_damaged_files_are_refused_in_words_or_read(name, every):
     folder, targets = every
     how = targets[name]._replace(count=40 * COUNT if name in WHOLE else COUNT)

@@ -8,6 +8,7 @@ import types
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from attacks import _problem
 
 import bcfj_jax as bj
@@ -114,7 +115,10 @@ def test_every_function_that_takes_whole_numbers_is_called():
     assert len(TAKING) > 15
 
 
-@pytest.mark.parametrize("name", CALLS)
+COSTLY = {"calibration.fit", "design", "contact_events", "hessian_vector", "sensitivity"}
+
+
+@pytest.mark.parametrize("name", tiers.ci(CALLS, *(CALLS.keys() - COSTLY)))
 def test_numpys_whole_numbers_are_taken(name, tmp_path):
     found = CALLS[name](tmp_path)
     assert getattr(found, "status", "ok") == "ok"

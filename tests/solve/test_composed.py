@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from jax.sharding import Mesh, PartitionSpec
 
 import bcfj_jax as bj
@@ -30,16 +31,10 @@ def slope_of_one(mode):
     return jax.jit(jax.grad(lambda x: total(x, mode)))(jnp.array([0.5, 0.1]))
 
 
-# test_forward_reverse.py has every way on a function of one line.
-WAYS = [
-    pytest.param(mode, way, marks=() if (mode, way) == ("auto", "shard_map") else pytest.mark.slow)
-    for mode in ("auto", "forward", "reverse")
-    for way in ("shard_map", "pmap", "export")
-]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(("mode", "way"), WAYS)
+# In CI's tier test_forward_reverse.py has every way on a function of one line.
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["auto", "forward", "reverse"])
+@pytest.mark.parametrize("way", ["shard_map", "pmap", "export"])
 def test_gradients_among_devices_and_exported(mode, way):
     x = jnp.array([[0.5, 0.1]])
     slope = jax.grad(lambda x: total(x, mode))
@@ -54,7 +49,7 @@ def test_gradients_among_devices_and_exported(mode, way):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("mode", ["auto", "forward"])
+@pytest.mark.parametrize("mode", tiers.ci(["auto", "forward"], "forward"))
 def test_hessians_are_differences_of_gradients(mode):
     x, step = jnp.array([0.5, 0.1]), 1e-4
     found = jax.jit(jax.hessian(lambda x: total(x, mode)))(x)
@@ -67,6 +62,7 @@ DERIVATIVES = {"grad": jax.grad, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "jv
                "hessian": jax.hessian}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=() if n == "jacfwd" else pytest.mark.slow) for n in DERIVATIVES],
@@ -92,7 +88,7 @@ def test_reverse_alone_names_the_mode_to_use():
             use(lambda x: total(x, "reverse"))(jnp.array([0.5, 0.1]))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [None, *(pytest.param(s, marks=pytest.mark.slow) for s in named.NOT_STIFF)])
 def test_derivatives_after_a_contact_are_those_of_the_motion(solver):
     """At "balanced", of every explicit solver and both directions: a body leaves a linear spring after T = pi sqrt(m/K).

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from by_numpy import by_numpy
 from gap_cases import CASES
 from hypothesis import given
@@ -254,7 +255,7 @@ def wave(t, bodies, p):
     return [loads.Action("block", (jnp.where(inside, 10.0, 0.0), 0.0, 0.0))]
 
 
-@pytest.mark.parametrize("width", [1e-5, 1e-3, 1e-1])
+@pytest.mark.parametrize("width", tiers.ci([1e-5, 1e-3, 1e-1], 1e-3))
 def test_a_pulse_of_a_table_gives_its_momentum(width):
     table = (np.array([0.0, 0.3, 0.3 + 0.5 * width, 0.3 + width]), np.array([0.0, 0.0, 7.0 / width, 0.0]))
     scene = block(loads.Force("push", "block", "x", table=tuple(tuple(x.tolist()) for x in table)))
@@ -262,7 +263,7 @@ def test_a_pulse_of_a_table_gives_its_momentum(width):
     assert run.readings["block.velocity.x"][-1] == within(0.5 * 7.0 / 2.0, 1e-6)
 
 
-@pytest.mark.parametrize("where", ["looked for", "given"])
+@pytest.mark.parametrize("where", tiers.ci(["looked for", "given"], "looked for"))
 @given(middle=st.floats(0.1, 0.9), size=st.floats(-3.3, -1.0))
 def test_a_pulse_of_a_function_gives_its_momentum(where, middle, size):
     width = 10.0**size
@@ -275,7 +276,7 @@ def test_a_pulse_of_a_function_gives_its_momentum(where, middle, size):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("solver", ["rodas3", "bdf"])
+@pytest.mark.parametrize("solver", tiers.ci(["rodas3", "bdf"], "bdf"))
 def test_functions_go_through_implicit_solvers(solver):
     known = [(bj.Quantity(name, "s", name), 0.0) for name in ("middle", "width")]
     scene = block(loads.Load("push", wave, ("block",), tuple(known))).suited({}, 1.0, solver)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from by_numpy import by_numpy
 from stiff import NAMES, TIMES, VALUES, Damped, counted, exact
 
@@ -58,7 +59,7 @@ def test_reverse_derivatives(mode):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-3])
+@pytest.mark.parametrize("accuracy", tiers.ci([1e-2, 1e-3], 1e-2))
 def test_loose_reverse_derivatives_are_as_good_as_forward_ones(accuracy):
     assert not plan(MODEL, accuracy).tangents
     forward = jax.jit(jax.jacfwd(lambda x: force(x, accuracy, "forward")))(jnp.ones(4))
@@ -67,7 +68,7 @@ def test_loose_reverse_derivatives_are_as_good_as_forward_ones(accuracy):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-6])
+@pytest.mark.parametrize("accuracy", tiers.ci([1e-2, 1e-6], 1e-6))
 def test_reverse_is_as_accurate_as_asked_in_a_batch(accuracy):
     batch = jnp.stack([jnp.ones(4), jnp.array([1.0, 0.8, 1.0, 1.0])])
     found = np.asarray(jax.jit(jax.vmap(jax.jacrev(lambda x: force(x, accuracy, "auto"))))(batch))

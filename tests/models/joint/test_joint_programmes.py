@@ -108,6 +108,7 @@ def test_a_stick_slip_torque_is_no_generic_load():
         as_mechanism(made("stick-slip")[0])
 
 
+@pytest.mark.slow
 @EACH
 def test_the_arrowhead_has_the_derivatives_of_programmes(name):
     scene, params = made(name)
