@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import tiers
 from commands import bcfj
 
 from bcfj_jax.analysis import export as leaving
@@ -35,7 +36,7 @@ def close(a, b, share):
     return abs(a - b) <= share * abs(a)
 
 
-@pytest.mark.parametrize("tool", leaving.TOOLS)
+@pytest.mark.parametrize("tool", tiers.ci(leaving.TOOLS, "mujoco", "exudyn"))
 def test_the_drop_keeps_its_rebound_and_what_is_the_same_is_said(tool, tmp_path):
     found = leaving.export(leaving.source(scene(tmp_path)), tool)
     assert close(found.before.rebound, found.after.rebound, 1e-4)

@@ -121,7 +121,6 @@ SENSORS = {
     tiers.ci(
         itertools.product(SENSORS, [(0.6, 1.2), SPEEDS]),
         ("bandwidth", SPEEDS),
-        ("gain bend", (0.6, 1.2)),
     ),
 )
 def test_a_sensor_that_errs_at_several_speeds_is_no_loss(kind, speeds):

@@ -223,7 +223,7 @@ def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
         pytest.param(ACCELERATION, KNOWN, "",
                      ["accelerations alone", "1 % of mass moves stiffness by +1 %", "read a force as well"],
                      marks=pytest.mark.slow),
-        (f"{FORCE}, {POSITION}", KNOWN, "", []),
+        pytest.param(f"{FORCE}, {POSITION}", KNOWN, "", [], marks=pytest.mark.slow),
     ],
     ids=["both fixed", "speed free", "both free", "acceleration", "force and position"],
 )  # fmt: skip

@@ -39,9 +39,12 @@ def back(x):
 back.defvjp(lambda x: (toy(x), x), lambda x, ct: jax.vjp(toy, x)[1](ct))
 
 
-@pytest.mark.full
 @pytest.mark.parametrize(
-    "both", [forward_and_reverse(ahead, back), forward_and_reverse(ahead, None)], ids=["auto", "forward"]
+    "both",
+    [
+        pytest.param(forward_and_reverse(ahead, back), id="auto", marks=pytest.mark.full),
+        pytest.param(forward_and_reverse(ahead, None), id="forward", marks=pytest.mark.slow),
+    ],
 )
 def test_forward_and_reverse_on_a_toy(both):
     x = {"a": jnp.array([0.3, 0.4]), "b": jnp.array([2.0, -1.0])}
