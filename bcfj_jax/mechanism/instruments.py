@@ -87,10 +87,8 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
     found, driven = {}, count
     for b in m.ordered:
         part, arm, k = now.bodies.parts[b.name], now.bodies.center[b.name], b.members
-        at = part.shifted(arm)
-        gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
-        turns = m.turning(b.name)
-        swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
+        at, turns = part.shifted(arm), m.turning(b.name)
+        gain, swirl = gained(at, rates)
         drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._placed) if name == b.name}
         joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._free) if name == b.name}
         if b.drive is not None:
@@ -105,6 +103,14 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
             joint={key: spread(jnp.asarray(x), k) for key, x in joint.items()},
         )  # fmt: skip
     return found
+
+
+def gained(at: Part, rates: Sequence[Number]) -> tuple[Vector, Vector]:
+    """Acceleration of a body's origin and its angular one, at accelerations of the free velocities; world."""
+    own = [(rates[j], w, v) for j, (w, v) in at.partials.items() if j < len(rates)]
+    return add(at.drift, *(scale(rate, v) for rate, _, v in own)), add(
+        at.swirl, *(scale(rate, w) for rate, w, _ in own)
+    )
 
 
 def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
@@ -122,11 +128,11 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
         given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._free) + k, rates) * speed)
     friction: Number = jnp.zeros(())
     for load in m.loads:
-        power = jnp.asarray(_power(m, load, t, now, p))
+        brought = jnp.asarray(power(m, load, t, now, p))
         if isinstance(load, CoordinateLoad) and load.dry:
-            friction = friction - power
+            friction = friction - brought
         else:
-            given[load.name] = power
+            given[load.name] = brought
     kinetic: Number = 0.0
     for b in m.ordered:
         part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
@@ -154,16 +160,17 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     )
 
 
-def _power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+def power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+    """Power of a load [W]: what it gives to the bodies."""
     if isinstance(load, CoordinateLoad):
         j, force = m.sprung(load, t, now, p)
         return force * now.v[j]
-    power: Number = 0.0
+    found: Number = 0.0
     for action in load.actions(t, now.bodies, p):
         part = now.bodies.parts[action.body]
         each = plus(dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin))
-        power = plus(power, jnp.sum(jnp.asarray(each)))
-    return power
+        found = plus(found, jnp.sum(jnp.asarray(each)))
+    return found
 
 
 # Rounding of a force's share in a momentum's rate, of the force times its arm: a moment of exactly 0 is computed as so much.

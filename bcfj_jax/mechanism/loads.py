@@ -115,6 +115,15 @@ class Pull(bj.loads.AbstractLoad):
         return ()
 
     @property
+    def acts_on(self) -> str:
+        """The body on which its force is read, the last of ``touches``; "" of a load on all."""
+        return self.touches[-1] if self.touches else ""
+
+    def apart(self, bodies: Moving, p: Params) -> Vector | None:
+        """Place of the second of its two points from the first [m], world; None of a load that has not two."""
+        return None
+
+    @property
     def damps(self) -> bool:
         """Whether it may oppose a velocity."""
         return any(not sizes.nothing(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
@@ -214,6 +223,11 @@ class Torque(Force):
     def touches(self) -> tuple[str, ...]:
         return (self.body, self.against)
 
+    @property
+    def acts_on(self) -> str:
+        """``body``."""
+        return self.body
+
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         torque = scale(self._amount(t, p), self._way(bodies))
         return [Action(self.body, torque=torque), Action(self.against, torque=negative(torque))]
@@ -236,6 +250,9 @@ class _BetweenPoints(AbstractLoad):
         places = [bodies.place(body, at) for body, at in zip(self.between, points, strict=True)]
         rates = [bodies.velocity(body, at) for body, at in zip(self.between, points, strict=True)]
         return points, subtract(places[1], places[0]), subtract(rates[1], rates[0])
+
+    def apart(self, bodies: Moving, p: Params) -> Vector:
+        return self._apart(bodies, p)[1]
 
     def _sizes(self: Any, p: Params) -> list[Number]:
         return [sizes.length(getattr(self, key), self.name, key, p) for key in self.units]
@@ -462,6 +479,15 @@ class HeldLoad(AbstractLoad):
     @property
     def touches(self) -> tuple[str, ...]:
         return self.part.touches
+
+    @property
+    def acts_on(self) -> str:
+        """The load's."""
+        return self.part.acts_on
+
+    def apart(self, bodies: Moving, p: Params) -> Vector | None:
+        """The load's."""
+        return self.part.apart(bodies, p)
 
     @property
     def damps(self) -> bool:

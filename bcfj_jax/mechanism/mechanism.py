@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism import checks, instruments, scenery, sizes, stepping, stiff
+from bcfj_jax.mechanism import checks, efforts, instruments, scenery, sizes, stepping, stiff
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import (
@@ -119,6 +119,7 @@ class Mechanism(Dynamics):
     remembered = cached_property(stepping.places)  # pyright: ignore[reportAssignmentType]
     approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
     observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
+    efforts = efforts.efforts  # pyright: ignore[reportAssignmentType]
     orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
     check, suspects = checks.check_values, checks.suspects  # pyright: ignore[reportAssignmentType]
 
@@ -135,6 +136,11 @@ class Mechanism(Dynamics):
     def body_members(self) -> dict[str, int]:
         """As bodies say."""
         return {b.name: b.members for b in self.bodies}
+
+    @property
+    def load_names(self) -> tuple[str, ...]:
+        """All loads."""
+        return tuple(load.name for load in self.loads)
 
     def coefficient(self, params: Params, owner: str, name: str) -> Array:
         """A contact's coefficient as it reads it; else as any model's."""
