@@ -197,7 +197,8 @@ class Contact(eqx.Module):
             default = arrays_.get(name) if size is None else float(size)
             if name == "clearance":
                 own = f"clearance_{self.name}"
-                known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}")
+                least = float("-inf") if self.gap.preloads else meaning.low
+                known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}", low=least)
                 found[own] = (known, default)
                 continue
             if name not in arrays_:  # Those are of one contact.

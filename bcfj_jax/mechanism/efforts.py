@@ -106,7 +106,7 @@ def _reactions(
 def _of_load(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Effort:
     given = jnp.asarray(power(m, load, t, now, p))
     if isinstance(load, CoordinateLoad):
-        return Effort(power=given, drive=jnp.asarray(m.sprung(load, t, now, p)[1]))
+        return Effort(power=given, drive=jnp.asarray(m.sprung(load, t, now, p)[-1][1]))
     if not load.acts_on:
         return Effort(power=given)
     actions = [action for action in load.actions(t, now.bodies, p) if action.body == load.acts_on]

@@ -26,11 +26,12 @@ from bcfj_jax.core.vectors import (
     spread,
     stacked,
     subtract,
+    times,
     turned,
     unit,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, equations
-from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part
+from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part, unit_of
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
@@ -163,8 +164,7 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
 def power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
     """Power of a load [W]: what it gives to the bodies."""
     if isinstance(load, CoordinateLoad):
-        j, force = m.sprung(load, t, now, p)
-        return force * now.v[j]
+        return reduce(plus, (times(force, v) for _, force, v in m.sprung(load, t, now, p)))
     found: Number = 0.0
     for action in load.actions(t, now.bodies, p):
         part = now.bodies.parts[action.body]
@@ -175,33 +175,39 @@ def power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) ->
 
 # Rounding of a force's share in a momentum's rate, of the force times its arm: a moment of exactly 0 is computed as so much.
 _ROUNDING = 1e-12
-# Velocities that turn; all others slide.
-_TURNING = ("speed", "wx", "wy", "wz")
 
 
-class _Forces(equations.Equations):
-    """Forces alone, and the sums of their sizes, at least of their rounding: those of a body in balance cancel each other."""
+class Forces(equations.Equations):
+    """Forces alone, and the sums of their sizes, at least of their rounding: those of a body in balance cancel each other.
+
+    ``rounding``: the share of a force, times its arm, that counts where it has none along a velocity.
+    """
+
+    rounding = _ROUNDING
 
     def __init__(self, members: Sequence[int]) -> None:
         super().__init__(members)
         self.sizes: list[Number] = [0.0 for _ in members]
 
     def push(self, j: int, force: Number) -> None:
+        """And its size."""
         super().push(j, force)
         self._add(j, jnp.abs(jnp.asarray(force)))
 
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
+        """And its size."""
         super().act(part, arm, force, torque)
         self._rounded(part, arm, force)
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
+        """And its size."""
         super().wrench(part, force, moment, arm)
         self._rounded(part, arm, force)
 
     def _rounded(self, part: Part, arm: Vector, force: Vector) -> None:
         """What rounding may leave of a force whose moment is 0."""
         for j, (w, v) in part.partials.items():
-            self._add(j, _ROUNDING * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
+            self._add(j, self.rounding * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
 
     def _add(self, j: int, size: Number) -> None:
         self.sizes[j] = plus(self.sizes[j], equations.total(size, self.members[j]))
@@ -224,7 +230,7 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     its own axes. Reactions of joints are in none. Neither the mass matrix nor accelerations are used.
     """
     now, count = m.instant(t, y, p), len(m._free)
-    found = _Forces(m._members)
+    found = Forces(m._members)
     m._pressed(found, now, p)
     for load in m.loads:
         m._loaded(found, load, t, now, p)
@@ -251,6 +257,6 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     for j, (body, rate, _) in enumerate(m._free):
         shape = values[j].shape
         force, size = (jnp.broadcast_to(jnp.asarray(x, float), shape) for x in (found.forces[j], found.sizes[j]))
-        what = "angular_momentum" if rate in _TURNING else "momentum"
+        what = "angular_momentum" if unit_of(rate) == "rad/s" else "momentum"
         accounts[f"{body} {what} {rate}"] = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
     return accounts

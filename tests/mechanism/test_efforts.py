@@ -45,7 +45,10 @@ def test_a_pendulums_pin():
 def test_random_trees_balance(seed):
     """Of every body and all that hangs on it: what its joint and the loads bring is the rate of both momenta."""
     rng = np.random.default_rng(seed)
-    joints = [str(x) for x in rng.choice(["hinge", "slide", "planar", "spherical", "free", "fixed", "bearing"], 5)]
+    joints = [
+        str(x)
+        for x in rng.choice(["hinge", "slide", "planar", "spherical", "free", "fixed", "bearing", "universal"], 5)
+    ]
     scene, p = mechanism(joints, ["sphere_on_plane", "pin_in_slot", "sphere_in_socket"], seed)
     t, y = jnp.asarray(0.2), scene.initial_state(p)
 
