@@ -3,7 +3,8 @@
     [scene]          kind = "mechanism"; law, elastic, friction, smoothing: of every contact that does not say its own;
                      start = "static": from where all is at rest
     [[body]]         name, joint, parent, at, axis, tilt = [axis, angle], center, mass, inertia, start, drive, members
-    [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, values
+    [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, rolling,
+                     values
     [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | joint_friction | coupling, or one's
                      own; name, ...
     [quantity.NAME]  unit, lower, upper, default, meaning: a parameter that places and coefficients may name
@@ -296,7 +297,7 @@ class _Builder:
         given: dict[str, Any] = {
             "name": entry.name, "between": tuple(entry.between), "gap": gap, "law": law, "friction": friction,
             "smoothing": smoothing, "at": self._numbers(entry, f"{place} ")["at"],
-            "approach": "parameter" if entry.approach == "parameter" else Approach(),
+            "approach": "parameter" if entry.approach == "parameter" else Approach(), "rolling": entry.rolling,
         }  # fmt: skip
         with _said_of(f"contact '{entry.name}'", place):
             contact = Contact(**given)
@@ -306,6 +307,7 @@ class _Builder:
         plain = {"name": entry.name, "between": list(entry.between), "gap": gap_table, "at": _listing(contact.at)}
         own = {key: getattr(entry, key) for key in ("law", "elastic", "friction", "smoothing")}
         plain |= {key: x for key, x in own.items() if x is not None} | {"approach": entry.approach}
+        plain |= {"rolling": True} if entry.rolling else {}
         return contact, plain | ({"values": dict(contact.values)} if contact.values else {})
 
     def _coefficients(self, contact: Contact, values: Mapping[str, Any], place: str) -> dict[str, Any]:

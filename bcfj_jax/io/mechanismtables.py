@@ -86,6 +86,7 @@ class ContactTable(tables.Table):
     friction: bool | str | None = None
     smoothing: bool | None = None
     approach: str = "memory"
+    rolling: bool = False
     values: dict[str, Any] = {}
 
 

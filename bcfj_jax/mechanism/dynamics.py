@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import Face
-from bcfj_jax.contact.wrench import ContactForce, FrictionState, press
+from bcfj_jax.contact.wrench import ContactForce, FrictionState, couple, press
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
@@ -305,6 +305,9 @@ class Dynamics(AbstractModel):
                 touch = press(c.law, c.friction, c_values, face, velocity, kept)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
+            if c.rolling:
+                spin = subtract(second.spin, first.spin)
+                touch = touch._replace(couple=couple(touch, face.normal, spin, c_values))
             found.append((face, touch))
         return found
 
@@ -327,13 +330,15 @@ class Dynamics(AbstractModel):
             for face, touch in now.faces[c.name]:
                 point = add(place, face.lever)
                 arms = (subtract(point, body.place) for body in bodies)
-                acting += zip((1, 0), (touch.force, negative(touch.force)), [*arms][::-1], strict=True)
+                turn = touch.couple or ZERO
+                couples, forces = (turn, negative(turn)), (touch.force, negative(touch.force))
+                acting += zip((1, 0), forces, [*arms][::-1], couples, strict=True)
             # A body of several contacts takes the sum of their forces; bodies that differ take each its own.
             if not alike.scattered(c):
-                for which, force, arm in acting:
-                    found.act(bodies[which], arm, force)
+                for which, force, arm, turn in acting:
+                    found.act(bodies[which], arm, force, turn)
                 continue
-            parted = alike.apart(c, [(which, force, cross(arm, force), arm) for which, force, arm in acting])
+            parted = alike.apart(c, [(k, force, add(cross(arm, force), turn), arm) for k, force, arm, turn in acting])
             for one in c.each:
                 own = one.parts(now.bodies.parts)
                 for which, *wrench in parted[one.name]:

@@ -151,6 +151,9 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
             width = values.get("smoothing")
             changes = dict(zip(c.memory, c.learning(face, touch, own, p), strict=True))
             friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
+            if touch.couple is not None:
+                spin = subtract(*(body.spin for body in c.parts(now.bodies.parts)[::-1]))
+                friction = friction - jnp.sum(jnp.asarray(dot(touch.couple, spin)))
             depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
             still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)
             stored, lost = regularised_energy(c.law, depth, rate, values, changes, width)
