@@ -38,6 +38,19 @@ def test_an_interference_fit():
                   given={**LINEAR, "radius": 0.01}).parameters({"pin_1.clearance": -1e-6})  # fmt: skip
 
 
+@pytest.mark.full
+def test_a_pressed_pin_rings_at_twice_the_stiffness():
+    """Struck with v it swings by v/w sin w t, w^2 = 2k/m, while v/w is below the interference."""
+    pin = Body("pin", "slide", axis="x", mass=0.1, start={"velocity": 0.02})
+    fit = Contact("fit", (GROUND, "pin"), gaps.TwoSidedStop("x"), "kelvin_voigt")
+    scene = Mechanism("fit", [pin], [fit], given={**LINEAR, "clearance_fit": -10e-6}, start="static", end=3e-3)
+    times, w = np.linspace(0.0, 3e-3, 61), np.sqrt(2e6 / 0.1)
+    run = bj.simulate(scene, scene.parameters(), times, accuracy=1e-4)
+    assert run.status == "ok"
+    force = run.force["fit"][:, 0]
+    np.testing.assert_allclose(force, 2e6 * 0.02 / w * np.sin(w * times), atol=2e-3 * np.abs(force).max())
+
+
 def test_a_bolted_flange_opens():
     """Bolt F_i + F k_b/(k_b + k_c) while the flange is closed, F below F_i (k_b + k_c)/k_c; F alone beyond (Shigley, 8-7)."""
     bolt_k, clamp_k, pre = 4e5, 1e6, 2000.0

@@ -15,7 +15,8 @@ M, R, G, ROLL, DRILL, S = 0.5, 0.02, 9.81, 2e-4, 5e-4, 1e-3
 INERTIA = 0.4 * M * R * R
 NUMBERS = {
     "stiffness": 1e8, "exponent": 1.5, "damping": 0.3, "smoothing": 0.0, "radius": R, "rolling_length": ROLL,
-    "friction_static": 0.5, "drilling_length": DRILL, "spin_speed": S, "friction_dynamic": 0.4, "friction_speed": 1e-3, "gravity": G,
+    "friction_static": 0.5, "drilling_length": DRILL, "spin_speed": S, "friction_dynamic": 0.4, "friction_speed": 1e-3,
+    "gravity": G,
 }  # fmt: skip
 DEPTH = (M * G / 1e8) ** (1.0 / 1.5)
 

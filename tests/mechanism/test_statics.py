@@ -92,6 +92,23 @@ def test_a_pendulum_between_spring_and_weight_with_derivatives():
     assert float(jax.jit(jax.jacfwd(jax.grad(place)))(15.0)) == pytest.approx(second, rel=1e-5)
 
 
+@pytest.mark.full
+def test_a_runs_derivatives_go_through_its_start():
+    """d(reaction)/dk over a run that begins at rest and is then pushed, by JAX against central differences."""
+    bar = Body("bar", "hinge", center=(0.4, 0, 0), mass=2.0, inertia=0.01)
+    push = Force("push", "bar", "y", 3.0, at=(0.8, 0, 0), ramp=0.1)
+    scene = Mechanism("bar", [bar], loads=[Gravity(), JointSpring("coil", "bar", 15.0), push], start="static")
+    params, times, name = scene.parameters(), np.linspace(0.0, 0.3, 16), "bar.reaction.y"
+
+    def force(k):
+        return bj.reading_history(scene, {**params, "coil.stiffness": k}, times, [name], accuracy=1e-5)[name]
+
+    value, slope = jax.jvp(force, (jnp.asarray(15.0),), (jnp.ones(()),))
+    near = (force(jnp.asarray(15.01)) - force(jnp.asarray(14.99))) / 0.02
+    assert float(value[0]) == pytest.approx(2.0 * G, rel=1e-9)
+    np.testing.assert_allclose(slope, near, atol=1e-5 * np.abs(near).max())
+
+
 def test_drives_hold_their_places():
     """A mass on a spring from a driven slide, which moves fast at time 0: at rest relative to where the slide is then."""
     base = Body("base", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=3.0, start=0.5))
