@@ -128,17 +128,23 @@ class Mechanism(Dynamics):
     orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
     suspects = checks.suspects  # pyright: ignore[reportAssignmentType]
 
+    @property
+    def _at_rest(self) -> bool:
+        """Whether places at rest are sought; there are none where every motion is given."""
+        return bool(self.start and self._free)
+
     def check(self, params: Params, where: str = "") -> None:
         """As ``AbstractModel``; a start at rest that there is not, too."""
-        single = not any(is_traced(x) or np.shape(x) != self.quantities[name].shape for name, x in params.items())
-        if self.start and single:
-            checks.names_read(self, params, where or f"scene '{self.kind}'")
-            statics.check(self, params, where or f"scene '{self.kind}'")
+        shapes = {name: q.shape for name, q in self.quantities.items()} if self._at_rest else {}
+        if shapes and not any(is_traced(x) or np.shape(x) != shapes.get(name) for name, x in params.items()):
+            said = where or f"scene '{self.kind}'"
+            checks.names_read(self, params, said)
+            statics.check(self, params, said)
         checks.check_values(self, params, where)
 
     def initial_state(self, params: Params) -> Array:
         """As the bodies start, or where they are at rest."""
-        if not self.start:
+        if not self._at_rest:
             return super().initial_state(params)
         return statics.initial_state(self, params, self.placed_state(params))
 

@@ -2,13 +2,13 @@
 
 Sought are coordinates q with Q(q, u = 0, t = 0) = 0, Q the force on every free velocity u (``equations``): weight, springs,
 preload and contacts; drives hold their places of time 0. Friction gives nothing at rest, and states of laws and bristles are
-as at a first touch. From the places of ``start`` the bodies creep down, as if they moved in honey (pseudo-transient
-continuation; Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508):
+as at a first touch. From the places of ``start`` the bodies move as if damped heavily (pseudo-transient continuation;
+Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508):
 
     (M/s + K) d = Q,    K = -dQ/dq,    q <- q + d,
 
 M the diagonal of the mass matrix; s grows where a step loses energy, (Q + Q') . d >= 0, and falls where it gains. So a fall
-ends on what is below, and no pendulum stays on its head. With s large this is Newton's method. Steps of it beyond the
+ends on what is below, and a pendulum hangs. With s large this is Newton's method. Steps of it beyond the
 solution carry the derivatives (implicit function theorem: dq = K^-1 dQ; two steps for second ones). Where K has no stiffness
 and nothing pulls, as along a floor, bodies stay where they are.
 """
@@ -151,6 +151,8 @@ class _Search:
 
 
 class _Moved(NamedTuple):
+    """What ``Dynamics._rates`` reads of an instant."""
+
     q: list[Any]
     v: list[Any]
 

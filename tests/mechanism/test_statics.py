@@ -135,6 +135,11 @@ def test_what_has_no_rest_is_told(scene, told):
 
 
 def test_a_start_that_is_none_is_refused():
+    given = Mechanism(
+        "given", [Body("cam", "hinge", mass=1.0, inertia=1.0, drive=Drive("constant", speed=1.0))], start="static"
+    )
+    given.check(given.parameters())
+    assert given.initial_state(given.parameters()).shape == (0,)
     with pytest.raises(InputError, match="give 'static'"):
         Mechanism("bead", [Body("bead", "slide", mass=1.0)], start="rest")
     assert jnp.isnan(Mechanism("bead", [Body("bead", "slide", axis="y", mass=1.0)], loads=[Gravity()], start="static")
