@@ -40,7 +40,7 @@ INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|sca
 # solvers and interpolations, of a structure.
 INHERITED = {"force", "needs", "mobility", "rates", "sizes", "stored", "unloading", "bond", "lag", "reach"}
 INHERITED |= {"faces", "bends", "axial", "drawn", "members", "quantities", "carried", "radius", "size", "misread"}
-INHERITED |= {"actions", "touches", "damps", "kinks", "parameters", "on_coordinate"}
+INHERITED |= {"actions", "touches", "damps", "kinks", "parameters", "on_coordinate", "on_coordinates"}
 INHERITED |= {"order", "error_order", "init", "func", "step", "evaluate"}
 INHERITED |= {"field", "factor", "solve", "time_derivative"}
 SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))

@@ -20,7 +20,7 @@ from bcfj_jax.core.extras import library
 from bcfj_jax.core.numerics import power
 from bcfj_jax.core.quantities import real
 from bcfj_jax.io import outputs
-from bcfj_jax.mechanism.channels import READ_BY, channel, read, shares
+from bcfj_jax.mechanism.channels import READ_BY, Seen, channel, read, shares
 from bcfj_jax.mechanism.materials import SOURCES as SOURCES
 from bcfj_jax.mechanism.materials import STEEL as STEEL
 from bcfj_jax.mechanism.materials import material
@@ -94,7 +94,7 @@ def of_run(scene: AbstractModel, params: Params, run: Any) -> dict[str, dict[str
         for kind, what in READ_BY.items():
             one = channel(f"{name}.{what}", scene)
             try:
-                values = read([one], {name: reading}, {}, shares([one], scene, params))[one.name]
+                values = read([one], Seen({name: reading}, shares=shares([one], scene, params)))[one.name]
             except InputError:
                 continue
             for member, x in outputs.channels({name: np.asarray(values)}).items():

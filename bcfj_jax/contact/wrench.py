@@ -28,6 +28,8 @@ from bcfj_jax.contact.normal import GAP, AbstractLaw, regularised_force
 from bcfj_jax.core.numerics import smooth_step
 from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, minus, negative, scale, subtract, times
 
+# Coefficients of what resists rolling and drilling.
+RESISTING = ("rolling_length", "drilling_length", "spin_speed")
 # A bristle that touches nothing springs back with this time constant [s].
 RELAX = 1e-5
 
@@ -40,6 +42,7 @@ class ContactForce(NamedTuple):
         normal: normal force [N] >= 0.
         rate, slip_squared: of the penetration [m/s], and the sliding speed squared [m^2/s^2].
         slide: sliding velocity of b on a [m/s], world.
+        couple: on b, of a contact that resists rolling and drilling [N m], world; else None.
         bending: rate of the friction's state: of bristles z' [m/s], world; of friction that lags (w',) [m/s^2]; else None.
     """
 
@@ -49,6 +52,7 @@ class ContactForce(NamedTuple):
     rate: Number
     slide: Vector
     bending: Vector | tuple[Number] | None = None
+    couple: Vector | None = None
 
     @property
     def slip_squared(self) -> Number:
@@ -111,6 +115,24 @@ def press(
     lost = scale(minus(1.0, apart), subtract(slide, scale(forget, bristle)))
     bending = add(cross(spin, bristle), lost, scale(-apart / RELAX, bristle))
     return ContactForce(add(push, drag), drag, normal, rate, slide, bending)
+
+
+def couple(touch: ContactForce, normal: Vector, spin: Vector, c: Coefficients) -> Vector:
+    """Torque on b that resists rolling and drilling [N m], world.
+
+        M = -N (r w_t/sqrt(w_t . w_t + s^2) + b w_n/sqrt(w_n . w_n + s^2)),
+
+    w_n and w_t the parts of the relative spin w along the normal and across it. Coulomb's laws of rolling and drilling
+    friction (Johnson, Contact Mechanics, 1985, 8.3 and 8.5), regularised below s as ``friction.Coulomb`` is: a body at rest on
+    a slope creeps. Of a Hertz contact of radius a that slides everywhere b is 3 pi mu a/16. Coefficients:
+    ``rolling_length`` r, the lever of rolling resistance [m], ``drilling_length`` b [m], ``spin_speed`` s [rad/s].
+    """
+    along = scale(dot(normal, spin), normal)
+    found = ZERO
+    for part, lever in ((subtract(spin, along), "rolling_length"), (along, "drilling_length")):
+        size = jnp.sqrt(jnp.asarray(dot(part, part)) + c["spin_speed"] ** 2)
+        found = add(found, scale(-times(touch.normal, c[lever]) / size, part))
+    return found
 
 
 def separated(depth: Number, c: Coefficients) -> Array:

@@ -95,6 +95,9 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("friction_viscous", "s/m", "viscous part of friction: coefficient over slip speed"),
         _positive("bristle_stiffness", "1/m", "sigma0 of LuGre: tangential stiffness over normal force"),
         _not_negative("bristle_damping", "s/m", "sigma1 of LuGre: bristle damping over normal force"),
+        _not_negative("rolling_length", "m", "lever of rolling resistance: its torque over the normal force"),
+        _not_negative("drilling_length", "m", "lever of drilling friction: its torque over the normal force"),
+        _positive("spin_speed", "rad/s", "relative spin below which rolling and drilling resistance fade"),
         # sizes of the gaps
         _not_negative("clearance", "m", "clearance between the surfaces of centred bodies"),
         _positive("radius_a", "m", "radius of the first body's sphere"),

@@ -1,9 +1,12 @@
 """Mechanisms of one's own in a scene file: its bodies, contacts, loads and quantities become a ``Mechanism``.
 
-    [scene]          kind = "mechanism"; law, elastic, friction, smoothing: of every contact that does not say its own
+    [scene]          kind = "mechanism"; law, elastic, friction, smoothing: of every contact that does not say its own;
+                     start = "static": from where all is at rest
     [[body]]         name, joint, parent, at, axis, tilt = [axis, angle], center, mass, inertia, start, drive, members
-    [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, values
-    [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | joint_friction | one's own; name, ...
+    [[contact]]      name, between, gap, at = [on a, on b], law, elastic, friction, smoothing, approach, rolling,
+                     values
+    [[load]]         kind = gravity | force | torque | spring | bush | joint_spring | joint_friction | coupling, or one's
+                     own; name, ...
     [quantity.NAME]  unit, lower, upper, default, meaning: a parameter that places and coefficients may name
     [[read]]         of, frame: readings to keep
 
@@ -35,7 +38,7 @@ from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Drive, unit_of
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.checks import names_read
 from bcfj_jax.mechanism.contacts import Approach, Contact
-from bcfj_jax.mechanism.loads import LOADS, AbstractLoad, Load
+from bcfj_jax.mechanism.loads import LOADS, AbstractLoad, Coupling, Load
 from bcfj_jax.mechanism.mechanism import Mechanism
 
 # Tables of a mechanism beside those of every scene file.
@@ -139,7 +142,7 @@ class _Builder:
             parts.append(tuple(part for part, _ in found))
             resolved[table] = [plain for _, plain in found]
         with placed(self.content, self.where):
-            mechanism = Mechanism(KIND, *parts, own=own, end=_end(parts[0]))
+            mechanism = Mechanism(KIND, *parts, own=own, end=_end(parts[0]), start=self.options.start)
         self._look_up(mechanism)
         resolved["quantity"] = quantities
         return mechanism, {name: table for name, table in resolved.items() if table}
@@ -193,13 +196,15 @@ class _Builder:
             for unit, shape in (x for x in field.metadata if isinstance(x, keys.In)):
                 # An inertia may be one number.
                 shape = shape if isinstance(found[key], list) else ()
+                if key == "inertia" and shape and len(found[key]) == 6:
+                    shape = (6,)
                 found[key] = self._sized(found[key], keys.TURNED.get(unit, unit) if turns else unit, shape, place + key)
         return found
 
-    def _table(self, rows: list[list[Any]], unit: str, place: str) -> Any:
+    def _table(self, rows: list[list[Any]], unit: str, place: str, over: str = "s") -> Any:
         if len(rows) != 2 or len(rows[0]) != len(rows[1]):
             raise InputError(place, "has not two rows of one length", "give [[times], [values]]")
-        return tuple(map(tuple, programmes.table(rows, unit, place)))
+        return tuple(map(tuple, programmes.table(rows, unit, place, over=over)))
 
     def _quantities(self) -> tuple[list[tuple[Quantity, float | None]], dict[str, dict[str, Any]]]:
         found, resolved = [], {}
@@ -292,7 +297,7 @@ class _Builder:
         given: dict[str, Any] = {
             "name": entry.name, "between": tuple(entry.between), "gap": gap, "law": law, "friction": friction,
             "smoothing": smoothing, "at": self._numbers(entry, f"{place} ")["at"],
-            "approach": "parameter" if entry.approach == "parameter" else Approach(),
+            "approach": "parameter" if entry.approach == "parameter" else Approach(), "rolling": entry.rolling,
         }  # fmt: skip
         with _said_of(f"contact '{entry.name}'", place):
             contact = Contact(**given)
@@ -302,6 +307,7 @@ class _Builder:
         plain = {"name": entry.name, "between": list(entry.between), "gap": gap_table, "at": _listing(contact.at)}
         own = {key: getattr(entry, key) for key in ("law", "elastic", "friction", "smoothing")}
         plain |= {key: x for key, x in own.items() if x is not None} | {"approach": entry.approach}
+        plain |= {"rolling": True} if entry.rolling else {}
         return contact, plain | ({"values": dict(contact.values)} if contact.values else {})
 
     def _coefficients(self, contact: Contact, values: Mapping[str, Any], place: str) -> dict[str, Any]:
@@ -338,7 +344,15 @@ class _Builder:
             if len(entry.between) != 2 or entry.between[0] == entry.between[1]:
                 raise InputError(f"{place} between", f"{entry.between}", "give the names of two different bodies")
             given["between"] = tuple(entry.between)
-        if given.get("table") is not None:
+        if kind == "coupling":
+            for name in entry.joints:
+                one_of(f"{place} joints", "body", name, joints)
+            units = Coupling.units(*(joints[name] == "hinge" for name in entry.joints))
+            given |= {key: self._size(given[key], unit, f"{place} {key}") for key, unit in units.items()}
+        if given.get("table") is not None and kind in ("spring", "joint_spring"):
+            rows = ("rad", "N m") if turns else ("m", "N")
+            given["table"] = self._table(given["table"], rows[1], f"{place} table", rows[0])
+        elif given.get("table") is not None:
             if any(x is not None for x in (entry.size, entry.ramp, entry.amplitude, entry.reversal)):
                 raise InputError(f"{place} table", "is given beside a size or a ramp", "give one of them")
             given["table"] = self._table(given["table"], programmes.OF_LOADS[kind], f"{place} table")

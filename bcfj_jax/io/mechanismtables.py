@@ -42,6 +42,7 @@ class SceneTable(tables.Table):
     elastic: str | None = None
     friction: bool | str = False
     smoothing: bool = True
+    start: str = ""
 
 
 class DriveTable(tables.Table):
@@ -85,6 +86,7 @@ class ContactTable(tables.Table):
     friction: bool | str | None = None
     smoothing: bool | None = None
     approach: str = "memory"
+    rolling: bool = False
     values: dict[str, Any] = {}
 
 
@@ -127,14 +129,20 @@ _FORCE: dict[str, Any] = _NAMED | {
     "reversal_ramp": (Time, None),
 }  # fmt: skip
 _TORQUE: dict[str, Any] = _FORCE | {"size": (Torque, None), "amplitude": (Torque, None), "against": (str, GROUND)}
-_BUSH: dict[str, Any] = {"stiffness": (Stiffness, 1e7), "turning_damping": (Annotated[Any, In("N m s/rad")], 0)}
-_SPRING: dict[str, Any] = {"stiffness": (Stiffness, 0), "damping": (Damping, 0)}
+_BUSH: dict[str, Any] = {
+    key: (Annotated[Any, In(unit, (3,))], default)
+    for key, unit, default in (("stiffness", "N/m", 1e7), ("damping", "N s/m", 0), ("turning_damping", "N m s/rad", 0),
+                               ("turning_stiffness", "N m/rad", 0))
+}  # fmt: skip
+_SPRING: dict[str, Any] = {
+    "stiffness": (Stiffness, 0), "damping": (Damping, 0), "table": (list[list[Any]] | None, None), "side": (str, "both"),
+}  # fmt: skip
 LOAD_TABLES = {
     "gravity": _load("gravity", name=(str, "gravity"), direction=(str | list[float | int], "-y")),
     "force": _load("force", **_FORCE),
     "torque": _load("torque", **_TORQUE),
     "spring": _load("spring", **_NAMED, **_BETWEEN, **_SPRING, free_length=(Length, 0)),
-    "bush": _load("bush", **_NAMED, **_BETWEEN, **(_SPRING | _BUSH)),
+    "bush": _load("bush", **_NAMED, **_BETWEEN, **_BUSH),
     "joint_spring": _load(
         "joint_spring", **_NAMED, body=(str, ...), **_SPRING, rest=(Length, 0), drive=(DriveTable | None, None)
     ),
@@ -146,5 +154,15 @@ LOAD_TABLES = {
         speed=(Speed, ...),
         breakaway=(Force, None),
         friction=(str, "coulomb"),
+    ),
+    "coupling": _load(
+        "coupling",
+        **_NAMED,
+        joints=(list[str], ...),
+        ratio=(Any, ...),
+        stiffness=(Any, ...),
+        damping=(Any, 0),
+        backlash=(Any, 0),
+        rest=(Any, 0),
     ),
 }

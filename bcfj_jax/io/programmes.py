@@ -21,10 +21,10 @@ _MOST = 100_000
 _REMEDY = 'give a CSV file with a head such as "time [s],torque [kN m]" and a row a point'
 
 
-def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list[list[float]]:
+def table(given: Any, unit: str, where: str, folder: Path | None = None, over: str = "s") -> list[list[float]]:
     """[[times], [values]] in SI, of such rows, whose numbers may be texts with a unit, or the name of a CSV file.
 
-    A name counts from the scene file's ``folder``; without one from the working directory.
+    ``over``: the unit of the first row. A name counts from the scene file's ``folder``; without one from the working directory.
     """
     if isinstance(given, str):
         return _read((folder or Path()) / given, unit, where)
@@ -35,7 +35,7 @@ def table(given: Any, unit: str, where: str, folder: Path | None = None) -> list
         raise InputError(where, f"{clip(str(given))} is no table", remedy)
     return [
         [quantity(x, one, f"{where}[{i}][{k}]") for k, x in enumerate(row)]
-        for i, (row, one) in enumerate(zip(given, ("s", unit), strict=True))
+        for i, (row, one) in enumerate(zip(given, (over, unit), strict=True))
     ]
 
 

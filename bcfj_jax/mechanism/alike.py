@@ -86,7 +86,7 @@ def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Calla
     """Contacts in their order, alike ones in the place of their first; between other bodies if these are of one ``kind``."""
     pairs: dict[Any, list[Contact]] = {}
     for c in contacts:
-        same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach)
+        same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach, c.rolling)
         alone = members[c.name] or not _plain(c)
         pairs.setdefault((c.name,) if alone else same, []).append(c)
     groups: dict[Any, list[Contact]] = {}
@@ -116,5 +116,16 @@ def _ours(part: Any) -> bool:
 def _together(group: Sequence[Contact]) -> Alike:
     c = group[0]
     return Alike(
-        c.name, c.between, c.gap, c.law, c.friction, None, c.smoothing, c.at, c.values, c.approach, tuple(group)
+        c.name,
+        c.between,
+        c.gap,
+        c.law,
+        c.friction,
+        None,
+        c.smoothing,
+        c.at,
+        c.values,
+        c.approach,
+        c.rolling,
+        tuple(group),
     )

@@ -8,7 +8,7 @@ its partial velocities (Kane and Levinson, Dynamics, 1985). Accelerations are  s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -47,11 +47,22 @@ JOINTS: dict[str, tuple[tuple[str, str, int], ...]] = {
     "planar": (("x", "slide", 0), ("y", "slide", 1), ("angle", "hinge", 2)),
     "bearing": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("angle", "hinge", 2)),
     "particle": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2)),
+    "universal": (("first", "hinge", 0), ("second", "hinge", 1)),
     "spherical": (("", "ball", 2),),
     "free": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "ball", 2)),
     "sphere": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "spin", 2)),
 }
-RATES = {"position": "velocity", "angle": "speed", "x": "vx", "y": "vy", "z": "vz"}
+RATES = {
+    "position": "velocity",
+    "angle": "speed",
+    "x": "vx",
+    "y": "vy",
+    "z": "vz",
+    "first": "first_speed",
+    "second": "second_speed",
+}
+# Of a matrix of inertia: about its axes, and its entries beside the diagonal, which are less the integrals of x y dm.
+INERTIAS = ("x", "y", "z", "xy", "yz", "zx")
 QUATERNION, SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
 
 
@@ -189,7 +200,8 @@ class Body(eqx.Module):
         center: the centre of mass in the body's axes [m].
         mass: [kg]; None reads ``<name>.mass``, else the shared ``mass``.
         inertia: about the centre of mass [kg m^2]: one number (isotropic, or about the only axis it turns about), or
-            three about the body's axes; None reads ``<name>.inertia`` or the shared one; read by bodies that turn.
+            three about the body's axes, or six, (xx, yy, zz, xy, yz, zx) of its matrix in these axes, I_xy being the integral
+            of -x y dm; None reads ``<name>.inertia`` or the shared one; read by bodies that turn.
         start: by coordinate or velocity name, its value at time 0 (0 where not given).
         drive: a motion that takes the coordinate's place (slide and hinge only).
         members: number of like bodies; 0 for one. Members hang on the ground and carry nothing.
@@ -247,12 +259,12 @@ class Body(eqx.Module):
     def _check_inertia(self, where: str) -> None:
         if not isinstance(self.inertia, tuple):
             return
-        if len(self.inertia) != 3:
+        if len(self.inertia) not in (3, 6):
             found = f"{len(self.inertia)} numbers {list(self.inertia)}"
-            remedy = "give one number, or three about the body's axes, which are then its principal axes"
+            remedy = "give one number, three about the body's axes, or six: xx, yy, zz, xy, yz, zx"
             raise InputError(f"{where} inertia", found, remedy)
         if all(isinstance(x, (int, float)) for x in self.inertia):
-            refuse_impossible(f"{where} inertia", self.inertia)
+            refuse_impossible(f"{where} inertia", principal(self.inertia))
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -292,9 +304,11 @@ class Body(eqx.Module):
         name = self.name
         found = sizes.own(self.mass, name, "mass", "kg", f"mass of {name}")
         if turning and isinstance(self.inertia, tuple):
-            for key, size in zip("xyz", self.inertia, strict=True):
+            for key, size in zip(INERTIAS, self.inertia, strict=False):
                 meaning = f"inertia of {name} about its {key} axis through its centre of mass"
-                found |= sizes.own(size, name, f"inertia_{key}", "kg m^2", meaning)
+                if len(key) == 2:
+                    meaning = f"entry {key} of the matrix of inertia of {name}"
+                found |= sizes.stated(size, name, f"inertia_{key}", "kg m^2", meaning)
         elif turning:
             meaning = f"inertia of {name} about its centre of mass"
             found |= sizes.own(self.inertia, name, "inertia", "kg m^2", meaning)
@@ -314,9 +328,18 @@ def _items(start: Any) -> tuple[tuple[str, Size], ...]:
     return tuple((key, sizes.plain(f"body start {key}", size)) for key, size in items)
 
 
+def principal(inertia: Sequence[Any]) -> tuple[float, ...]:
+    """Principal moments of three numbers, or of six of a matrix of inertia."""
+    x, y, z, xy, yz, zx = (*map(float, inertia), 0.0, 0.0, 0.0)[:6]
+    return tuple(map(float, np.linalg.eigvalsh([[x, xy, zx], [xy, y, yz], [zx, yz, z]])))
+
+
 def refuse_impossible(where: str, moments: tuple[Any, ...]) -> None:
     """Refuse principal moments of inertia that no body has: each is at most the sum of the other two."""
     greatest, others = max(moments), sum(moments) - max(moments)
+    if min(moments) <= 0.0:
+        found = f"principal moments ({', '.join(f'{float(x):.4g}' for x in moments)}) kg m^2"
+        raise InputError(where, found, "give a matrix of inertia whose principal moments are all above 0")
     if greatest > others * (1.0 + 1e-9):
         found = f"({', '.join(f'{float(x):g}' for x in moments)}) kg m^2: {greatest:g} is more than the others' sum, {others:g}"
         remedy = "no body has such moments of inertia: correct them, so that none is more than the other two together"
@@ -327,7 +350,7 @@ def unit_of(key: str) -> str:
     """Unit of a coordinate or a velocity by its name."""
     if key in ("position", "x", "y", "z"):
         return "m"
-    if key in ("angle",):
+    if key in ("angle", "first", "second"):
         return "rad"
     return "m/s" if key in ("velocity", "vx", "vy", "vz") else "1" if key in QUATERNION else "rad/s"
 
@@ -394,7 +417,6 @@ def carried(body: Body, parent: Part, own: Own, t: Array, p: Params) -> Part:
         angle = sizes.length(body.tilt[1], body.name, "tilt", p)
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
     basis = _basis(sizes.axis(body.axis, body.name), p)
-    base = part.axes
     q, v, j = list(own.q), list(own.v), own.first
     for _, kind, which in JOINTS[body.joint]:
         if kind in ("slide", "hinge"):
@@ -402,7 +424,8 @@ def carried(body: Body, parent: Part, own: Own, t: Array, p: Params) -> Part:
                 along = _Along(*body.drive.motion(t, body.name, p), own.driven)
             else:
                 along, j = _Along(q.pop(0), v.pop(0), 0.0, j), j + 1
-            way = turned(base, basis[which])
+            # Slides come first and are along the joint's axes; a second hinge turns with the first.
+            way = turned(part.axes, basis[which])
             part = _slid(part, way, along) if kind == "slide" else _hinged(part, way, basis[which], along)
         else:
             rates = (v.pop(0), v.pop(0), v.pop(0))

@@ -16,7 +16,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import is_traced, positive
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
-from bcfj_jax.mechanism.bodies import GROUND, refuse_impossible
+from bcfj_jax.mechanism.bodies import GROUND, principal, refuse_impossible
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import CoordinateLoad, checked
 from bcfj_jax.mechanism.scales import expected
@@ -110,10 +110,21 @@ def _check_loads(scene: Dynamics, where: str) -> None:
             if body not in known:
                 raise InputError(f"{where} load '{load.name}'", f"no body '{body}'", nearest(body, known))
         if isinstance(load, CoordinateLoad):
-            free = len(scene.body(load.body).rates) if load.body != GROUND else 0
-            if free != 1:
-                found = f"'{load.body}' has {free} free coordinates"
-                raise InputError(f"{where} load '{load.name}' body", found, "give a body that slides or hinges freely")
+            joints = [scene.body(name) for name in load.coordinates if name != GROUND]
+            for name, b in zip(load.coordinates, [*joints, None], strict=False):
+                # Of two joints one may be driven.
+                free = (
+                    0
+                    if b is None
+                    else 1
+                    if b.drive is not None and any(x.drive is None for x in joints)
+                    else len(b.rates)
+                )
+                if free != 1:
+                    remedy = "give a body that slides or hinges freely"
+                    raise InputError(
+                        f"{where} load '{load.name}' body", f"'{name}' has {free} free coordinates", remedy
+                    )
 
 
 def _check_static(where: str, part: Any) -> None:
@@ -196,7 +207,7 @@ def check_inertia(scene: Dynamics, params: Params, where: str) -> None:
     for body in scene.bodies:
         moments = scene.inertia(body, params)
         if isinstance(moments, tuple) and not any(is_traced(x) or np.ndim(x) for x in moments):
-            refuse_impossible(f"{where} body '{body.name}' inertia", tuple(map(float, moments)))
+            refuse_impossible(f"{where} body '{body.name}' inertia", principal(moments))
 
 
 def check_values(scene: Dynamics, params: Params, where: str = "") -> None:

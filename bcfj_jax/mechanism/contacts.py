@@ -21,7 +21,7 @@ from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
 from bcfj_jax.contact.normal import AbstractLaw, regularised_rates
 from bcfj_jax.contact.part import checked
-from bcfj_jax.contact.wrench import ContactForce
+from bcfj_jax.contact.wrench import RESISTING, ContactForce
 from bcfj_jax.core.errors import InputError, origin, quoted
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -72,6 +72,7 @@ class Contact(eqx.Module):
         at: places of the markers in the axes of a and of b [m].
         values: coefficients of its own: a number is a default, a text names a parameter.
         approach: where a law's ``approach_speed`` is from: "parameter", or a memory (``Approach``).
+        rolling: whether it resists rolling and drilling (``contact.wrench.couple``).
     """
 
     name: str = eqx.field(static=True)
@@ -84,6 +85,7 @@ class Contact(eqx.Module):
     at: tuple[Place, Place] = sizes.field("contact at", default=(ORIGIN, ORIGIN))
     values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
     approach: Any = eqx.field(static=True, default=Approach())
+    rolling: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         if isinstance(self.law, str):
@@ -168,6 +170,7 @@ class Contact(eqx.Module):
         """Names of all its coefficients."""
         rub = self.friction.needs if self.friction is not None else ()
         names = (*self.law.needs, *rub, *(("smoothing",) if self.smoothing else ()), *self.gap.needs)
+        names += RESISTING if self.rolling else ()
         return tuple(dict.fromkeys(n for n in names if not (n == "approach_speed" and self.remembers)))
 
     def coefficients(self, p: Params) -> dict[str, Array]:
@@ -197,7 +200,8 @@ class Contact(eqx.Module):
             default = arrays_.get(name) if size is None else float(size)
             if name == "clearance":
                 own = f"clearance_{self.name}"
-                known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}")
+                least = float("-inf") if self.gap.preloads else meaning.low
+                known = CATALOGUE.get(own) or meaning._replace(name=own, meaning=f"clearance of {self.name}", low=least)
                 found[own] = (known, default)
                 continue
             if name not in arrays_:  # Those are of one contact.

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.contact.gaps import Face
-from bcfj_jax.contact.wrench import ContactForce, FrictionState, press
+from bcfj_jax.contact.wrench import ContactForce, FrictionState, couple, press
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
@@ -33,7 +33,7 @@ from bcfj_jax.core.vectors import (
     turned,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, arrays, equations, sizes
-from bcfj_jax.mechanism.bodies import GROUND, STILL, Body, Own, Part, carried, quaternion_rate
+from bcfj_jax.mechanism.bodies import GROUND, INERTIAS, STILL, Body, Own, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
@@ -75,6 +75,7 @@ class Dynamics(AbstractModel):
     touch: Callable[[Mapping[str, float]], float | None] | None = eqx.field(static=True, default=None)
     longest_step: float | None = eqx.field(static=True, default=None)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
+    start: str = eqx.field(static=True, default="")
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -134,8 +135,8 @@ class Dynamics(AbstractModel):
         for part in (shared, *parts, *(b.parameters(self.turning(b.name)) for b in self.bodies)):
             found |= {name: x for name, x in part.items() if found.get(name, (None, None))[1] is None}
         for load in self.loads:
-            turns = isinstance(load, CoordinateLoad) and self.body(load.body).joint == "hinge"
-            found |= load.parameters(turns) if isinstance(load, CoordinateLoad) else load.parameters()
+            on = load.coordinates if isinstance(load, CoordinateLoad) else ()
+            found |= load.parameters(*(self.body(name).joint == "hinge" for name in on))
         found |= {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.own}
         for name in self._named():
             if name not in found and name in CATALOGUE:
@@ -201,12 +202,19 @@ class Dynamics(AbstractModel):
 
     def initial_state(self, params: Params) -> Array:
         """Coordinates and velocities as the bodies start; contacts remember the rate at which they close."""
+        return self.recalling(self.placed_state(params), params)
+
+    def placed_state(self, params: Params) -> Array:
+        """Coordinates and velocities as the bodies' ``start`` gives them."""
         q, v = [], []
         for b in self.ordered:
             places, rates = b.starting(params)
             q, v = q + places, v + rates
         moving = [*flat(q, [k for *_, k in self._placed]), *flat(v, [k for *_, k in self._free])]
-        start = jnp.stack(moving) if moving else jnp.zeros(0)
+        return jnp.stack(moving) if moving else jnp.zeros(0)
+
+    def recalling(self, start: Array, params: Params) -> Array:
+        """The state at time 0 of coordinates and velocities: with what contacts remember."""
         if not self._memory:
             return start
         unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
@@ -245,7 +253,8 @@ class Dynamics(AbstractModel):
         if not self.turning(body.name):
             return None
         if isinstance(body.inertia, tuple):
-            return tuple(sizes.value(s, body.name, f"inertia_{k}", p) for k, s in zip("xyz", body.inertia, strict=True))
+            pairs = zip(INERTIAS, body.inertia, strict=False)
+            return tuple(sizes.length(s, body.name, f"inertia_{k}", p) for k, s in pairs)
         return sizes.value(body.inertia, body.name, "inertia", p)
 
     def instant(self, t: Array, y: Array, p: Params, laws: bool = True) -> Instant:
@@ -296,6 +305,9 @@ class Dynamics(AbstractModel):
                 touch = press(c.law, c.friction, c_values, face, velocity, kept)
             except Exception as error:
                 raise raised(f"contact '{c.name}' law {type(c.law).__name__}", error) from error
+            if c.rolling:
+                spin = subtract(second.spin, first.spin)
+                touch = touch._replace(couple=couple(touch, face.normal, spin, c_values))
             found.append((face, touch))
         return found
 
@@ -318,13 +330,15 @@ class Dynamics(AbstractModel):
             for face, touch in now.faces[c.name]:
                 point = add(place, face.lever)
                 arms = (subtract(point, body.place) for body in bodies)
-                acting += zip((1, 0), (touch.force, negative(touch.force)), [*arms][::-1], strict=True)
+                turn = touch.couple or ZERO
+                couples, forces = (turn, negative(turn)), (touch.force, negative(touch.force))
+                acting += zip((1, 0), forces, [*arms][::-1], couples, strict=True)
             # A body of several contacts takes the sum of their forces; bodies that differ take each its own.
             if not alike.scattered(c):
-                for which, force, arm in acting:
-                    found.act(bodies[which], arm, force)
+                for which, force, arm, turn in acting:
+                    found.act(bodies[which], arm, force, turn)
                 continue
-            parted = alike.apart(c, [(which, force, cross(arm, force), arm) for which, force, arm in acting])
+            parted = alike.apart(c, [(k, force, add(cross(arm, force), turn), arm) for k, force, arm, turn in acting])
             for one in c.each:
                 own = one.parts(now.bodies.parts)
                 for which, *wrench in parted[one.name]:
@@ -332,7 +346,8 @@ class Dynamics(AbstractModel):
 
     def _loaded(self, found: Equations, load: AbstractLoad, t: Array, now: Instant, p: Params) -> None:
         if isinstance(load, CoordinateLoad):
-            found.push(*self.sprung(load, t, now, p))
+            for j, force, _ in self.sprung(load, t, now, p):
+                found.push(j, force)
             return
         try:
             actions = load.actions(t, now.bodies, p)
@@ -350,11 +365,20 @@ class Dynamics(AbstractModel):
             self._loaded(found, load, t, now, p)
         return flat(found.forces, self._members)
 
-    def sprung(self, load: CoordinateLoad, t: Array, now: Instant, p: Params) -> tuple[int, Number]:
-        """Which velocity a load on a joint acts on, and its force [N, N m]."""
-        j = next(j for j, (body, *_) in enumerate(self._free) if body == load.body)
-        i = next(i for i, (body, *_) in enumerate(self._placed) if body == load.body)
-        return j, load.on_coordinate(t, now.q[i], now.v[j], p)
+    def sprung(self, load: CoordinateLoad, t: Array, now: Instant, p: Params) -> list[tuple[int, Number, Number]]:
+        """Which velocities a load on joints acts on, its force on each [N, N m], and each velocity."""
+        found = [self._coordinate(name, t, now, p) for name in load.coordinates]
+        forces = load.on_coordinates(t, [q for _, q, _ in found], [v for *_, v in found], p)
+        return [(j, force, v) for (j, _, v), force in zip(found, forces, strict=True)]
+
+    def _coordinate(self, name: str, t: Array, now: Instant, p: Params) -> tuple[int, Number, Number]:
+        """Index of the velocity of a slide or hinge, its coordinate and its velocity; of a driven one, too."""
+        for k, b in enumerate(self._driven):
+            if b.name == name and b.drive is not None:
+                return len(self._free) + k, *b.drive.motion(t, name, p)[:2]
+        j = next(j for j, (body, *_) in enumerate(self._free) if body == name)
+        i = next(i for i, (body, *_) in enumerate(self._placed) if body == name)
+        return j, now.q[i], now.v[j]
 
     def motion(self, t: Array, y: Array, p: Params) -> Array:
         """Rates of coordinates and velocities without contact forces; of what contacts remember 0."""

@@ -20,15 +20,20 @@ from jax import Array
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, cross, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism.bodies import Part
 
-Inertia = Number | tuple[Number, Number, Number]
+Inertia = Number | tuple[Number, ...]
 
 
 def inertial(inertia: Inertia, axes: Axes, v: Vector) -> Vector:
-    """I v of a world vector; I isotropic, or principal about the body's axes."""
+    """I v of a world vector; I isotropic, or principal about the body's axes, or (xx, yy, zz, xy, yz, zx) of its matrix."""
     if not isinstance(inertia, tuple):
         return scale(inertia, v)
     x, y, z = seen(axes, v)
-    return turned(axes, (times(inertia[0], x), times(inertia[1], y), times(inertia[2], z)))
+    along = (times(inertia[0], x), times(inertia[1], y), times(inertia[2], z))
+    if len(inertia) == 6:
+        xy, yz, zx = inertia[3:]
+        beside = (plus(times(xy, y), times(zx, z)), plus(times(xy, x), times(yz, z)), plus(times(zx, x), times(yz, y)))
+        along = add(along, beside)
+    return turned(axes, along)
 
 
 def total(value: Number, members: int) -> Number:

@@ -26,11 +26,12 @@ from bcfj_jax.core.vectors import (
     spread,
     stacked,
     subtract,
+    times,
     turned,
     unit,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, equations
-from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part
+from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part, unit_of
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
@@ -87,10 +88,8 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
     found, driven = {}, count
     for b in m.ordered:
         part, arm, k = now.bodies.parts[b.name], now.bodies.center[b.name], b.members
-        at = part.shifted(arm)
-        gain = add(at.drift, *(scale(rates[j], v) for j, (_, v) in at.partials.items() if j < count))
-        turns = m.turning(b.name)
-        swirl = add(at.swirl, *(scale(rates[j], w) for j, (w, _) in at.partials.items() if j < count))
+        at, turns = part.shifted(arm), m.turning(b.name)
+        gain, swirl = gained(at, rates)
         drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._placed) if name == b.name}
         joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._free) if name == b.name}
         if b.drive is not None:
@@ -105,6 +104,14 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
             joint={key: spread(jnp.asarray(x), k) for key, x in joint.items()},
         )  # fmt: skip
     return found
+
+
+def gained(at: Part, rates: Sequence[Number]) -> tuple[Vector, Vector]:
+    """Acceleration of a body's origin and its angular one, at accelerations of the free velocities; world."""
+    own = [(rates[j], w, v) for j, (w, v) in at.partials.items() if j < len(rates)]
+    return add(at.drift, *(scale(rate, v) for rate, _, v in own)), add(
+        at.swirl, *(scale(rate, w) for rate, w, _ in own)
+    )
 
 
 def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
@@ -122,11 +129,11 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
         given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._free) + k, rates) * speed)
     friction: Number = jnp.zeros(())
     for load in m.loads:
-        power = jnp.asarray(_power(m, load, t, now, p))
+        brought = jnp.asarray(power(m, load, t, now, p))
         if isinstance(load, CoordinateLoad) and load.dry:
-            friction = friction - power
+            friction = friction - brought
         else:
-            given[load.name] = power
+            given[load.name] = brought
     kinetic: Number = 0.0
     for b in m.ordered:
         part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
@@ -144,6 +151,9 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
             width = values.get("smoothing")
             changes = dict(zip(c.memory, c.learning(face, touch, own, p), strict=True))
             friction = friction - jnp.sum(jnp.asarray(dot(touch.drag, touch.slide)))
+            if touch.couple is not None:
+                spin = subtract(*(body.spin for body in c.parts(now.bodies.parts)[::-1]))
+                friction = friction - jnp.sum(jnp.asarray(dot(touch.couple, spin)))
             depth, rate = jnp.broadcast_arrays(jnp.asarray(face.depth), jnp.asarray(touch.rate))
             still = regularised_force(c.law, depth, jnp.zeros_like(depth), values, width)
             stored, lost = regularised_energy(c.law, depth, rate, values, changes, width)
@@ -154,47 +164,53 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     )
 
 
-def _power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+def power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
+    """Power of a load [W]: what it gives to the bodies."""
     if isinstance(load, CoordinateLoad):
-        j, force = m.sprung(load, t, now, p)
-        return force * now.v[j]
-    power: Number = 0.0
+        return reduce(plus, (times(force, v) for _, force, v in m.sprung(load, t, now, p)))
+    found: Number = 0.0
     for action in load.actions(t, now.bodies, p):
         part = now.bodies.parts[action.body]
         each = plus(dot(action.force, part.velocity_at(turned(part.axes, action.at))), dot(action.torque, part.spin))
-        power = plus(power, jnp.sum(jnp.asarray(each)))
-    return power
+        found = plus(found, jnp.sum(jnp.asarray(each)))
+    return found
 
 
 # Rounding of a force's share in a momentum's rate, of the force times its arm: a moment of exactly 0 is computed as so much.
 _ROUNDING = 1e-12
-# Velocities that turn; all others slide.
-_TURNING = ("speed", "wx", "wy", "wz")
 
 
-class _Forces(equations.Equations):
-    """Forces alone, and the sums of their sizes, at least of their rounding: those of a body in balance cancel each other."""
+class Forces(equations.Equations):
+    """Forces alone, and the sums of their sizes, at least of their rounding: those of a body in balance cancel each other.
+
+    ``rounding``: the share of a force, times its arm, that counts where it has none along a velocity.
+    """
+
+    rounding = _ROUNDING
 
     def __init__(self, members: Sequence[int]) -> None:
         super().__init__(members)
         self.sizes: list[Number] = [0.0 for _ in members]
 
     def push(self, j: int, force: Number) -> None:
+        """And its size."""
         super().push(j, force)
         self._add(j, jnp.abs(jnp.asarray(force)))
 
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
+        """And its size."""
         super().act(part, arm, force, torque)
         self._rounded(part, arm, force)
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
+        """And its size."""
         super().wrench(part, force, moment, arm)
         self._rounded(part, arm, force)
 
     def _rounded(self, part: Part, arm: Vector, force: Vector) -> None:
         """What rounding may leave of a force whose moment is 0."""
         for j, (w, v) in part.partials.items():
-            self._add(j, _ROUNDING * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
+            self._add(j, self.rounding * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
 
     def _add(self, j: int, size: Number) -> None:
         self.sizes[j] = plus(self.sizes[j], equations.total(size, self.members[j]))
@@ -217,7 +233,7 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     its own axes. Reactions of joints are in none. Neither the mass matrix nor accelerations are used.
     """
     now, count = m.instant(t, y, p), len(m._free)
-    found = _Forces(m._members)
+    found = Forces(m._members)
     m._pressed(found, now, p)
     for load in m.loads:
         m._loaded(found, load, t, now, p)
@@ -244,6 +260,6 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     for j, (body, rate, _) in enumerate(m._free):
         shape = values[j].shape
         force, size = (jnp.broadcast_to(jnp.asarray(x, float), shape) for x in (found.forces[j], found.sizes[j]))
-        what = "angular_momentum" if rate in _TURNING else "momentum"
+        what = "angular_momentum" if unit_of(rate) == "rad/s" else "momentum"
         accounts[f"{body} {what} {rate}"] = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
     return accounts

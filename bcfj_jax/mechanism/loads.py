@@ -5,119 +5,44 @@ To add one in a file of your own: ``Load(name, function)`` with a function (t, b
 
 # No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves, and would
 # take ``name`` for the first field of every load.
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.friction import AbstractFriction, make_friction
 from bcfj_jax.contact.part import checked as checked_part
-from bcfj_jax.contact.part import complete
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import (
-    ZERO,
     Number,
     Vector,
     add,
+    cross,
     dot,
     length,
     minus,
     negative,
     scale,
+    seen,
     subtract,
     times,
     turned,
     unit,
 )
-from bcfj_jax.mechanism import arrays, sizes
-from bcfj_jax.mechanism.bodies import GROUND, Drive, Part
+from bcfj_jax.mechanism import arrays, sizes, springs
+from bcfj_jax.mechanism.acting import AbstractLoad as AbstractLoad
+from bcfj_jax.mechanism.acting import Action as Action
+from bcfj_jax.mechanism.acting import CoordinateLoad as CoordinateLoad
+from bcfj_jax.mechanism.acting import Moving as Moving
+from bcfj_jax.mechanism.bodies import GROUND, Part
+from bcfj_jax.mechanism.jointloads import Coupling as Coupling
+from bcfj_jax.mechanism.jointloads import JointFriction as JointFriction
+from bcfj_jax.mechanism.jointloads import JointSpring as JointSpring
 from bcfj_jax.mechanism.programmes import Programme, Table, checked_shape, given_breaks, given_table
 from bcfj_jax.mechanism.sizes import ORIGIN, Parameters, Params, Place, Size
-
-
-class Moving(NamedTuple):
-    """All bodies at one instant, by name, the ground among them.
-
-    Attributes:
-        parts: origin, axes and velocities (``bodies.Part``).
-        mass: [kg].
-        center: from the origin to the centre of mass [m], world.
-    """
-
-    parts: Mapping[str, Part]
-    mass: Mapping[str, Number]
-    center: Mapping[str, Vector]
-
-    def place(self, body: str, at: Vector = ZERO) -> Vector:
-        """Place of a point given in the body's axes [m], world."""
-        part = self.parts[body]
-        return add(part.place, turned(part.axes, at))
-
-    def velocity(self, body: str, at: Vector = ZERO) -> Vector:
-        """Velocity of a point given in the body's axes [m/s], world."""
-        part = self.parts[body]
-        return part.velocity_at(turned(part.axes, at))
-
-
-class Action(NamedTuple):
-    """A force [N] at a point given in the body's axes [m], and a torque [N m]; force and torque in world axes."""
-
-    body: str
-    force: Vector = ZERO
-    at: Vector = ZERO
-    torque: Vector = ZERO
-
-
-class AbstractLoad(eqx.Module):
-    """What acts on bodies.
-
-    Attributes:
-        name: unique; its numbers are ``<name>.<key>``.
-        timeless: whether it knows no time.
-    """
-
-    example: ClassVar[str] = """
-class Pull(bj.loads.AbstractLoad):
-    name: str = eqx.field(static=True, default="pull")
-
-    def actions(self, t, bodies, p):
-        return [bj.loads.Action("mass", force=(-10.0, 0.0, 0.0))]
-"""
-    timeless: ClassVar[bool] = False
-    name: eqx.AbstractVar[str]
-
-    def __new__(cls, *args: Any, **more: Any) -> Any:
-        """Refuse a class that leaves something out."""
-        complete(cls, [*getattr(cls, "__abstractmethods__", ()), *getattr(cls, "__abstractvars__", ())], cls.example)
-        return super().__new__(cls)
-
-    @abstractmethod
-    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        """Forces and torques now; the powers of an action and of its reaction may differ, which is what it stores."""
-
-    def parameters(self) -> Parameters:
-        """Its parameters with their defaults."""
-        return {}
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """Times [s] at which steps have to end, since the load bends there; None: looks at it find them."""
-        return [] if self.timeless else None
-
-    @property
-    def touches(self) -> tuple[str, ...]:
-        """Names of the bodies it acts on; empty for all."""
-        return ()
-
-    @property
-    def damps(self) -> bool:
-        """Whether it may oppose a velocity."""
-        return any(not sizes.nothing(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
 
 
 class Gravity(AbstractLoad):
@@ -214,6 +139,11 @@ class Torque(Force):
     def touches(self) -> tuple[str, ...]:
         return (self.body, self.against)
 
+    @property
+    def acts_on(self) -> str:
+        """``body``."""
+        return self.body
+
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         torque = scale(self._amount(t, p), self._way(bodies))
         return [Action(self.body, torque=torque), Action(self.against, torque=negative(torque))]
@@ -237,22 +167,30 @@ class _BetweenPoints(AbstractLoad):
         rates = [bodies.velocity(body, at) for body, at in zip(self.between, points, strict=True)]
         return points, subtract(places[1], places[0]), subtract(rates[1], rates[0])
 
-    def _sizes(self: Any, p: Params) -> list[Number]:
-        return [sizes.length(getattr(self, key), self.name, key, p) for key in self.units]
+    def apart(self, bodies: Moving, p: Params) -> Vector:
+        return self._apart(bodies, p)[1]
+
+    def _sizes(self: Any, p: Params) -> list[Any]:
+        return [sizes.several(getattr(self, key), self.name, key, p) for key in self.units]
 
     def parameters(self: Any) -> Parameters:
         found: Parameters = {}
         for key, one in self.units.items():
-            found |= sizes.stated(getattr(self, key), self.name, key, one)
+            found |= sizes.of_several(getattr(self, key), self.name, key, one)
         return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
 
 
 class Spring(_BetweenPoints):
-    """A spring and damper along the line between two points:  F = k (L - L0) + c dL/dt, pulling for F > 0.
+    """A spring and damper along the line between two points:  F = f(L - L0) + c dL/dt, pulling for F > 0.
+
+    f(x) = k x, or by ``table`` linear between its points (extensions [m], forces [N]) and going on with the slope at its ends;
+    its kinks are not looked for. With a ``side`` it acts on one side alone, and never the other way: F = max(f + c dL/dt, 0) for
+    x > 0 else 0 of "pull", a cable; F = min(f + c dL/dt, 0) for x < 0 else 0 of "push", a bump stop.
 
     Attributes:
         between, at: bodies and points in their axes [m].
-        stiffness: k [N/m]; damping: c [N s/m]; free_length: L0 [m].
+        stiffness: k [N/m]; damping: c [N s/m]; free_length: L0 [m]; a preload is an L0 other than the length at the start.
+        table: in place of ``stiffness``; side: "both", "pull" or "push".
     """
 
     units: ClassVar[Mapping[str, str]] = {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
@@ -262,155 +200,62 @@ class Spring(_BetweenPoints):
     damping: Size = sizes.field("spring damping", default=0.0)
     free_length: Size = sizes.field("spring free_length", default=0.0)
     at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
+    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("spring table", x))
+    side: str = eqx.field(static=True, default="both")
+
+    def __check_init__(self):
+        springs.check(f"load '{self.name}'", self.side, self.table, self.stiffness)
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
         (k, c, free), way = self._sizes(p), unit(arm)
-        pull = times(k, minus(length(arm), free)) + times(c, dot(way, rate))
+        pull = springs.force(minus(length(arm), free), dot(way, rate), k, c, self.table, self.side)
         first, second = self.between
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
 
 
 class Bush(_BetweenPoints):
-    """A compliant bush: two points held together,  F = -k r - c dr/dt  on the second; it closes a loop of bodies.
+    """A compliant bush: two points held together; it closes a loop of bodies.
 
-    r is the second point's place from the first's. ``turning_damping`` resists the relative spin; nothing resists the
-    relative angle.
+    On the second act
+
+        F = -k r - c dr/dt,        T = -k_t a - c_t w,
+
+    r its point's place from the first's, a the rotation vector from the first's axes to the second's, w the relative spin. Where
+    one of them is three numbers they are along the first body's axes, in which r and dr/dt then are, and the first body is
+    pushed back at the second's point, so that no moment is left over. k_t along three axes is right for turns about one axis at
+    a time, else to the second order of a; a is below half a turn.
 
     Attributes:
         between, at: bodies and points in their axes [m].
-        stiffness: k [N/m], every direction; damping: c [N s/m]; turning_damping: [N m s/rad].
+        stiffness: k [N/m]; damping: c [N s/m]; turning_damping: c_t [N m s/rad]; turning_stiffness: k_t [N m/rad].
     """
 
-    units: ClassVar[Mapping[str, str]] = {"stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad"}
+    units: ClassVar[Mapping[str, str]] = {
+        "stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad", "turning_stiffness": "N m/rad",
+    }  # fmt: skip
     name: str = eqx.field(static=True)
     between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
-    stiffness: Size = sizes.field("bush stiffness", default=1e7)
-    damping: Size = sizes.field("bush damping", default=0.0)
-    turning_damping: Size = sizes.field("bush turning_damping", default=0.0)
+    stiffness: Any = sizes.field("bush stiffness", default=1e7)
+    damping: Any = sizes.field("bush damping", default=0.0)
+    turning_damping: Any = sizes.field("bush turning_damping", default=0.0)
     at: tuple[Place, Place] = sizes.field("bush at", default=(ORIGIN, ORIGIN))
+    turning_stiffness: Any = sizes.field("bush turning_stiffness", default=0.0)
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
-        k, c, turning = self._sizes(p)
-        first, second = self.between
-        pull = add(scale(k, arm), scale(c, rate))
-        drag = scale(turning, subtract(bodies.parts[second].spin, bodies.parts[first].spin))
-        return [Action(first, pull, a, drag), Action(second, negative(pull), b, negative(drag))]
-
-
-class CoordinateLoad(AbstractLoad):
-    """A load on the coordinate of a slide or hinge; ``body``: whose joint; ``dry``: whether its power is friction's."""
-
-    dry: ClassVar[bool] = False
-    body: eqx.AbstractVar[str]
-
-    @property
-    def touches(self) -> tuple[str, ...]:
-        return (self.body,)
-
-    def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
-        return []
-
-    @abstractmethod
-    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        """Force or torque on the coordinate [N, N m]."""
-
-    @abstractmethod
-    def parameters(self, turns: bool = True) -> Parameters:
-        """Its parameters with their defaults; ``turns``: whether the coordinate is an angle."""
-
-
-class JointSpring(CoordinateLoad):
-    """A spring and damper on the coordinate of a slide or hinge:  -k (q - q0) - c (dq/dt - dq0/dt)  on it.
-
-    Attributes:
-        body: whose joint; stiffness: k [N/m or N m/rad]; damping: c; rest: q0 [m or rad].
-        drive: a motion q0(t), in place of ``rest``: a flexible drive.
-    """
-
-    name: str = eqx.field(static=True)
-    body: str = eqx.field(static=True)
-    stiffness: Size = sizes.field("joint spring stiffness", default=0.0)
-    damping: Size = sizes.field("joint spring damping", default=0.0)
-    rest: Size = sizes.field("joint spring rest", default=0.0)
-    drive: Drive | None = None
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        return [] if self.drive is None else self.drive.kinks(self.name, p)
-
-    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        k, c, rest = (
-            sizes.length(size, self.name, name, p)
-            for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
-        )
-        if self.drive is not None:
-            rest, speed, _ = self.drive.motion(t, self.name, p)
-            rate = minus(rate, speed)
-        return minus(times(-1.0, times(k, minus(position, rest))), times(c, rate))
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
-        found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
-        if self.drive is not None:
-            return found | self.drive.needs(self.name, turns)
-        return found | sizes.stated(self.rest, self.name, "rest", "rad" if turns else "m")
-
-
-class JointFriction(CoordinateLoad):
-    """Dry friction in a slide or hinge:  -m(w^2) w  on its coordinate, w its rate, m a friction law's mobility.
-
-    The law is a contact's, its coefficients being torques [N m] or forces [N] in place of ratios to a normal force: mu_d is
-    ``sliding``, mu_s ``breakaway``, v_t ``speed``. Laws creep below ``speed``: a joint that holds a load q turns at about
-    q v_t/sliding (Coulomb).
-
-    Attributes:
-        body: whose joint; sliding: torque or force of fast motion; speed: transition speed [rad/s, m/s].
-        breakaway: the highest torque or force, of laws with a static coefficient; None: ``sliding``.
-        friction: a name of ``contact.friction.FRICTION`` without a state of its own, or a law.
-    """
-
-    timeless: ClassVar[bool] = True
-    dry: ClassVar[bool] = True
-    name: str = eqx.field(static=True)
-    body: str = eqx.field(static=True)
-    sliding: Size = sizes.field("joint friction sliding")
-    speed: Size = sizes.field("joint friction speed")
-    breakaway: Size = sizes.field("joint friction breakaway", default=None)
-    friction: str | AbstractFriction = eqx.field(static=True, default="coulomb")
-
-    def __check_init__(self):
-        law, known = self._law, {"friction_static", "friction_dynamic", "friction_speed"}
-        if law.bristles or law.lags or not set(law.needs) <= known:
-            found = f"{type(law).__name__} has a state or coefficients that a joint has not"
-            raise InputError(f"load '{self.name}' friction", found, "give coulomb, step or brown_mcphee")
-        if self.sliding is None or self.speed is None:
-            raise InputError(f"load '{self.name}'", "sliding or speed is missing", "give both")
-
-    @property
-    def _law(self) -> AbstractFriction:
-        where = f"load '{self.name}' friction"
-        given = make_friction(self.friction) if isinstance(self.friction, str) else self.friction
-        return checked_part(where, given, AbstractFriction, "friction law", "give a name")
-
-    @property
-    def damps(self) -> bool:
-        return True
-
-    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
-        held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
-        told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
-        return -self._law.coefficient(jnp.asarray(rate), {name: jnp.asarray(x) for name, x in told.items()})
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        force, speed = ("N m", "rad/s") if turns else ("N", "m/s")
-        found: Parameters = {}
-        for key, of in (("sliding", force), ("breakaway", force), ("speed", speed)):
-            if (size := getattr(self, key)) is not None:
-                for name, (quantity, default) in sizes.stated(size, self.name, key, of).items():
-                    found[name] = quantity._replace(low=0.0, open_low=key == "speed"), default
-        return found
+        k, c, turning, twisting = self._sizes(p)
+        first, second = (bodies.parts[name] for name in self.between)
+        if isinstance(k, tuple) or isinstance(c, tuple):
+            rate = subtract(rate, cross(first.spin, arm))
+            a = add(a, seen(first.axes, arm))
+        pull = add(springs.along(k, first.axes, arm), springs.along(c, first.axes, rate))
+        drag = springs.along(turning, first.axes, subtract(second.spin, first.spin))
+        if not sizes.nothing(self.turning_stiffness):
+            turn = springs.turn(first.axes, second.axes)
+            drag = add(drag, springs.along(twisting, first.axes, turned(first.axes, turn)))
+        names = self.between
+        return [Action(names[0], pull, a, drag), Action(names[1], negative(pull), b, negative(drag))]
 
 
 class Load(AbstractLoad):
@@ -462,6 +307,15 @@ class HeldLoad(AbstractLoad):
     @property
     def touches(self) -> tuple[str, ...]:
         return self.part.touches
+
+    @property
+    def acts_on(self) -> str:
+        """The load's."""
+        return self.part.acts_on
+
+    def apart(self, bodies: Moving, p: Params) -> Vector | None:
+        """The load's."""
+        return self.part.apart(bodies, p)
 
     @property
     def damps(self) -> bool:
@@ -520,7 +374,7 @@ def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action
 
 LOADS: dict[str, type[AbstractLoad]] = {
     "gravity": Gravity, "force": Force, "torque": Torque, "spring": Spring, "bush": Bush, "joint_spring": JointSpring,
-    "joint_friction": JointFriction,
+    "joint_friction": JointFriction, "coupling": Coupling,
 }  # fmt: skip
 
 

@@ -21,8 +21,9 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
-from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism import checks, instruments, scenery, sizes, stepping, stiff
+from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.numerics import is_traced
+from bcfj_jax.mechanism import checks, efforts, instruments, scenery, sizes, statics, stepping, stiff
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import (
@@ -54,11 +55,15 @@ class Mechanism(Dynamics):
         life: numbers of materials that are not those of steel (``materials``).
         touch: time of the first contact [s] of parameters, or None; where the start alone tells it.
         longest_step: of a solver [s]; None: as long as its errors allow.
+        start: "static": bodies start where they are at rest, sought from where they are placed (``mechanism.statics``); "":
+            as their own starts say.
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
     def __check_init__(self):
         checks.check_structure(self)
+        if self.start not in ("", "static"):
+            raise InputError(f"mechanism '{self.kind}' start", quoted(self.start), "give 'static', or leave it out")
 
     # What it is.
 
@@ -119,8 +124,29 @@ class Mechanism(Dynamics):
     remembered = cached_property(stepping.places)  # pyright: ignore[reportAssignmentType]
     approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
     observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
+    efforts = efforts.efforts  # pyright: ignore[reportAssignmentType]
     orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
-    check, suspects = checks.check_values, checks.suspects  # pyright: ignore[reportAssignmentType]
+    suspects = checks.suspects  # pyright: ignore[reportAssignmentType]
+
+    @property
+    def _at_rest(self) -> bool:
+        """Whether places at rest are sought; there are none where every motion is given."""
+        return bool(self.start and self._free)
+
+    def check(self, params: Params, where: str = "") -> None:
+        """As ``AbstractModel``; a start at rest that there is not, too."""
+        shapes = {name: q.shape for name, q in self.quantities.items()} if self._at_rest else {}
+        if shapes and not any(is_traced(x) or np.shape(x) != shapes.get(name) for name, x in params.items()):
+            said = where or f"scene '{self.kind}'"
+            checks.names_read(self, params, said)
+            statics.check(self, params, said)
+        checks.check_values(self, params, where)
+
+    def initial_state(self, params: Params) -> Array:
+        """As the bodies start, or where they are at rest."""
+        if not self._at_rest:
+            return super().initial_state(params)
+        return statics.initial_state(self, params, self.placed_state(params))
 
     def accounts(self, t: Array, y: Array, prepared: Params) -> dict[str, Account]:
         """Energy, and the generalised momentum of every free velocity."""
@@ -135,6 +161,11 @@ class Mechanism(Dynamics):
     def body_members(self) -> dict[str, int]:
         """As bodies say."""
         return {b.name: b.members for b in self.bodies}
+
+    @property
+    def load_names(self) -> tuple[str, ...]:
+        """All loads."""
+        return tuple(load.name for load in self.loads)
 
     def coefficient(self, params: Params, owner: str, name: str) -> Array:
         """A contact's coefficient as it reads it; else as any model's."""

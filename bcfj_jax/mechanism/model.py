@@ -33,6 +33,7 @@ from bcfj_jax.mechanism.moments import BodyMotion as BodyMotion
 from bcfj_jax.mechanism.moments import Chain as Chain
 from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
+from bcfj_jax.mechanism.moments import Effort as Effort
 from bcfj_jax.mechanism.moments import Flows as Flows
 from bcfj_jax.mechanism.moments import Life as Life
 from bcfj_jax.mechanism.moments import Orbit as Orbit
@@ -278,6 +279,15 @@ class AbstractModel(eqx.Module):
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
         return {}
+
+    @property
+    def load_names(self) -> tuple[str, ...]:
+        """Names of the loads whose ``efforts`` can be read."""
+        return ()
+
+    def efforts(self, t: Array, y: Array, prepared: Any) -> dict[str, Effort]:
+        """By body what its joint does, and by load what that does, in one state."""
+        raise InputError(f"scene '{self.kind}'", "keeps no forces of joints and loads", "give a mechanism")
 
     def drawing(
         self, params: Params, size: float = 1.0, travel: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None

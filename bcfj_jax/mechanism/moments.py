@@ -93,6 +93,30 @@ class BodyMotion(NamedTuple):
     joint: Mapping[str, Array] = {}
 
 
+class Effort(NamedTuple):
+    """What a joint or a load does, in world axes; None where it has none; of a body with members (k, ...).
+
+    Attributes:
+        reaction, moment: (..., 3) what a joint does to its body: force [N], and moment about the body's origin [N m], those
+            of its drive and of the loads on its coordinate among them. Of a load ``moment`` is about the first point that
+            it acts on.
+        force: (..., 3) of a load on its body [N].
+        axes: (..., 3, 3) axes of a joint as columns: its parent's, turned by ``tilt``.
+        power: (...,) of a joint's drive, or of a load [W].
+        drive: (...,) of a load on a coordinate [N, N m].
+        pull, length: (...,) of a load between two points: force towards each other [N], and distance [m].
+    """
+
+    reaction: Array | None = None
+    moment: Array | None = None
+    force: Array | None = None
+    axes: Array | None = None
+    power: Array | None = None
+    drive: Array | None = None
+    pull: Array | None = None
+    length: Array | None = None
+
+
 # Numbers of materials: (contact, name, value), "" for every contact.
 Life = tuple[tuple[str, str, float], ...]
 

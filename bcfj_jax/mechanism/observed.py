@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, needs_bodies, read, shares
+from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, looked, shares
 from bcfj_jax.mechanism.model import AbstractModel, Approaches, Bodies, Coarser, Params, Reading
 from bcfj_jax.mechanism.structure import AbstractStructure
 
@@ -47,6 +47,7 @@ class Observed(AbstractModel):
     proximity, shows_proximity, unsure, unweighed, breaks, longest_step = map(
         _of, ("proximity", "shows_proximity", "unsure", "unweighed", "breaks", "longest_step")
     )  # pyright: ignore[reportAssignmentType]
+    load_names, efforts = map(_of, ("load_names", "efforts"))  # pyright: ignore[reportAssignmentType]
     body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
         _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")
     )
@@ -83,9 +84,8 @@ class Observed(AbstractModel):
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """The model's contacts, and each reading as a normal force without penetration."""
         found = self.inner.observe(t, y, prepared)
-        moving = needs_bodies(self.channels, self.inner)
         beside = prepared if isinstance(prepared, Mapping) else prepared.beside
-        values = read(self.channels, found, self.inner.motions(t, y, prepared) if moving else {}, beside)
+        values = looked(self.channels, self.inner, found, beside)(t, y, prepared)
         shown = {
             name: Reading(jnp.stack([x, zero, zero], -1), zero, zero)
             for name, x, zero in ((name, x, jnp.zeros_like(x)) for name, x in values.items())

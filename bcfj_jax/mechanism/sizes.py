@@ -95,7 +95,26 @@ def of_point(place: Place, part: str, key: str, meaning: str) -> Parameters:
     return found
 
 
-def nothing(size: Size) -> bool:
+def several(size: Any, part: str, key: str, p: Params) -> Any:
+    """Value of a size that is one number, or three along axes: ``<part>.<key>_x`` and so on."""
+    return point(size, part, key, p) if isinstance(size, tuple) else length(size, part, key, p)
+
+
+def of_several(size: Any, part: str, key: str, unit: str) -> Parameters:
+    """The parameters that it is."""
+    if not isinstance(size, tuple):
+        return stated(size, part, key, unit)
+    if len(size) != 3:
+        raise InputError(
+            f"{part} {key}", f"{len(size)} numbers", "give one number, or three along the first body's axes"
+        )
+    found: Parameters = {}
+    for letter, one in zip("xyz", size, strict=True):
+        found |= stated(one, part, f"{key}_{letter}", unit)
+    return found
+
+
+def nothing(size: Any) -> bool:
     """Whether a size is the number 0, which is no parameter."""
     return isinstance(size, (int, float)) and not isinstance(size, bool) and size == 0
 

@@ -55,6 +55,7 @@ class BallBetweenPlanes(AbstractFlat):
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "ball_radius")
     signed: ClassVar[bool] = True
+    preloads: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="z", converter=direction)
     windows: int = eqx.field(static=True, default=0, converter=lambda n: counted("windows", n))
 

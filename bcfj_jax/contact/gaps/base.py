@@ -111,6 +111,7 @@ class AbstractGap(Part):
         quantities: what names of its own mean, beside those of ``core.quantities.CATALOGUE``.
         members: number of like contacts that ``faces`` gives side by side; 0 where its bodies decide.
         signed: whether the normal force that is read is the first face's less the second's, and not their sum.
+        preloads: whether its clearance may be negative: surfaces that overlap by so much in the middle, so that both press.
         round: whether b's marker is free within a circle about a's, of the radius ``clearance``, across a's z axis.
     """
 
@@ -124,6 +125,7 @@ class Ground(bj.gaps.AbstractGap):
     quantities: ClassVar[Mapping[str, Quantity]] = {}
     signed: ClassVar[bool] = False
     round: ClassVar[bool] = False
+    preloads: ClassVar[bool] = False
 
     @property
     def members(self) -> int:

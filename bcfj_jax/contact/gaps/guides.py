@@ -71,7 +71,7 @@ class TwoSidedStop(AbstractFlat):
 
     Directions: normal is along e, and the reading is signed: positive while b pushes the stop at +e. Axial is along
     a's z axis in the stop's plane (a's x axis where e is nearer than 45 degrees to z); tangential is across both.
-    Coefficient: ``clearance`` [m], from the middle to either stop.
+    Coefficient: ``clearance`` [m], from the middle to either stop; negative where both press there (preload), by so much each.
 
     Attributes:
         axis: e in a's axes: "x", "y", "z", "-x", "-y", "-z", or three numbers.
@@ -79,6 +79,7 @@ class TwoSidedStop(AbstractFlat):
 
     needs: ClassVar[tuple[str, ...]] = ("clearance",)
     signed: ClassVar[bool] = True
+    preloads: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="z", converter=direction)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
@@ -117,6 +118,7 @@ class PinInSlot(AbstractFlat):
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
     signed: ClassVar[bool] = True
+    preloads: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="x", converter=_travel)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
@@ -219,6 +221,7 @@ class SliderInGuide(AbstractGap):
         axis: direction of the guide in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0.
     """
 
+    preloads: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("clearance", "half_length", "half_width")
     axis: Any = eqx.field(static=True, default="x", converter=_travel)
 

@@ -1,0 +1,195 @@
+"""Loads on the coordinates of slides and hinges: springs, dry friction, and couplings of two joints."""
+
+# No ``from __future__ import annotations``, as in ``acting``.
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from bcfj_jax.contact.friction import AbstractFriction, make_friction
+from bcfj_jax.contact.part import checked as checked_part
+from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.vectors import Number, minus, times
+from bcfj_jax.mechanism import sizes, springs
+from bcfj_jax.mechanism.acting import CoordinateLoad
+from bcfj_jax.mechanism.bodies import Drive
+from bcfj_jax.mechanism.programmes import Table, given_table
+from bcfj_jax.mechanism.sizes import Parameters, Params, Size
+
+
+class JointSpring(CoordinateLoad):
+    """A spring and damper on the coordinate of a slide or hinge:  -f(q - q0) - c (dq/dt - dq0/dt)  on it.
+
+    f, ``table`` (angles or lengths, torques or forces) and ``side`` are those of ``Spring``: "push" acts below q0 alone and
+    pushes q up, as a stop does, "pull" above it. An angle is that of all turns.
+
+    Attributes:
+        body: whose joint; stiffness: k [N/m or N m/rad]; damping: c; rest: q0 [m or rad].
+        drive: a motion q0(t), in place of ``rest``: a flexible drive.
+    """
+
+    name: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    stiffness: Size = sizes.field("joint spring stiffness", default=0.0)
+    damping: Size = sizes.field("joint spring damping", default=0.0)
+    rest: Size = sizes.field("joint spring rest", default=0.0)
+    drive: Drive | None = None
+    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("joint spring table", x))
+    side: str = eqx.field(static=True, default="both")
+
+    def __check_init__(self):
+        springs.check(f"load '{self.name}'", self.side, self.table, self.stiffness)
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        return [] if self.drive is None else self.drive.kinks(self.name, p)
+
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
+        k, c, rest = (
+            sizes.length(size, self.name, name, p)
+            for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
+        )
+        if self.drive is not None:
+            rest, speed, _ = self.drive.motion(t, self.name, p)
+            rate = minus(rate, speed)
+        return times(-1.0, springs.force(minus(position, rest), rate, k, c, self.table, self.side))
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
+        found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
+        if self.drive is not None:
+            return found | self.drive.needs(self.name, turns)
+        return found | sizes.stated(self.rest, self.name, "rest", "rad" if turns else "m")
+
+
+class JointFriction(CoordinateLoad):
+    """Dry friction in a slide or hinge:  -m(w^2) w  on its coordinate, w its rate, m a friction law's mobility.
+
+    The law is a contact's, its coefficients being torques [N m] or forces [N] in place of ratios to a normal force: mu_d is
+    ``sliding``, mu_s ``breakaway``, v_t ``speed``. Laws creep below ``speed``: a joint that holds a load q turns at about
+    q v_t/sliding (Coulomb).
+
+    Attributes:
+        body: whose joint; sliding: torque or force of fast motion; speed: transition speed [rad/s, m/s].
+        breakaway: the highest torque or force, of laws with a static coefficient; None: ``sliding``.
+        friction: a name of ``contact.friction.FRICTION`` without a state of its own, or a law.
+    """
+
+    timeless: ClassVar[bool] = True
+    dry: ClassVar[bool] = True
+    name: str = eqx.field(static=True)
+    body: str = eqx.field(static=True)
+    sliding: Size = sizes.field("joint friction sliding")
+    speed: Size = sizes.field("joint friction speed")
+    breakaway: Size = sizes.field("joint friction breakaway", default=None)
+    friction: str | AbstractFriction = eqx.field(static=True, default="coulomb")
+
+    def __check_init__(self):
+        law, known = self._law, {"friction_static", "friction_dynamic", "friction_speed"}
+        if law.bristles or law.lags or not set(law.needs) <= known:
+            found = f"{type(law).__name__} has a state or coefficients that a joint has not"
+            raise InputError(f"load '{self.name}' friction", found, "give coulomb, step or brown_mcphee")
+        if self.sliding is None or self.speed is None:
+            raise InputError(f"load '{self.name}'", "sliding or speed is missing", "give both")
+
+    @property
+    def _law(self) -> AbstractFriction:
+        where = f"load '{self.name}' friction"
+        given = make_friction(self.friction) if isinstance(self.friction, str) else self.friction
+        return checked_part(where, given, AbstractFriction, "friction law", "give a name")
+
+    @property
+    def damps(self) -> bool:
+        return True
+
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
+        sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
+        held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
+        told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
+        return -self._law.coefficient(jnp.asarray(rate), {name: jnp.asarray(x) for name, x in told.items()})
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        force, speed = ("N m", "rad/s") if turns else ("N", "m/s")
+        found: Parameters = {}
+        for key, of in (("sliding", force), ("breakaway", force), ("speed", speed)):
+            if (size := getattr(self, key)) is not None:
+                for name, (quantity, default) in sizes.stated(size, self.name, key, of).items():
+                    found[name] = quantity._replace(low=0.0, open_low=key == "speed"), default
+        return found
+
+
+class Coupling(CoordinateLoad):
+    """Two joints held to one ratio: a pair of gears, a rack, a screw, a belt.
+
+    With q_1 and q_2 their coordinates, of all turns, and e = q_2 - i q_1 - e_0 the deviation, in units of q_2:
+
+        F = -f(e) - c de/dt  on q_2,    -i F  on q_1,
+
+    f(e) = k e; with a backlash b it is k (e - b/2) above b/2, k (e + b/2) below -b/2, and no force in between nor any that pulls.
+    Power goes through it but for the damping's, and what k stores. The teeth's own force on the bearings is not in it: a
+    joint's reaction has F along its coordinate alone.
+
+    Attributes:
+        joints: the bodies of the first and the second joint, slides or hinges; one of them may be driven.
+        ratio: i = dq_2/dq_1: -z_1/z_2 of external gears, z_1/z_2 of internal ones, r_1/r_2 of an open belt, the pitch radius
+            [m] of a rack, the lead over 2 pi [m] of a screw.
+        stiffness: k at the second joint; damping: c; backlash: b; rest: e_0.
+    """
+
+    name: str = eqx.field(static=True)
+    joints: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    ratio: Size = sizes.field("coupling ratio")
+    stiffness: Size = sizes.field("coupling stiffness")
+    damping: Size = sizes.field("coupling damping", default=0.0)
+    backlash: Size = sizes.field("coupling backlash", default=0.0)
+    rest: Size = sizes.field("coupling rest", default=0.0)
+
+    def __check_init__(self):
+        if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
+            found = f"{list(self.joints)}"
+            raise InputError(f"load {quoted(self.name)} joints", found, "give the names of two different bodies")
+
+    @property
+    def body(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The second."""
+        return self.joints[1]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Both."""
+        return self.joints
+
+    @property
+    def touches(self) -> tuple[str, ...]:
+        return self.joints
+
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
+        """F at a deviation and its rate."""
+        k, c, gap = (
+            sizes.length(getattr(self, key), self.name, key, p) for key in ("stiffness", "damping", "backlash")
+        )
+        if sizes.nothing(self.backlash):
+            return times(-1.0, springs.force(position, rate, k, c, None, "both"))
+        above = springs.force(position - 0.5 * gap, rate, k, c, None, "pull")
+        return -above - springs.force(position + 0.5 * gap, rate, k, c, None, "push")
+
+    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
+        ratio, rest = sizes.length(self.ratio, self.name, "ratio", p), sizes.length(self.rest, self.name, "rest", p)
+        apart, gone = (minus(x[1], times(ratio, x[0])) for x in (positions, rates))
+        force = self.on_coordinate(t, minus(apart, rest), gone, p)
+        return [times(-1.0, times(ratio, force)), force]
+
+    @staticmethod
+    def units(turns: bool, second: bool) -> dict[str, str]:
+        """Units of its numbers, of a first joint that ``turns``, or not, and of the second."""
+        one, unit, force = ("rad" if turns else "m"), ("rad" if second else "m"), ("N m" if second else "N")
+        return {"ratio": "1" if turns == second else f"{unit}/{one}", "stiffness": f"{force}/{unit}",
+                "damping": f"{force} s/{unit}", "backlash": unit, "rest": unit}  # fmt: skip
+
+    def parameters(self, turns: bool = True, second: bool = True) -> Parameters:
+        found: Parameters = {}
+        for key, of in self.units(turns, second).items():
+            found |= sizes.stated(getattr(self, key), self.name, key, of)
+        return found

@@ -1,0 +1,182 @@
+"""Springs by tables and on one side, bushes by axes, preload and press fits, six numbers of inertia: closed forms."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, InputError, Mechanism, gaps
+from bcfj_jax.mechanism import springs
+from bcfj_jax.mechanism.bodies import GROUND, rotated
+from bcfj_jax.mechanism.loads import Bush, Force, JointSpring, Spring
+
+LINEAR = {"stiffness": 1e6, "dashpot": 0.0, "smoothing": 0.0}
+
+
+def at_rest(scene, **values):
+    params = scene.parameters(values)
+    y = scene.initial_state(params)
+    return y, scene.efforts(jnp.zeros(()), y, params), scene.observe(jnp.zeros(()), y, params)
+
+
+def test_an_interference_fit():
+    """p = F/2k while both sides press, F < 2 k i, and F/k - i beyond; the reading is the difference of the sides."""
+    pin = Body("pin", "slide", axis="x", mass=0.1)
+    fit = Contact("fit", (GROUND, "pin"), gaps.TwoSidedStop("x"), "kelvin_voigt")
+    scene = Mechanism("fit", [pin], [fit], [Force("push", "pin", "x", 4.0)], start="static",
+                      given={**LINEAR, "clearance_fit": -10e-6})  # fmt: skip
+    for force, place in ((4.0, 2e-6), (19.0, 9.5e-6), (30.0, 20e-6)):
+        y, _, seen = at_rest(scene, **{"push.size": force})
+        assert float(y[0]) == pytest.approx(place, rel=1e-7)
+        assert float(seen["fit"].force[0]) == pytest.approx(force, rel=1e-7)
+    with pytest.raises(InputError, match="clearance"):  # A round gap has one face.
+        Mechanism("pin", [Body("pin", "planar", mass=1.0, inertia=1.0)],
+                  [Contact("pin_1", (GROUND, "pin"), gaps.PinInBearing(), "kelvin_voigt")],
+                  given={**LINEAR, "radius": 0.01}).parameters({"pin_1.clearance": -1e-6})  # fmt: skip
+
+
+@pytest.mark.full
+def test_a_pressed_pin_rings_at_twice_the_stiffness():
+    """Struck with v it swings by v/w sin w t, w^2 = 2k/m, while v/w is below the interference."""
+    pin = Body("pin", "slide", axis="x", mass=0.1, start={"velocity": 0.02})
+    fit = Contact("fit", (GROUND, "pin"), gaps.TwoSidedStop("x"), "kelvin_voigt")
+    scene = Mechanism("fit", [pin], [fit], given={**LINEAR, "clearance_fit": -10e-6}, start="static", end=3e-3)
+    times, w = np.linspace(0.0, 3e-3, 61), np.sqrt(2e6 / 0.1)
+    run = bj.simulate(scene, scene.parameters(), times, accuracy=1e-4)
+    assert run.status == "ok"
+    force = run.force["fit"][:, 0]
+    np.testing.assert_allclose(force, 2e6 * 0.02 / w * np.sin(w * times), atol=2e-3 * np.abs(force).max())
+
+
+def test_a_bolted_flange_opens():
+    """Bolt F_i + F k_b/(k_b + k_c) while the flange is closed, F below F_i (k_b + k_c)/k_c; F alone beyond (Shigley, 8-7)."""
+    bolt_k, clamp_k, pre = 4e5, 1e6, 2000.0
+    plate = Body("plate", "slide", axis="z", at=(0, 0, 0.05), mass=1.0)
+    flange = Contact("flange", (GROUND, "plate"), gaps.PointOnPlane("z"), "kelvin_voigt", at=((0, 0, 0.05), (0, 0, 0)))
+    # Tightened: the bolt is pulled by the preload where the plates are pressed by it.
+    bolt = Spring("bolt", (GROUND, "plate"), bolt_k, free_length=0.05 - pre / clamp_k - pre / bolt_k)
+    scene = Mechanism("flange", [plate], [flange], [bolt, Force("load", "plate", "z", 1.0)], start="static",
+                      given=LINEAR)  # fmt: skip
+    opens = pre * (bolt_k + clamp_k) / clamp_k
+    for load in (1e-3, 1500.0, 0.99 * opens, 1.2 * opens):
+        _, did, seen = at_rest(scene, **{"load.size": load})
+        share = load * bolt_k / (bolt_k + clamp_k)
+        assert float(did["bolt"].pull) == pytest.approx(pre + share if load < opens else load, rel=1e-6)
+        assert float(seen["flange"].force[0]) == pytest.approx(max(pre + share - load, 0.0), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("side", "table", "pairs"),
+    [
+        ("both", None, ((0.1, 5.0 + 0.4), (-0.1, -5.0 + 0.4))),
+        ("pull", None, ((0.1, 5.4), (-0.1, 0.0), (0.001, 0.45))),
+        ("push", None, ((0.1, 0.0), (-0.1, -4.6), (-0.001, 0.0))),
+        ("both", ((-1.0, 0.0, 0.1, 0.2), (-1.0, 0.0, 1.0, 4.0)), ((-2.0, -1.6), (0.05, 0.9), (0.15, 2.9), (0.3, 7.4))),
+    ],
+)  # fmt: skip
+def test_forces_of_springs(side, table, pairs):
+    """At a rate of 0.2 m/s with 2 N s/m, of 50 N/m or a table with its slopes beyond the ends."""
+    for x, force in pairs:
+        assert float(springs.force(x, 0.2, 0.0 if table else 50.0, 2.0, table, side)) == pytest.approx(force)
+
+
+@pytest.mark.full
+def test_a_weight_on_a_cable():
+    """Thrown up, it flies: y = v t - g t^2/2 until it is back, and the cable, taut, holds m g + m a again."""
+    mass = Body("mass", "slide", axis="y", at=(0, -1.0, 0), mass=2.0, start={"velocity": 3.0})
+    cable = Spring("cable", (GROUND, "mass"), 1e5, free_length=1.0, side="pull")
+    scene = Mechanism("cable", [mass], loads=[cable, bj.loads.Gravity()], end=0.8)
+    times = np.linspace(0.0, 0.75, 3001)
+    run = bj.simulate(scene, scene.parameters(), times, read=["mass.position", "cable.pull"], accuracy=1e-4)
+    back = 2.0 * 3.0 / 9.81
+    fly = times < back
+    np.testing.assert_allclose(run.readings["mass.position"][fly], (3.0 * times - 4.905 * times**2)[fly], atol=1e-6)
+    assert np.all(run.readings["cable.pull"][fly] == 0.0)
+    # Then half a swing about the sag: the peak is m g + sqrt((m g)^2 + m k v^2).
+    peak = 2.0 * 9.81 + np.sqrt((2.0 * 9.81) ** 2 + 2.0 * 1e5 * 9.0)
+    assert run.readings["cable.pull"].max() == pytest.approx(peak, rel=2e-2)
+
+
+def test_bushes_by_axes():
+    """Force and torque along the first body's axes by hand, of bodies that are turned; no momentum is made."""
+    turn, lean = 0.7, 0.4
+    first = Body("first", "free", mass=1.0, inertia=1.0, start={"q0": np.cos(turn / 2), "q3": np.sin(turn / 2)})
+    second = Body("second", "free", mass=1.0, inertia=1.0, start={
+        "x": 0.02, "y": 0.03, "z": -0.01, "q0": np.cos((turn + lean) / 2), "q3": np.sin((turn + lean) / 2)})  # fmt: skip
+    bush = Bush("bush", ("first", "second"), (1e3, 2e3, 3e3), turning_stiffness=(5.0, 6.0, 7.0))
+    scene = Mechanism("bush", [first, second], loads=[bush])
+    params = scene.parameters()
+    y = scene.initial_state(params)
+    effort = scene.efforts(jnp.zeros(()), y, params)["bush"]
+    axes = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    force = -axes @ (np.array([1e3, 2e3, 3e3]) * (axes.T @ np.array([0.02, 0.03, -0.01])))
+    np.testing.assert_allclose(effort.force, force, rtol=1e-12)
+    np.testing.assert_allclose(effort.moment, [0, 0, -7.0 * lean], rtol=1e-12, atol=1e-12)
+    rate = np.asarray(scene.vector_field(jnp.zeros(()), y, params))[14:]
+    push, spun = rate[[0, 1, 2]] + rate[[6, 7, 8]], rate[[3, 4, 5]] + rate[[9, 10, 11]]
+    np.testing.assert_allclose(push, 0.0, atol=1e-12)
+    np.testing.assert_allclose(spun + np.cross([0.02, 0.03, -0.01], rate[6:9]), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.9])
+def test_the_turn_between_axes_is_rodrigues(angle):
+    world = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    way = (2 / 3, -1 / 3, 2 / 3)
+    found = lambda a: jnp.stack(springs.turn(world, rotated(world, way, a)))  # noqa: E731
+    np.testing.assert_allclose(found(jnp.asarray(angle)), angle * np.array(way), rtol=1e-9, atol=1e-16)
+    np.testing.assert_allclose(jax.jacfwd(found)(jnp.asarray(angle)), way, rtol=1e-7)
+
+
+def test_six_numbers_of_inertia_are_a_turned_body():
+    """Principal moments about axes turned by R against the matrix R I R' about the body's own: one motion."""
+    spin = {"wx": 0.3, "wy": -1.0, "wz": 2.0}
+    a, b = 0.5, -0.8
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) @ np.array(
+        [[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])  # fmt: skip
+    w = turn @ np.diag([0.02, 0.03, 0.04]) @ turn.T
+    q = np.array([np.cos(a / 2) * np.cos(b / 2), np.cos(a / 2) * np.sin(b / 2), np.sin(a / 2) * np.sin(b / 2),
+                  np.sin(a / 2) * np.cos(b / 2)])  # fmt: skip
+    own = Body("one", "free", mass=1.0, inertia=(0.02, 0.03, 0.04), start={**spin, **{f"q{k}": q[k] for k in range(4)}})
+    six = (w[0, 0], w[1, 1], w[2, 2], w[0, 1], w[1, 2], w[2, 0])
+    other = Body("two", "free", mass=1.0, inertia=six, start=spin)
+    scene = Mechanism("two", [own, other])
+    params = scene.parameters()
+    y = scene.initial_state(params)
+    moved = scene.motions(jnp.zeros(()), y, params)
+    np.testing.assert_allclose(moved["one"].spin_rate, moved["two"].spin_rate, rtol=1e-12)
+    want = -np.linalg.solve(w, np.cross([0.3, -1.0, 2.0], w @ np.array([0.3, -1.0, 2.0])))
+    np.testing.assert_allclose(moved["two"].spin_rate, want, rtol=1e-12)
+    for wrong, told in (
+        ((1.0, 1.0, 1.0, 2.0, 0.0, 0.0), "above 0"),
+        ((1.0, 1.0, 2.1, 0.0, 0.0, 0.0), "others' sum"),
+        ((1.0, 1.0), "six"),
+    ):
+        with pytest.raises(InputError, match=told):
+            Body("no", "free", inertia=wrong)
+
+
+def test_attitude_and_spin_of_a_free_body_are_in_the_joints_axes():
+    """A turn of pi/2 about the world's z and a spin about the world's x, along the body's -y then; with tilt the joint's."""
+    start = {"q0": np.sqrt(0.5), "q3": np.sqrt(0.5), "wx": 2.0}
+    for tilt, way in ((None, [2.0, 0.0, 0.0]), (("z", np.pi / 2), [0.0, 2.0, 0.0])):
+        body = Body("top", "free", mass=1.0, inertia=(1.0, 2.0, 2.5), start=start, tilt=tilt)
+        scene = Mechanism("top", [body])
+        params = scene.parameters()
+        moved = scene.motions(jnp.zeros(()), scene.initial_state(params), params)["top"]
+        np.testing.assert_allclose(moved.spin, way, atol=1e-12)
+        np.testing.assert_allclose(np.asarray(moved.axes).T @ np.asarray(moved.spin), [0.0, -2.0, 0.0], atol=1e-12)
+
+
+def test_a_stop_of_a_turning_shaft_counts_turns():
+    shaft = Body("shaft", "hinge", inertia=1.0, mass=1.0, start={"angle": 10.0})
+    scene = Mechanism("shaft", [shaft], loads=[JointSpring("stop", "shaft", 4.0, rest=9.5, side="pull")])
+    params = scene.parameters()
+    y = scene.initial_state(params)
+    assert float(scene.efforts(jnp.zeros(()), y, params)["stop"].drive) == pytest.approx(-2.0)
+    with pytest.raises(InputError, match="no side"):
+        Spring("spring", (GROUND, "shaft"), 1.0, side="puls")
+    with pytest.raises(InputError, match="beside a stiffness"):
+        Spring("spring", (GROUND, "shaft"), 1.0, table=((0.0, 1.0), (0.0, 1.0)))

@@ -1,0 +1,64 @@
+"""Rolling and drilling resistance of a contact: a ball that spins down and one that rolls out, in closed form."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, Mechanism, gaps
+from bcfj_jax.mechanism.bodies import GROUND
+from bcfj_jax.mechanism.loads import Gravity
+
+M, R, G, ROLL, DRILL, S = 0.5, 0.02, 9.81, 2e-4, 5e-4, 1e-3
+INERTIA = 0.4 * M * R * R
+NUMBERS = {
+    "stiffness": 1e8, "exponent": 1.5, "damping": 0.3, "smoothing": 0.0, "radius": R, "rolling_length": ROLL,
+    "friction_static": 0.5, "drilling_length": DRILL, "spin_speed": S, "friction_dynamic": 0.4, "friction_speed": 1e-3,
+    "gravity": G,
+}  # fmt: skip
+DEPTH = (M * G / 1e8) ** (1.0 / 1.5)
+
+
+def ball(names=("ball",), friction=True, **start):
+    bodies = [Body(name, "sphere", mass=M, inertia=INERTIA, start={"z": R - DEPTH, **start}) for name in names]
+    floors = [
+        Contact(f"floor_of_{name}", (GROUND, name), gaps.SphereOnPlane("z"), friction=friction, rolling=True)
+        for name in names
+    ]
+    scene = Mechanism("ball", bodies, floors, [Gravity("-z")], end=0.1)
+    return scene, scene.parameters({key: x for key, x in NUMBERS.items() if key in scene.quantities})
+
+
+@pytest.mark.parametrize("names", [("ball",), ("b1", "b2", "b3", "b4")], ids=["one", "row"])
+def test_torques_and_powers(names):
+    """-N r w_t/|w_t| and -N b w_n/|w_n| on each ball, and their power is friction's; in a row, too."""
+    spin = np.array([3.0, -4.0, 12.0])
+    scene, p = ball(names, friction=None, wx=3.0, wy=-4.0, wz=12.0)
+    t, y = jnp.zeros(()), scene.initial_state(p)
+    torque = -M * G * np.array([ROLL * 0.6, -ROLL * 0.8, DRILL])
+    moved = scene.motions(t, y, p)
+    for name in names:
+        np.testing.assert_allclose(moved[name].spin_rate, torque / INERTIA, rtol=1e-6)
+    flows = scene.flows(t, y, p)
+    assert float(flows.taken["friction"]) == pytest.approx(-len(names) * torque @ spin, rel=1e-6)
+    # At rest nothing resists, and nothing is NaN.
+    still = y.at[-6 * len(names) :].set(0.0)
+    assert np.abs(scene.vector_field(t, still, p)).max() < 1e-9
+
+
+@pytest.mark.full
+def test_a_ball_rolls_out():
+    """It rolls on with dv/dt = -N r R/(I + m R^2), that is -(5/7) g r/R, while friction keeps it from slipping."""
+    scene, p = ball(vx=0.2, wy=0.2 / R, wz=5.0)
+    times = np.linspace(0.0, 0.05, 11)
+    run = bj.simulate(scene, p, times, read=["ball.velocity.x", "ball.spin.y", "ball.spin.z"], accuracy=1e-3)
+    assert run.status == "ok"
+    speed = 0.2 - 5.0 / 7.0 * G * ROLL / R * times
+    np.testing.assert_allclose(run.readings["ball.velocity.x"], speed, atol=2e-4)
+    np.testing.assert_allclose(run.readings["ball.spin.y"] * R, speed, atol=1e-3)
+    # Along the normal it turns slower by N b/I.
+    np.testing.assert_allclose(
+        run.readings["ball.spin.z"], np.maximum(5.0 - M * G * DRILL / INERTIA * times, 0.0), atol=0.01
+    )
