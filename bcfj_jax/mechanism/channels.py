@@ -113,8 +113,8 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     contacts, bodies, member = model.members, model.body_names, 0
     stem, _, number = part.rpartition("_")
     if part not in contacts and part not in bodies and stem in (*contacts, *bodies) and number.isdigit():
-        if not contacts.get(stem) or not 1 <= int(number) <= contacts[stem]:
-            count = contacts.get(stem, 0)
+        count = {**model.body_members, **contacts}.get(stem, 0)
+        if not 1 <= int(number) <= count:
             raise InputError(where, f"'{stem}' has no member {number}", f"it has {count}" if count else f"write {stem}")
         part, member = stem, int(number)
     if part in contacts:

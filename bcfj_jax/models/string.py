@@ -20,7 +20,6 @@ Left out: weight, bending and twist of segments, the moments 2 T tan(beta/2) by 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -30,15 +29,12 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import is_traced
-from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
-from bcfj_jax.models.joint.build import structure
 from bcfj_jax.models.joint.model import JointModel
-from bcfj_jax.models.joint.options import JointCage, JointGeometry, JointMaterials, JointOptions, keyed, with_keys
 from bcfj_jax.models.joint.scene import OF_A_BALL
 
 WHERE = "scene 'string'"
@@ -213,7 +209,10 @@ class StringModel(AbstractModel):
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Of all joints side by side."""
-        found = jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared)
+        return self.side_by_side(jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared))
+
+    def side_by_side(self, found: dict[str, Reading]) -> dict[str, Reading]:
+        """Readings of joints (n, ...) with the members of all one after the other; of one joint its own."""
         if self.count == 1:
             return jax.tree.map(lambda x: x[0], found)
         of_a_ball = lambda name, x: x.reshape(-1, *x.shape[2:]) if name in OF_A_BALL else x  # noqa: E731
@@ -299,56 +298,3 @@ def buckling_force(params: Any) -> Any:
     """Euler's force of a segment between two joints, pi^2 E I/L^2 [N], I = pi/4 (d^4 - b^4)."""
     area = 0.25 * math.pi * (params["segment_radius"] ** 4 - params["segment_bore"] ** 4)
     return math.pi**2 * params["segment_modulus"] * area / params["segment_length"] ** 2
-
-
-def _made(n: int, options: JointOptions) -> StringModel:
-    count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
-    if options.fidelity not in LEVELS:
-        found = f"'{options.fidelity}': joints of a string exchange no dynamics"
-        raise InputError(f"{WHERE} fidelity", found, f"give {' or '.join(LEVELS)}")
-    return StringModel(JointModel(**structure(options)), count)
-
-
-@dataclass(frozen=True)
-class _Options:
-    """Of the scene file: a string has no drive or loads over time.
-
-    Args:
-        n: number of joints.
-        fidelity: one of kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic:
-            equilibrium at each instant, without friction.
-    """
-
-    n: int = 5
-    materials: JointMaterials = field(default_factory=JointMaterials)
-    geometry: JointGeometry = field(default_factory=JointGeometry)
-    cage: JointCage = field(default_factory=JointCage)
-    fidelity: str = "quasistatic"
-
-
-def string(
-    n: int = 5,
-    geometry: JointGeometry | None = None,
-    cage: JointCage | None = None,
-    materials: JointMaterials | None = None,
-    fidelity: str = "quasistatic",
-) -> StringModel:
-    """``n`` equal ball-cage joints with rigid segments in a curved hole, from drive to bit (module docstring).
-
-    Args:
-        n: number of joints.
-        geometry, cage, materials: of every joint, as ``joint``.
-        fidelity: one of kinematic, quasistatic: of the joints.
-
-    Raises:
-        InputError: as ``joint``.
-    """
-    given = {"geometry": geometry, "cage": cage, "materials": materials}
-    options = JointOptions(fidelity=fidelity, **{key: group for key, group in given.items() if group is not None})
-    return _made(n, options)
-
-
-@keyed(_Options)
-def string_of_keys(n: int = 5, **given: Any) -> StringModel:
-    """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
-    return _made(n, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))
