@@ -64,7 +64,8 @@ SOURCES: dict[str, Sources] = {
     "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
     "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
     "string": Sources(
-        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION).items()}, joint_numbers.LEGEND
+        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION).items()},
+        joint_numbers.LEGEND,
     ),
 }
 

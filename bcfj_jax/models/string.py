@@ -209,7 +209,9 @@ class StringModel(AbstractModel):
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Of all joints side by side."""
-        return self.side_by_side(jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared))
+        return self.side_by_side(
+            jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared)
+        )
 
     def side_by_side(self, found: dict[str, Reading]) -> dict[str, Reading]:
         """Readings of joints (n, ...) with the members of all one after the other; of one joint its own."""

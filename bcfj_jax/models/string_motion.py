@@ -11,7 +11,7 @@ equilibria (``joint_stiffness``). A flexible drive is in series with the first. 
 at the segment's lower end, so that the string is the spring-mass chain of textbooks; a rod of N lumps has its lowest
 frequency within 1/(2 N) (Rao, Mechanical Vibrations, 2017, 8.4).
 
-The wall takes mu b d dN_i (``models.string``) from lump i, by Coulomb's law regularised below ``wall_speed``; the bit what drive
+The wall takes mu b d dN_i (``models.string``) from the lump above joint i, or the drive, by Coulomb's law regularised below ``wall_speed``; the bit what drive
 and loads of the joint offer over time, falling with its speed where it sticks and slips, or by a friction law.
 Bodies, hinges and loads are those of every mechanism: lumps are members of one body, so that a program does not grow with them.
 
@@ -21,14 +21,14 @@ joints (their balls' frequencies are far above), ripple of their stiffness over 
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction
@@ -38,6 +38,7 @@ from bcfj_jax.mechanism.loads import CoordinateLoad, JointFriction
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import BodyMotion, Flows, ModelTraits, Params, Reading
 from bcfj_jax.mechanism.sizes import Parameters
+from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
@@ -145,6 +146,60 @@ def joint_stiffness(scene: StringModel, params: Params) -> Array:
     return 2.0 * _CHORD * torque / (more - less)
 
 
+class _Factors(NamedTuple):
+    """Bands (3, n) below, on and above the diagonal of  I/s - B - s A  and of A; s; the length n of the string."""
+
+    whole: Array
+    by_angle: Array
+    scale: Array
+
+
+class Row(AbstractStructure):
+    """The string's linear algebra: every lump meets its two neighbours, so that both blocks of the Jacobian,
+
+        d(rates of angles, of speeds)/d(angles, speeds) = [0 1; A B],
+
+    are tridiagonal. Three tangents each tell all their entries (Curtis, Powell and Reid 1974): cost is linear in n.
+    """
+
+    def field(self, t: Any, y: Array, args: Any) -> Array:
+        """The model's."""
+        model, prepared = args
+        return model.vector_field(t, y, prepared)
+
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> _Factors:
+        """Bands of the matrix of the speeds, angles eliminated."""
+        count = y.size // 2
+        lump, colours = np.arange(count), np.arange(3)[:, None]
+        ways = jnp.asarray(lump % 3 == colours, float)
+        none, (_, along) = jnp.zeros_like(ways), jax.linearize(lambda y: self.field(t, y, args)[count:], y)
+        found = jax.vmap(along)(jnp.concatenate([jnp.block([ways, none]), jnp.block([none, ways])]))
+        # Of row i the entries i - 1, i, i + 1; those beyond the ends do not exist.
+        beside = lump + colours - 1
+        picked = np.where((beside >= 0) & (beside < count), 1.0, 0.0)
+        by_angle, by_speed = (x[beside % 3, lump] * picked for x in jnp.split(found, 2))
+        whole = (-by_speed - scale * by_angle).at[1].add(1.0 / scale)
+        return _Factors(whole, by_angle, jnp.asarray(scale))
+
+    def solve(self, factors: Any, right: Array) -> Array:
+        """Speeds by elimination along the string (LAPACK's gtsv), then angles."""
+        whole, by_angle, s = factors
+        angle, speed = jnp.split(right, 2)
+        pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
+        rate = tridiagonal_solve(*whole, (speed + s * pushed)[:, None])[:, 0]
+        return jnp.concatenate([s * (angle + rate), rate])
+
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
+        """By forward differentiation."""
+        return jax.jvp(lambda t: self.field(t, y, args), (t,), (jnp.ones_like(t),))[1]
+
+
+def _shifted(x: Array, by: int) -> Array:
+    """The neighbour's entries, 0 beyond the end."""
+    none = jnp.zeros(1)
+    return jnp.concatenate([none, x[:-1]] if by > 0 else [x[1:], none])
+
+
 class MovingString(StringModel):
     """A string that twists and swings; made by ``in_motion``.
 
@@ -181,13 +236,19 @@ class MovingString(StringModel):
 
     def prepare(self, params: Params) -> dict[str, Array]:
         """Stiffness and damping of the springs, friction of the wall."""
-        each = 1.0 / (1.0 / joint_stiffness(self, params) + 1.0 / segment_stiffness(params))
+        return self.coupled(params, joint_stiffness(self, params))
+
+    def coupled(self, params: Params, own: Array) -> dict[str, Array]:
+        """``prepare`` with the joints' own stiffness (n,) [N m/rad]."""
+        each = 1.0 / (1.0 / own + 1.0 / segment_stiffness(params))
         damping = params["twist_relaxation"] * each
         if self.flexible:
             each = each.at[0].set(1.0 / (1.0 / each[0] + 1.0 / params["drive_stiffness"]))
             damping = damping.at[0].set(params["drive_damping"])
-        held = {"coupling": each, "coupling_damping": damping, "wall_torque": loads(params, self.count).around}
-        return {**params, **held}
+        # Joint i hands down what is left below its own bend: the wall there takes its share from the lump above.
+        above, wall = jnp.split(loads(params, self.count).around, [1])
+        held = {"wall_torque": jnp.append(wall, 0.0), "wall_torque_above": above[0]}
+        return {**params, **held, "coupling": each, "coupling_damping": damping}
 
     def initial_state(self, params: Params) -> Array:
         """Every lump turns as the drive does, untwisted."""
@@ -196,6 +257,10 @@ class MovingString(StringModel):
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
         """The mechanism's."""
         return self.torsion.vector_field(t, y, prepared)
+
+    def structure(self) -> AbstractStructure:
+        """Neighbours alone."""
+        return Row()
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         """Twist of a segment under the bit's torque, and the speed that this swings at."""
@@ -223,8 +288,8 @@ class MovingString(StringModel):
 
     @property
     def body_names(self) -> tuple[str, ...]:
-        """Lumps, and joints, whose ``torque`` is what passes through them."""
-        return ("lump", "joint")
+        """Lumps; joints, whose ``torque`` is what passes through them; the drive as ``top``."""
+        return ("lump", "joint", "top")
 
     @property
     def body_members(self) -> dict[str, int]:
@@ -237,16 +302,24 @@ class MovingString(StringModel):
         return found
 
     def torque(self, t: Array, y: Array, prepared: Any) -> Array:
-        """(n,) what passes through each joint [N m]; the first is the drive's."""
+        """(n,) what passes through each joint [N m]."""
         elastic, damping, _, _ = self._shaft.torques(t, *jnp.split(y, 2), prepared)
         return elastic + damping
 
+    def _top(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
+        """Speed of the drive [rad/s], its torque, and what of it the wall takes from the upper connection [N m]."""
+        speed, wall = self._shaft.torques(t, *jnp.split(y, 2), prepared)[3], self.torsion.loads[1]
+        told = {**prepared, "wall_torque": prepared["wall_torque_above"]}
+        rubs = -wall.on_coordinate(t, 0.0, speed, told)  # pyright: ignore[reportAttributeAccessIssue]
+        return speed, self.torque(t, y, prepared)[0] + rubs, rubs
+
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
-        """Of the lumps; of a joint torque and twist."""
-        stretch = self._shaft.torques(t, *jnp.split(y, 2), prepared)[2]
-        still = jnp.zeros((self.count, 3))
+        """Of the lumps; of joints torque and twist; of the drive torque and speed."""
+        stretch, still = self._shaft.torques(t, *jnp.split(y, 2), prepared)[2], jnp.zeros((self.count, 3))
         joint = BodyMotion(still, still, still, angle=stretch, drive=self.torque(t, y, prepared))
-        return self.torsion.motions(t, y, prepared) | {"joint": joint}
+        speed, torque, _ = self._top(t, y, prepared)
+        top = BodyMotion(still[0], still[0], still[0], drive=torque, joint={"speed": speed})
+        return self.torsion.motions(t, y, prepared) | {"joint": joint, "top": top}
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """Power of the drive; what bit, wall and twisting take; kinetic and elastic energy."""
@@ -254,9 +327,10 @@ class MovingString(StringModel):
         elastic, damping, stretch, top = self._shaft.torques(t, angle, speed, prepared)
         closing = jnp.concatenate([top[None], speed[:-1]]) - speed
         wall, bit = (load.on_coordinate(t, angle, speed, prepared) for load in self.torsion.loads[1:])  # pyright: ignore[reportAttributeAccessIssue]
-        taken = {"bit": -bit @ speed, "wall": -wall @ speed, "damping": damping @ closing}
+        _, given, rubs = self._top(t, y, prepared)
+        taken = {"bit": -bit @ speed, "wall": rubs * top - wall @ speed, "damping": damping @ closing}
         kinetic = 0.5 * inertias(prepared, self.count) @ speed**2
-        return Flows({"drive": (elastic[0] + damping[0]) * top}, taken, {"kinetic": kinetic, "elastic": 0.5 * elastic @ stretch})
+        return Flows({"drive": given * top}, taken, {"kinetic": kinetic, "elastic": 0.5 * elastic @ stretch})
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Each joint's contacts under the torque that passes through it, at the angle of the lump above it."""
@@ -313,7 +387,7 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
     known, flexible = dict(moving.defaults), moving.drive == "flexible"
     names = {name: known[name] for name in over.names if name != "load_ramp"}
     names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}
-    names |= {name: JOINT[name][0] for name in (law.needs and ("stick_ratio", "stick_width") if law else ())}
+    names |= {name: JOINT[name][0] for name in (("stick_ratio", "stick_width") if law else ())}
     tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed"}
     names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
     return MovingString(scene.joint, count, torsion=torsion, names=tuple(names.items()), flexible=flexible)

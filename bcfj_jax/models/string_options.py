@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from bcfj_jax.contact.friction import AbstractFriction, make_friction
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import whole
@@ -24,7 +25,23 @@ from bcfj_jax.models.string import LEVELS, WHERE, StringModel
 from bcfj_jax.models.string_motion import MOTIONS, in_motion
 
 
-def _made(n: int, motion: str, options: JointOptions) -> StringModel:
+# Friction laws of the bit: those without a state.
+BITS = ("coulomb", "step", "brown_mcphee")
+
+
+def _law(bit: str | None, options: JointOptions) -> AbstractFriction | None:
+    """The bit's friction law, of a string in motion."""
+    if bit is None:
+        return None
+    if bit not in BITS:
+        raise InputError(f"{WHERE} bit_friction", f"no friction {quoted(bit)}", nearest(str(bit), BITS))
+    if options.loads.stick_slip:
+        found = "beside stick_slip, which says by itself how the torque falls"
+        raise InputError(f"{WHERE} bit_friction", found, "give one of them")
+    return make_friction(bit)
+
+
+def _made(n: int, motion: str, bit: str | None, options: JointOptions) -> StringModel:
     count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
     if motion not in MOTIONS:
         raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
@@ -36,10 +53,15 @@ def _made(n: int, motion: str, options: JointOptions) -> StringModel:
     joint = JointModel(**structure(usual))
     if motion == "torsional":
         moving = JointModel(**structure(replace(options, fidelity="dynamic")))
-        return in_motion(StringModel(joint, count), moving)
-    if options != usual:
+        if moving.programmes.axial is not None:
+            found = "an axial load over time: a string in motion twists, and its axial force is that of steady turning"
+            raise InputError(f"{WHERE} axial_profile", found, "leave it constant, and fluctuating without axial")
+        return in_motion(StringModel(joint, count), moving, _law(bit, options))
+    if options != usual or bit is not None:
         found = "a drive or a load over time in a string without motion"
-        raise InputError(f"{WHERE} motion", found, "give motion = 'torsional', or leave the options of drive and loads out")
+        raise InputError(
+            f"{WHERE} motion", found, "give motion = 'torsional', or leave the options of drive and loads out"
+        )
     return StringModel(joint, count)
 
 
@@ -53,10 +75,13 @@ class _Options:
             and lumps between them turn with inertia; drive and loads may then be over time.
         fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
             quasistatic: equilibrium under the torque that passes through each, without friction.
+        bit_friction: one of coulomb, step, brown_mcphee: the bit's torque by its speed, bit_torque where it is fast,
+            stick_ratio times that at most, fading below stick_width; by default the torque of the loads.
     """
 
     n: int = 5
     motion: str = "none"
+    bit_friction: str | None = None
     materials: JointMaterials = field(default_factory=JointMaterials)
     geometry: JointGeometry = field(default_factory=JointGeometry)
     cage: JointCage = field(default_factory=JointCage)
@@ -65,12 +90,15 @@ class _Options:
     fidelity: str = "quasistatic"
 
 
-def string(n: int = 5, motion: str = "none", fidelity: str = "quasistatic", **groups: Any) -> StringModel:
+def string(
+    n: int = 5, motion: str = "none", bit_friction: str | None = None, fidelity: str = "quasistatic", **groups: Any
+) -> StringModel:
     """``n`` equal ball-cage joints with segments in a curved hole, from drive to bit (``models.string``).
 
     Args:
         n: number of joints.
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
+        bit_friction: None, or one of ``BITS``: the bit's torque by its speed.
         fidelity: one of kinematic, quasistatic: of the joints' contact forces.
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
 
@@ -80,12 +108,14 @@ def string(n: int = 5, motion: str = "none", fidelity: str = "quasistatic", **gr
     known = ("geometry", "cage", "materials", "drive", "loads")
     for name in groups:
         if name not in known:
-            raise InputError(WHERE, f"no option '{name}'", nearest(name, ("n", "motion", "fidelity", *known)))
+            raise InputError(
+                WHERE, f"no option '{name}'", nearest(name, ("n", "motion", "bit_friction", "fidelity", *known))
+            )
     options = JointOptions(fidelity=fidelity, **{key: group for key, group in groups.items() if group is not None})
-    return _made(n, motion, options)
+    return _made(n, motion, bit_friction, options)
 
 
 @keyed(_Options)
-def string_of_keys(n: int = 5, motion: str = "none", **given: Any) -> StringModel:
+def string_of_keys(n: int = 5, motion: str = "none", bit_friction: str | None = None, **given: Any) -> StringModel:
     """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
-    return _made(n, motion, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))
+    return _made(n, motion, bit_friction, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))
