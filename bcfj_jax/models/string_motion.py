@@ -11,9 +11,10 @@ equilibria (``joint_stiffness``). A flexible drive is in series with the first. 
 at the segment's lower end, so that the string is the spring-mass chain of textbooks; a rod of N lumps has its lowest
 frequency within 1/(2 N) (Rao, Mechanical Vibrations, 2017, 8.4).
 
-The wall takes mu b d dN_i (``models.string``) from the lump above joint i, or the drive, by Coulomb's law regularised below ``wall_speed``; the bit what drive
-and loads of the joint offer over time, falling with its speed where it sticks and slips, or by a friction law.
-Bodies, hinges and loads are those of every mechanism: lumps are members of one body, so that a program does not grow with them.
+The wall takes mu b d dN_i (``models.string``) from the lump above joint i, or the drive, by Coulomb's law regularised
+below ``wall_speed``. The bit takes what drive and loads of a joint may be over time, falling with its speed where it sticks
+and slips, or follows a friction law. Bodies, hinges and loads are those of every mechanism: lumps are members of one body,
+so that a program does not grow with them.
 
 Contact forces are those of each joint in equilibrium under T_i at the angle of the lump above it. Left out: inertia within the
 joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion.
@@ -42,7 +43,7 @@ from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
-from bcfj_jax.models.string import DEFAULTS, StringModel, loads
+from bcfj_jax.models.string import StringModel, loads
 
 MOTIONS = ("none", "torsional")
 POISSON = 0.29
@@ -75,15 +76,18 @@ class Shaft(CoordinateLoad):
         return p["coupling"] * stretch, p["coupling_damping"] * closing, stretch, jnp.asarray(speed)
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+        """T_i - T_(i+1) on every lump."""
         elastic, damping, _, _ = self.torques(t, position, rate, p)
         torque = elastic + damping
         return torque - jnp.append(torque[1:], 0.0)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The drive's."""
         drive = self.programmes.drive
         return [] if drive is None else drive.kinks("seat", p)
 
     def parameters(self, turns: bool = True) -> Parameters:
+        """None of its own: the string's."""
         return {}
 
 
@@ -96,6 +100,7 @@ class Bit(CoordinateLoad):
     name: str = eqx.field(static=True, default="bit")
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+        """On the last member, against its turning."""
         amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
         if self.law is not None:
             told = {"friction_dynamic": amount, "friction_static": p["stick_ratio"] * amount}
@@ -103,9 +108,11 @@ class Bit(CoordinateLoad):
         return jnp.zeros_like(rate).at[-1].set(-amount)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The torque's."""
         return self.programmes.torque.kinks("load_torque", p)
 
     def parameters(self, turns: bool = True) -> Parameters:
+        """None of its own: the string's."""
         return {}
 
 
@@ -129,7 +136,7 @@ def joint_stiffness(scene: StringModel, params: Params) -> Array:
     """
     rest, spots = scene.joint.level("quasistatic"), scene.joint.coordinates()
     head, seat = (spots[name][0] for name in ("head_turn", "seat_turn"))
-    told, count = scene.joints(params), scene.count
+    told, count = dict(scene.joints(params)), scene.count
     torque = jnp.maximum(told["load_torque"], _LEAST * params["drive_torque"])
     # A joint that turns by a pitch a second, under a load that has risen after one.
     pitch = jnp.full(count, 2.0 * jnp.pi / scene.joint.balls)
@@ -155,11 +162,10 @@ class _Factors(NamedTuple):
 
 
 class Row(AbstractStructure):
-    """The string's linear algebra: every lump meets its two neighbours, so that both blocks of the Jacobian,
+    """The string's linear algebra: every lump meets its two neighbours alone.
 
-        d(rates of angles, of speeds)/d(angles, speeds) = [0 1; A B],
-
-    are tridiagonal. Three tangents each tell all their entries (Curtis, Powell and Reid 1974): cost is linear in n.
+    Of the Jacobian [0 1; A B] of angles and speeds A and B are tridiagonal: three tangents each tell all their entries
+    (Curtis, Powell and Reid 1974), and cost is linear in n.
     """
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
@@ -186,7 +192,8 @@ class Row(AbstractStructure):
         whole, by_angle, s = factors
         angle, speed = jnp.split(right, 2)
         pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
-        rate = tridiagonal_solve(*whole, (speed + s * pushed)[:, None])[:, 0]
+        below, on, above = whole
+        rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
         return jnp.concatenate([s * (angle + rate), rate])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
@@ -301,21 +308,25 @@ class MovingString(StringModel):
         found: Any = self.torsion.loads[0]
         return found
 
+    def _springs(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array, Array]:
+        angle, speed = jnp.split(y, 2)
+        return self._shaft.torques(t, angle, speed, prepared)
+
     def torque(self, t: Array, y: Array, prepared: Any) -> Array:
         """(n,) what passes through each joint [N m]."""
-        elastic, damping, _, _ = self._shaft.torques(t, *jnp.split(y, 2), prepared)
+        elastic, damping, _, _ = self._springs(t, y, prepared)
         return elastic + damping
 
     def _top(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
         """Speed of the drive [rad/s], its torque, and what of it the wall takes from the upper connection [N m]."""
-        speed, wall = self._shaft.torques(t, *jnp.split(y, 2), prepared)[3], self.torsion.loads[1]
+        speed, wall = self._springs(t, y, prepared)[3], self.torsion.loads[1]
         told = {**prepared, "wall_torque": prepared["wall_torque_above"]}
         rubs = -wall.on_coordinate(t, 0.0, speed, told)  # pyright: ignore[reportAttributeAccessIssue]
         return speed, self.torque(t, y, prepared)[0] + rubs, rubs
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Of the lumps; of joints torque and twist; of the drive torque and speed."""
-        stretch, still = self._shaft.torques(t, *jnp.split(y, 2), prepared)[2], jnp.zeros((self.count, 3))
+        stretch, still = self._springs(t, y, prepared)[2], jnp.zeros((self.count, 3))
         joint = BodyMotion(still, still, still, angle=stretch, drive=self.torque(t, y, prepared))
         speed, torque, _ = self._top(t, y, prepared)
         top = BodyMotion(still[0], still[0], still[0], drive=torque, joint={"speed": speed})
@@ -339,7 +350,7 @@ class MovingString(StringModel):
         # A joint that turns by this in the first second, under a load that has risen by then. Never 0: rates go by it.
         turn = jnp.mod(angle + stretch, 2.0 * jnp.pi) + 2.0 * jnp.pi
         above = jnp.concatenate([top[None], speed[:-1]])
-        told = self.joints({name: prepared[name] for name in self.quantities if name in prepared})
+        told = dict(self.joints({name: prepared[name] for name in self.quantities if name in prepared}))
         told |= {"load_torque": torque, "drive_speed": turn, "load_ramp": jnp.ones(self.count)}
 
         near = jax.tree.map(jnp.asarray, self.joint.origin(1)) or None
@@ -383,7 +394,8 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
     wall = JointFriction(
         "wall", "lump", sliding=lambda p: p["wall_torque"], speed=lambda p: p["wall_speed"] / p["segment_radius"]
     )
-    torsion = Mechanism("torsion", [lumps], [], [Shaft(over), wall, Bit(over, law)], end=1.0, implicit=True)
+    acting: Any = [Shaft(programmes=over), wall, Bit(programmes=over, law=law)]  # pyright: ignore[reportCallIssue]
+    torsion = Mechanism("torsion", [lumps], [], acting, end=1.0, implicit=True)
     known, flexible = dict(moving.defaults), moving.drive == "flexible"
     names = {name: known[name] for name in over.names if name != "load_ramp"}
     names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}

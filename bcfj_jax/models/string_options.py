@@ -24,24 +24,23 @@ from bcfj_jax.models.joint.options import (
 from bcfj_jax.models.string import LEVELS, WHERE, StringModel
 from bcfj_jax.models.string_motion import MOTIONS, in_motion
 
-
 # Friction laws of the bit: those without a state.
-BITS = ("coulomb", "step", "brown_mcphee")
+BITS = ("none", "coulomb", "step", "brown_mcphee")
 
 
-def _law(bit: str | None, options: JointOptions) -> AbstractFriction | None:
+def _law(bit: str, options: JointOptions) -> AbstractFriction | None:
     """The bit's friction law, of a string in motion."""
-    if bit is None:
-        return None
     if bit not in BITS:
         raise InputError(f"{WHERE} bit_friction", f"no friction {quoted(bit)}", nearest(str(bit), BITS))
+    if bit == "none":
+        return None
     if options.loads.stick_slip:
         found = "beside stick_slip, which says by itself how the torque falls"
         raise InputError(f"{WHERE} bit_friction", found, "give one of them")
     return make_friction(bit)
 
 
-def _made(n: int, motion: str, bit: str | None, options: JointOptions) -> StringModel:
+def _made(n: int, motion: str, bit: str, options: JointOptions) -> StringModel:
     count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
     if motion not in MOTIONS:
         raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
@@ -57,7 +56,7 @@ def _made(n: int, motion: str, bit: str | None, options: JointOptions) -> String
             found = "an axial load over time: a string in motion twists, and its axial force is that of steady turning"
             raise InputError(f"{WHERE} axial_profile", found, "leave it constant, and fluctuating without axial")
         return in_motion(StringModel(joint, count), moving, _law(bit, options))
-    if options != usual or bit is not None:
+    if options != usual or bit != "none":
         found = "a drive or a load over time in a string without motion"
         raise InputError(
             f"{WHERE} motion", found, "give motion = 'torsional', or leave the options of drive and loads out"
@@ -75,13 +74,13 @@ class _Options:
             and lumps between them turn with inertia; drive and loads may then be over time.
         fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
             quasistatic: equilibrium under the torque that passes through each, without friction.
-        bit_friction: one of coulomb, step, brown_mcphee: the bit's torque by its speed, bit_torque where it is fast,
-            stick_ratio times that at most, fading below stick_width; by default the torque of the loads.
+        bit_friction: one of none, coulomb, step, brown_mcphee. none: the bit's torque is what the loads say. Others: it
+            is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width.
     """
 
     n: int = 5
     motion: str = "none"
-    bit_friction: str | None = None
+    bit_friction: str = "none"
     materials: JointMaterials = field(default_factory=JointMaterials)
     geometry: JointGeometry = field(default_factory=JointGeometry)
     cage: JointCage = field(default_factory=JointCage)
@@ -91,14 +90,14 @@ class _Options:
 
 
 def string(
-    n: int = 5, motion: str = "none", bit_friction: str | None = None, fidelity: str = "quasistatic", **groups: Any
+    n: int = 5, motion: str = "none", bit_friction: str = "none", fidelity: str = "quasistatic", **groups: Any
 ) -> StringModel:
     """``n`` equal ball-cage joints with segments in a curved hole, from drive to bit (``models.string``).
 
     Args:
         n: number of joints.
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
-        bit_friction: None, or one of ``BITS``: the bit's torque by its speed.
+        bit_friction: one of none, coulomb, step, brown_mcphee: a friction law of the bit, in place of a torque.
         fidelity: one of kinematic, quasistatic: of the joints' contact forces.
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
 
@@ -116,6 +115,6 @@ def string(
 
 
 @keyed(_Options)
-def string_of_keys(n: int = 5, motion: str = "none", bit_friction: str | None = None, **given: Any) -> StringModel:
+def string_of_keys(n: int = 5, motion: str = "none", bit_friction: str = "none", **given: Any) -> StringModel:
     """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
     return _made(n, motion, bit_friction, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))
