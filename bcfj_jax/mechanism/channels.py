@@ -162,7 +162,10 @@ def _value(
             size = jnp.abs(found.force[..., 0])
             if c.what == "wear_rate":
                 return shares[c.name] * size * _there(c._replace(what="slip"), found.slip)
-            return shares[c.name] * (power(size, 1.0 / 3.0) if c.what == "pressure" else size)
+            if c.what == "pressure":
+                share, exponent, least = shares[c.name]
+                return jnp.maximum(share * power(size, exponent), least * size)
+            return shares[c.name] * size
         if c.what in _OWN:
             return found.force[..., _OWN[c.what]]
         if c.what == "side":

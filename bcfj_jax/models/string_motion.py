@@ -37,16 +37,15 @@ from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.loads import CoordinateLoad, JointFriction
 from bcfj_jax.mechanism.mechanism import Mechanism
-from bcfj_jax.mechanism.model import BodyMotion, Flows, ModelTraits, Params, Reading
+from bcfj_jax.mechanism.model import BodyMotion, Chain, Flows, ModelTraits, Params, Reading
 from bcfj_jax.mechanism.sizes import Parameters
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
-from bcfj_jax.models.string import StringModel, loads
+from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
 
 MOTIONS = ("none", "torsional")
-POISSON = 0.29
 # A chord of the joint's equilibria: torques this share below and above, and instants over a ball's pitch.
 _CHORD, _PHASES = 0.1, 3
 # A joint's stiffness is not asked for below this share of the drive's torque, where play decides.
@@ -118,15 +117,8 @@ class Bit(CoordinateLoad):
 
 def inertias(p: Params, count: int) -> Array:
     """(n,) of the lumps about the string's axis [kg m^2]."""
-    polar = 0.5 * jnp.pi * (p["segment_radius"] ** 4 - p["segment_bore"] ** 4)
-    each = p["segment_density"] * polar * p["segment_length"] + p["head_inertia"]
+    each = p["segment_density"] * polar(p) * p["segment_length"] + p["head_inertia"]
     return jnp.full(count, each).at[-1].add(p["bit_inertia"])
-
-
-def segment_stiffness(p: Params) -> Array:
-    """G J/L of a segment [N m/rad]."""
-    polar = 0.5 * jnp.pi * (p["segment_radius"] ** 4 - p["segment_bore"] ** 4)
-    return p["segment_modulus"] / (2.0 * (1.0 + POISSON)) * polar / p["segment_length"]
 
 
 def joint_stiffness(scene: StringModel, params: Params) -> Array:
@@ -247,7 +239,7 @@ class MovingString(StringModel):
 
     def coupled(self, params: Params, own: Array) -> dict[str, Array]:
         """``prepare`` with the joints' own stiffness (n,) [N m/rad]."""
-        each = 1.0 / (1.0 / own + 1.0 / segment_stiffness(params))
+        each = 1.0 / (1.0 / own + 1.0 / torsional_stiffness(params))
         damping = params["twist_relaxation"] * each
         if self.flexible:
             each = each.at[0].set(1.0 / (1.0 / each[0] + 1.0 / params["drive_stiffness"]))
@@ -272,7 +264,7 @@ class MovingString(StringModel):
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         """Twist of a segment under the bit's torque, and the speed that this swings at."""
         del end
-        k = segment_stiffness(params)
+        k = torsional_stiffness(params)
         twist = (params["bit_torque"] + 1e-3 * params["drive_torque"]) / k
         return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count))])
 
@@ -368,6 +360,11 @@ class MovingString(StringModel):
         """When what rises has risen."""
         shaft = self._shaft.programmes
         return shaft.risen({**params, "load_torque": params["bit_torque"]})
+
+    def chain(self, params: Params) -> Chain:
+        """Of steady turning, and called so."""
+        found = super().chain(params)
+        return found._replace(loads={f"{name} in steady turning": x for name, x in found.loads.items()})
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""

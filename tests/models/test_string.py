@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bcfj_jax as bj
-from bcfj_jax.models.string import buckling_force, loads
+from bcfj_jax.models.string import buckling_force, loads, segments
 
 TIMES = np.linspace(0.0, 0.65, 14)
 
@@ -80,6 +80,22 @@ def test_the_joint_at_the_drive_is_loaded_most():
     _, found = told()
     assert np.all(np.diff(found.torque) < 0)
     assert np.all(np.diff(found.axial) < 0)
+
+
+def test_segments_twist_shorten_and_bend_as_bars():
+    # A solid bar of 100 mm and 0.3987 m, E = 207 GPa, nu = 0.29: G J/L = 80.23e9*9.817e-6/0.3987.
+    params, found = told(3, segment_bore=0.0, wall_friction=0.0, weight_on_bit=10e3)
+    each = segments(params, 3)
+    stiff = 207e9 / 2.58 * math.pi / 2.0 * 0.05**4 / 0.3987
+    assert np.allclose(each.twist, 1800.0 / stiff, rtol=1e-9)
+    assert np.allclose(each.stretch, -10e3 * 0.3987 / (207e9 * math.pi * 0.05**2), rtol=1e-9)
+    # 16 T/(pi D^3), F/A, 32 M/(pi D^3).
+    bent = 1800.0 * math.tan(0.5 * float(found.bend[0]))
+    shear, axial, bending = 16.0 * 1800.0 / (math.pi * 1e-3), 10e3 / (math.pi * 0.0025), 32.0 * bent / (math.pi * 1e-3)
+    assert np.allclose(each.shear, shear, rtol=1e-9) and np.allclose(each.bending, bending, rtol=1e-9)
+    assert np.allclose(each.stress, math.sqrt((axial + bending) ** 2 + 3.0 * shear**2), rtol=1e-9)
+    straight = segments(told(3, hole_radius=1e9)[0], 3)
+    assert np.allclose(straight.moment, 0.0, atol=1e-5)
 
 
 def test_euler():

@@ -13,8 +13,8 @@ import pytest
 import bcfj_jax as bj
 from bcfj_jax.mechanism.model import field
 from bcfj_jax.mechanism.structure import Dense
-from bcfj_jax.models.string import loads
-from bcfj_jax.models.string_motion import inertias, segment_stiffness
+from bcfj_jax.models.string import loads, torsional_stiffness
+from bcfj_jax.models.string_motion import inertias
 
 OWN = 4e5  # A joint's stiffness [N m/rad], where the test gives it.
 
@@ -40,7 +40,7 @@ def test_natural_frequencies_are_those_of_a_fixed_free_chain(count):
     scene, params, held = moving(count, more=quiet)
     jacobian = jax.jit(jax.jacfwd(lambda y: scene.vector_field(0.0, y, held)))(scene.initial_state(params))
     found = np.linalg.eigvals(jacobian)
-    k = 1.0 / (1.0 / OWN + 1.0 / float(segment_stiffness(params)))
+    k = 1.0 / (1.0 / OWN + 1.0 / float(torsional_stiffness(params)))
     wave = 2.0 * np.sqrt(k / float(inertias(params, count)[0]))
     right = wave * np.sin((2 * np.arange(1, count + 1) - 1) * np.pi / (2 * (2 * count + 1)))
     assert np.allclose(found.real, 0.0, atol=1e-6 * wave)
