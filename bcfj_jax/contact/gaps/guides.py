@@ -190,6 +190,7 @@ class PinInBearing(AbstractGap):
         return Bends(c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
     def line(self, c: Mapping[str, Any]) -> tuple[Any, Any]:
+        """R = r (r + clearance)/clearance, r the pin's."""
         return c["radius"] * (c["radius"] + c["clearance"]) / c["clearance"], c["radius"]
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
