@@ -32,8 +32,20 @@ from jax.typing import ArrayLike
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
-from bcfj_jax.mechanism.model import AbstractModel, Bodies, Chain, Life, ModelTraits, Params, Reading, Solution
+from bcfj_jax.mechanism.model import (
+    AbstractModel,
+    Bodies,
+    Chain,
+    Life,
+    ModelTraits,
+    Params,
+    Reading,
+    Scenery,
+    Solution,
+)
+from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.scene import OF_A_BALL
 
@@ -199,6 +211,11 @@ class StringModel(AbstractModel):
         return {c.name: self.count * self.joint.balls if c.name in OF_A_BALL else one for c in self.contacts}
 
     @property
+    def body_members(self) -> dict[str, int]:
+        """Segments below the joints, and joints: as they are drawn."""
+        return {"lump": self.count, "joint": self.count}
+
+    @property
     def quantities(self) -> dict[str, Quantity]:
         """The string's, then the joint's without what the string tells each."""
         own = {name: CATALOGUE[name] for name in DEFAULTS}
@@ -307,6 +324,17 @@ class StringModel(AbstractModel):
         pushed = np.asarray(found.wall)[:, None] * np.stack([np.cos(turn[1:-1]), np.sin(turn[1:-1])], -1)
         each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
         return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
+
+    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
+        """The string has sizes of its own."""
+        del size, travel
+        return string_drawing.drawing(params, self.count)
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """Every segment turns as the drive does."""
+        del y
+        turns = jnp.full(self.count + 1, params["drive_speed"] * t)
+        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: by joint what it hands down and its greatest contact forces, and which is loaded most."""

@@ -37,9 +37,10 @@ from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.loads import CoordinateLoad, JointFriction
 from bcfj_jax.mechanism.mechanism import Mechanism
-from bcfj_jax.mechanism.model import BodyMotion, Chain, Flows, ModelTraits, Params, Reading
+from bcfj_jax.mechanism.model import BodyMotion, Chain, Flows, ModelTraits, Params, Reading, Scenery
 from bcfj_jax.mechanism.sizes import Parameters
 from bcfj_jax.mechanism.structure import AbstractStructure
+from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
@@ -291,11 +292,6 @@ class MovingString(StringModel):
         return ("lump", "joint", "top")
 
     @property
-    def body_members(self) -> dict[str, int]:
-        """One a joint."""
-        return {"lump": self.count, "joint": self.count}
-
-    @property
     def _shaft(self) -> Shaft:
         found: Any = self.torsion.loads[0]
         return found
@@ -360,6 +356,13 @@ class MovingString(StringModel):
         """When what rises has risen."""
         shaft = self._shaft.programmes
         return shaft.risen({**params, "load_torque": params["bit_torque"]})
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """Segments at the lumps' angles, the upper connection at the drive's."""
+        over = self._shaft.programmes
+        top = params["drive_speed"] * t if over.drive is None else drive_at(over, t, params)[0]
+        turns = jnp.concatenate([jnp.asarray(top)[None], y[: self.count]])
+        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
 
     def chain(self, params: Params) -> Chain:
         """Of steady turning, and called so."""

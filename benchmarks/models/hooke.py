@@ -5,7 +5,8 @@
 Each runs with its defaults (1800 N m, 23 degrees, 100 r/min, friction 0.12/0.03) until a turn after the torque has risen; all
 figures are of that last turn. Transmission error is the output's angle less the input's, less its mean. Sliding work and wear
 are sums over all contacts and members, wear by ``analysis.life`` at its default material. Pressure is Hertz's: of the joint's
-contacts by its own radii, of pins that of a line as long as the pin is thick (``stiffness.LineContact``). Life is ``life.rolling_life`` of the
+contacts by its own radii, of pins that of a line as long as the pin is thick (``stiffness.LineContact``).
+Life is ``life.rolling_life`` of the
 contact that bears most at one load rating for all, so that only the loads are compared: a pin does not roll.
 """
 

@@ -3,6 +3,7 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -160,3 +161,24 @@ def test_the_picture_has_every_joint_on_the_hole_and_walls_that_push_inwards():
     assert np.allclose(np.hypot(*(chain.corners - middle).T), 1.0)
     assert np.all(np.sum(chain.pushes * (middle - chain.corners[1:-1]), 1) > 0.0)
     assert np.allclose(np.hypot(*chain.pushes.T), chain.loads["force of the wall"][1])
+
+
+def test_drawn_segments_meet_in_the_joints_and_turn_as_the_drive():
+    scene = bj.scenes.string(n=3, fidelity="kinematic")
+    params = scene.parameters()
+    corners, poses = scene.chain(params).corners, scene.scenery(jnp.asarray(0.02), jnp.zeros(0), params).poses
+    place = np.vstack([poses["top"].place, poses["lump"].place])
+    axes = np.concatenate([poses["top"].axes[None], poses["lump"].axes])
+    assert np.allclose(place[:, [0, 2]], corners[:-1], atol=1e-12)
+    assert np.allclose(place + 0.3987 * axes[..., 2], np.insert(corners[1:], 1, 0.0, 1), atol=1e-9)
+    assert np.allclose(axes @ np.swapaxes(axes, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(axes), 1.0)
+    # Across the plane of the bend: minus the sine of the turn.
+    assert np.allclose(axes[:, 1, 0], -math.sin(0.02 * float(params["drive_speed"])))
+    wall = next(x for x in scene.drawing(params).shapes if x.body == "ground").mesh.points
+    middle = np.array([math.cos(0.5 * 0.4013891), 0.0, -math.sin(0.5 * 0.4013891)])
+    away = np.hypot(np.hypot(*(wall - middle)[:, [0, 2]].T) - 1.0, wall[:, 1])
+    assert np.allclose(away, 0.06, atol=1e-6)
+    # The wall goes along with the string, from the upper connection to the last segment.
+    ends = np.vstack([place[:1], corners[-1:] @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])])
+    for end in ends:
+        assert np.min(np.linalg.norm(wall - end, axis=1)) < 0.08
