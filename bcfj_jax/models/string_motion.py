@@ -45,6 +45,7 @@ from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
 from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
+from bcfj_jax.xla.programs import ask
 
 MOTIONS = ("none", "torsional")
 # A chord of the joint's equilibria: torques this share below and above, and instants over a ball's pitch.
@@ -372,9 +373,8 @@ class MovingString(StringModel):
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""
         entry, tables = super().whole(params, run)
-        times, states = jnp.asarray(run.times), jnp.asarray(run.trajectory)
-        prepared = jax.jit(self.prepare)(dict(params))
-        torque = np.asarray(jax.vmap(lambda t, y: self.torque(t, y, prepared))(times, states))
+        states = np.asarray(run.trajectory)
+        torque = np.asarray(ask("torques", _torques, (self,), (dict(params), np.asarray(run.times), states)))
         most = int(np.argmax(np.nanmax(np.abs(torque), 0))) + 1
         found = {
             "torque_least": np.nanmin(torque, 0).tolist(), "torque_greatest": np.nanmax(torque, 0).tolist(),
@@ -382,6 +382,12 @@ class MovingString(StringModel):
             "most_loaded": most, "why": f"the greatest torque passes through joint {most}",
         }  # fmt: skip
         return {"string": entry["string"] | found}, tables
+
+
+def _torques(scene: MovingString, params: Params, times: Array, states: Array) -> Array:
+    """(T, n) through each joint."""
+    prepared = scene.prepare(params)
+    return jax.vmap(lambda t, y: scene.torque(t, y, prepared))(times, states)
 
 
 def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | None = None) -> MovingString:

@@ -141,6 +141,9 @@ def test_stick_slip_of_one_lump_is_scipys():
     times = np.linspace(0.0, 12.0, 2401)
     run = bj.simulate(scene, params, times, accuracy=1e-3, read=["joint_1.torque", "lump_1.speed"])
     assert run.status == "ok"
+    told = scene.whole(params, run)[0]["string"]
+    assert told["torque_greatest"][0] == pytest.approx(run.readings["joint_1.torque"].max(), rel=1e-9)
+    assert told["bit_speed"][1] == pytest.approx(run.readings["lump_1.speed"].max(), rel=1e-9)
     held = jax.jit(scene.prepare)(params)
     k, c, inertia = float(held["coupling"][0]), 3.0, float(inertias(params, 1)[0])
 
