@@ -90,6 +90,41 @@ def sphere_in_socket(effective_modulus: ArrayLike, socket_radius: ArrayLike, bal
     return 4.0 / 3.0 * jnp.asarray(effective_modulus) * jnp.sqrt(socket * ball / (socket - ball))
 
 
+class LineContact(eqx.Module):
+    """Two cylinders along each other, at a force F:  a = sqrt(4 F R/(pi E* L)),  p0 = 2 F/(pi L min(a, r)).
+
+    Hertz's line contact (Johnson 1985, 4.43 to 4.45). A pin in its hole touches half of it at most: where Hertz's patch would
+    be wider than the pin its radius r stands in its place, and p0 is that of a pressure that falls as the cosine around it.
+    Hertz holds for a << r; from some r/3 on this is an estimate (Persson 1964).
+
+    Attributes:
+        effective_modulus: E* [Pa]; length: L [m].
+        radius: R [m], 1/R = 1/r_1 + 1/r_2, a hole's r_2 negative.
+        limit: r [m]; infinite for no limit.
+    """
+
+    effective_modulus: ArrayLike
+    length: ArrayLike
+    radius: ArrayLike
+    limit: ArrayLike
+
+    @property
+    def unit_pressure(self) -> Array:
+        """(3,) s, m, c of  p0 = max(s F^m, c F)."""
+        share = jnp.sqrt(self.effective_modulus / (jnp.pi * jnp.asarray(self.radius) * self.length))
+        return jnp.stack([share, 0.5, 2.0 / (jnp.pi * jnp.asarray(self.length) * self.limit)])
+
+    def half_width(self, force: ArrayLike) -> Array:
+        """Half of the patch's width [m], of any shape; of a pin at most its radius, along its circumference's chord."""
+        squared = 4.0 * jnp.asarray(self.radius) / (jnp.pi * self.effective_modulus * self.length) * force
+        return jnp.minimum(power(squared, 0.5), self.limit)
+
+    def peak_pressure(self, force: ArrayLike) -> Array:
+        """p0 [Pa], of any shape; 0 for no force."""
+        share, exponent, least = self.unit_pressure
+        return jnp.maximum(share * power(force, exponent), least * force)
+
+
 def cylinder_limit(effective_modulus: ArrayLike, length: ArrayLike, radius_difference: ArrayLike) -> Array:
     """Force 4 pi E* L DR / e^2 [N] up to which Johnson's d(F) rises; the penetration there is 4 DR / e^2.
 

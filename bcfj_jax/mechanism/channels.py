@@ -127,8 +127,8 @@ def channel(name: str, model: AbstractModel, frame: str = "", where: str = "read
     contacts, bodies, member = model.members, model.body_names, 0
     stem, _, number = part.rpartition("_")
     if part not in contacts and part not in bodies and stem in (*contacts, *bodies) and number.isdigit():
-        if not contacts.get(stem) or not 1 <= int(number) <= contacts[stem]:
-            count = contacts.get(stem, 0)
+        count = {**model.body_members, **contacts}.get(stem, 0)
+        if not 1 <= int(number) <= count:
             raise InputError(where, f"'{stem}' has no member {number}", f"it has {count}" if count else f"write {stem}")
         part, member = stem, int(number)
     if part in contacts:
@@ -198,7 +198,10 @@ def _value(c: Channel, seen: Seen) -> Array:
             size = jnp.abs(found.force[..., 0])
             if c.what == "wear_rate":
                 return shares[c.name] * size * _there(c._replace(what="slip"), found.slip)
-            return shares[c.name] * (power(size, 1.0 / 3.0) if c.what == "pressure" else size)
+            if c.what == "pressure":
+                share, exponent, least = shares[c.name]
+                return jnp.maximum(share * power(size, exponent), least * size)
+            return shares[c.name] * size
         if c.what in _OWN:
             return found.force[..., _OWN[c.what]]
         if c.what == "side":

@@ -38,7 +38,10 @@ SOURCES: dict[str, str] = {
     "fatigue_exponent": "GUESS: 5 of unnotched steel, 3 of welds (EN 1993-1-9)",
 }
 # What [life] may give, with its unit.
-GIVEN = {"wear_coefficient": "1", "hardness": "Pa", "effective_modulus": "Pa", "load_rating": "N"}
+GIVEN = {
+    "wear_coefficient": "1", "hardness": "Pa", "effective_modulus": "Pa", "load_rating": "N",
+    "contact_length": "m",  # of a pin in its bearing; by default twice the pin's radius
+}  # fmt: skip
 
 
 def with_materials(model: Any, given: Mapping[str, Any], where: str = "life") -> Any:
@@ -48,7 +51,7 @@ def with_materials(model: Any, given: Mapping[str, Any], where: str = "life") ->
         InputError: for a name or a contact that is not known, a number that is not positive, and a model that reads none.
     """
     if not any(field.name == "life" for field in dataclasses.fields(model)):
-        raise InputError(where, f"scene '{model.kind}' reads no materials", "give a mechanism or the joint")
+        raise InputError(where, f"scene '{model.kind}' reads no materials", "give a mechanism, the joint or the string")
     return dataclasses.replace(model, life=_checked(model, given, where))
 
 
@@ -85,14 +88,16 @@ def material(model: AbstractModel, contact: str) -> dict[str, float]:
 
 
 def share(model: AbstractModel, params: Params, contact: str, what: str) -> Array:
-    """What a reading of life multiplies: k/H [1/Pa] of ``wear_rate``, 1/C [1/N] of ``load_share``, p0/F^(1/3) of ``pressure``."""
+    """What a reading of life reads: k/H [1/Pa] of wear, 1/C [1/N] of ``load_share``, ``unit_pressure`` of ``pressure``."""
     read = material(model, contact)
     if what == "wear_rate":
         return jnp.asarray(read["wear_coefficient"] / read["hardness"])
     if what == "load_share":
         return jnp.asarray(1.0 / read["load_rating"])
-    found = model.unit_pressure(params, contact, read["effective_modulus"])
+    found = model.unit_pressure(params, contact, read)
     if found is None:
-        lack = "its surfaces do not touch at a point, or nobody said their radii: Hertz has no pressure for it"
+        lack = (
+            "its surfaces touch neither at a point nor along a line, or nobody said their radii: Hertz has none for it"
+        )
         raise InputError(f"contact '{contact}' pressure", lack, "take peak, and a formula of bj.stiffness")
     return found

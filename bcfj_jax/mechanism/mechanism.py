@@ -21,6 +21,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import AbstractGap
 from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
+from bcfj_jax.contact.stiffness import LineContact
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.mechanism import checks, efforts, instruments, scenery, sizes, statics, stepping, stiff
@@ -216,16 +217,19 @@ class Mechanism(Dynamics):
             raise InputError(f"scene '{self.kind}'", found, "give the period, or interval and settle")
         return super().period(params)
 
-    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
-        """Of a circle, (6 E*^2/(pi^3 R^2))^(1/3), R the gap's relative radius (Johnson 1985, 4.2)."""
+    def unit_pressure(self, params: Params, contact: str, material: Mapping[str, float]) -> Array | None:
+        """Of a circle, (6 E*^2/(pi^3 R^2))^(1/3), R the gap's relative radius (Johnson 1985, 4.2); of a pin ``LineContact``."""
         one = self.contact(contact)
         read: Any = one.coefficients(params)
+        modulus, line = read.get("effective_modulus", material["effective_modulus"]), one.gap.line(read)
+        if line is not None:
+            long = read.get("contact_length", material.get("contact_length", 2.0 * line[1]))
+            return LineContact(modulus, long, *line).unit_pressure
         radius = one.gap.radius(read)
         if radius is None:
             return None
-        return (6.0 * jnp.square(read.get("effective_modulus", modulus) / jnp.asarray(radius)) / jnp.pi**3) ** (
-            1.0 / 3.0
-        )
+        share = (6.0 * jnp.square(modulus / jnp.asarray(radius)) / jnp.pi**3) ** (1.0 / 3.0)
+        return jnp.stack([share, 1.0 / 3.0, 0.0])
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """By the sizes that the contact's gap reads, its ``misread``, and the masses."""

@@ -411,8 +411,12 @@ class AbstractModel(eqx.Module):
     # Numbers of materials that are not those of steel (``materials``).
     life = ()
 
-    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
-        """Hertz's p0/F^(1/3) [Pa/N^(1/3)], E* [Pa] the modulus of a model without one; None of no known point contact. Pure."""
+    def unit_pressure(self, params: Params, contact: str, material: Mapping[str, float]) -> Array | None:
+        """(3,) s, m, c of Hertz's greatest pressure  p0 = max(s F^m, c F)  [Pa]; None where it is not known. Pure.
+
+        m is 1/3 of a point and 1/2 of a line; c is of a pin that touches half of its hole (``stiffness.LineContact``), else 0.
+        ``material`` (``materials``) has E* of a model without one, and the length of a line.
+        """
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """How large the bodies at a contact are that is so deep at most [m], as far as the model reads it. On the host."""

@@ -28,8 +28,9 @@ from bcfj_jax.models.oblique_impact import oblique_impact
 from bcfj_jax.models.slider_crank import slider_crank
 from bcfj_jax.models.slider_guide import slider_guide
 from bcfj_jax.models.string import DEFAULTS as STRING_NUMBERS
-from bcfj_jax.models.string import string as string
-from bcfj_jax.models.string import string_of_keys
+from bcfj_jax.models.string_motion import NUMBERS as STRING_IN_MOTION
+from bcfj_jax.models.string_options import string as string
+from bcfj_jax.models.string_options import string_of_keys
 
 SCENES: dict[str, Callable[..., AbstractModel]] = {
     "impact": impact,
@@ -63,7 +64,8 @@ SOURCES: dict[str, Sources] = {
     "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
     "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
     "string": Sources(
-        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS).items()}, joint_numbers.LEGEND
+        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION).items()},
+        joint_numbers.LEGEND,
     ),
 }
 

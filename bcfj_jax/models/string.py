@@ -20,7 +20,6 @@ Left out: weight, bending and twist of segments, the moments 2 T tan(beta/2) by 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -30,21 +29,31 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import is_traced
-from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
-from bcfj_jax.mechanism.model import AbstractModel, Chain, ModelTraits, Params, Reading, Solution
-from bcfj_jax.models.joint.build import structure
+from bcfj_jax.mechanism.model import (
+    AbstractModel,
+    Bodies,
+    Chain,
+    Life,
+    ModelTraits,
+    Params,
+    Reading,
+    Scenery,
+    Solution,
+)
+from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.model import JointModel
-from bcfj_jax.models.joint.options import JointCage, JointGeometry, JointMaterials, JointOptions, keyed, with_keys
 from bcfj_jax.models.joint.scene import OF_A_BALL
 
 WHERE = "scene 'string'"
 # What a joint is told by the string, and not by the user.
 _TOLD = ("joint_angle", "load_torque", "axial_load")
 LEVELS = ("kinematic", "quasistatic")
+POISSON = 0.29  # Of steel (paper).
 DEFAULTS: dict[str, tuple[float, str]] = {
     "hole_radius": (1.0, "paper: 1 m; usual 1 to 4 m"),
     "segment_length": (0.3987, "derived: chord of joints bent by 23 degrees (paper) at 1 m"),
@@ -105,6 +114,52 @@ def loads(params: Params, count: int) -> Loads:
     )  # fmt: skip
 
 
+class Segments(NamedTuple):
+    """How the segments below the joints give and what they are stressed by, (n,) from the drive to the bit.
+
+    Attributes:
+        twist: T L/(G J) [rad]; stretch: -F L/(E A) [m], shortening.
+        moment: T tan(beta/2) [N m], by which either end holds the segment across its axis.
+        shear: T d/J [Pa]; axial: F/A [Pa], bending: M d/I [Pa], all at the outer fibre.
+        stress: sqrt((axial + bending)^2 + 3 shear^2) [Pa], von Mises.
+    """
+
+    twist: Array
+    stretch: Array
+    moment: Array
+    shear: Array
+    axial: Array
+    bending: Array
+    stress: Array
+
+
+def segments(params: Params, count: int) -> Segments:
+    """Straight segments under the loads of steady turning (Timoshenko, Strength of Materials 1, 1955), differentiable.
+
+    A constant-velocity joint bent by beta turns the torque's axis by beta: it holds each of its shafts by T tan(beta/2) across
+    its axis (Seherr-Thoss et al., Universal Joints and Driveshafts, 2006). Segments are rigid in the loads themselves.
+    """
+    p, found = params, loads(params, count)
+    area = jnp.pi * (p["segment_radius"] ** 2 - p["segment_bore"] ** 2)
+    moment = found.torque * jnp.tan(0.5 * found.bend)
+    shear = found.torque * p["segment_radius"] / polar(p)
+    axial, bending = found.axial / area, moment * p["segment_radius"] / (0.5 * polar(p))
+    return Segments(
+        found.torque / torsional_stiffness(p), -found.axial * p["segment_length"] / (p["segment_modulus"] * area),
+        moment, shear, axial, bending, jnp.sqrt((axial + bending) ** 2 + 3.0 * shear**2),
+    )  # fmt: skip
+
+
+def polar(p: Params) -> Array:
+    """Polar second moment of a segment's section, pi/2 (d^4 - b^4) [m^4]."""
+    return 0.5 * jnp.pi * (p["segment_radius"] ** 4 - p["segment_bore"] ** 4)
+
+
+def torsional_stiffness(p: Params) -> Array:
+    """G J/L of a segment [N m/rad], G = E/(2 (1 + nu))."""
+    return p["segment_modulus"] / (2.0 * (1.0 + POISSON)) * polar(p) / p["segment_length"]
+
+
 class StringModel(AbstractModel):
     """n joints in a hole as a model; made by ``string``.
 
@@ -115,6 +170,7 @@ class StringModel(AbstractModel):
     count: int = eqx.field(static=True)
     kind: str = eqx.field(static=True, default="string")
     samples: int = eqx.field(static=True, default=301)
+    life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
     @property
     def contacts(self) -> tuple[Any, ...]:
@@ -155,6 +211,11 @@ class StringModel(AbstractModel):
         return {c.name: self.count * self.joint.balls if c.name in OF_A_BALL else one for c in self.contacts}
 
     @property
+    def body_members(self) -> dict[str, int]:
+        """Segments below the joints, and joints: as they are drawn."""
+        return {"lump": self.count, "joint": self.count}
+
+    @property
     def quantities(self) -> dict[str, Quantity]:
         """The string's, then the joint's without what the string tells each."""
         own = {name: CATALOGUE[name] for name in DEFAULTS}
@@ -180,7 +241,7 @@ class StringModel(AbstractModel):
 
     def prepare(self, params: Params) -> Any:
         """Of all joints."""
-        return jax.vmap(self.joint.prepare)(self.joints(params))
+        return {"joints": jax.vmap(self.joint.prepare)(self.joints(params))}
 
     def initial_state(self, params: Params) -> Array:
         """Of all joints, one after the other."""
@@ -213,11 +274,24 @@ class StringModel(AbstractModel):
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Of all joints side by side."""
-        found = jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared)
+        return self.side_by_side(
+            jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared["joints"])
+        )
+
+    def side_by_side(self, found: dict[str, Reading]) -> dict[str, Reading]:
+        """Readings of joints (n, ...) with the members of all one after the other; of one joint its own."""
         if self.count == 1:
             return jax.tree.map(lambda x: x[0], found)
         of_a_ball = lambda name, x: x.reshape(-1, *x.shape[2:]) if name in OF_A_BALL else x  # noqa: E731
         return {name: jax.tree.map(lambda x, name=name: of_a_ball(name, x), reading) for name, reading in found.items()}
+
+    def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
+        """The joint's: all have the same radii."""
+        return self.joint.unit_pressure({name: x[0] for name, x in self.joints(params).items()}, contact, material)
+
+    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
+        """The joint's."""
+        return self.joint.bodies_at(params, contact, deepest)
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen."""
@@ -251,6 +325,17 @@ class StringModel(AbstractModel):
         each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
         return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
 
+    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
+        """The string has sizes of its own."""
+        del size, travel
+        return string_drawing.drawing(params, self.count)
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """Every segment turns as the drive does."""
+        del y
+        turns = jnp.full(self.count + 1, params["drive_speed"] * t)
+        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
+
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: by joint what it hands down and its greatest contact forces, and which is loaded most."""
         found = loads(params, self.count)
@@ -259,7 +344,8 @@ class StringModel(AbstractModel):
             force = np.abs(np.asarray(run.force[contact.name])[..., 0]).reshape(len(run.times), self.count, -1)
             peaks[contact.name] = np.nanmax(force, axis=(0, 2)).tolist()
         most = int(np.argmax(np.asarray(found.torque))) + 1
-        entry = {name: np.asarray(value).tolist() for name, value in found._asdict().items()}
+        entry: dict[str, Any] = {name: np.asarray(value).tolist() for name, value in found._asdict().items()}
+        entry["segments"] = {k: np.asarray(x).tolist() for k, x in segments(params, self.count)._asdict().items()}
         why = f"joint {most} hands down the torque of the bit and of all wall friction below it"
         return {"string": entry | {"peaks": peaks, "most_loaded": most, "why": why}}, {}
 
@@ -299,56 +385,3 @@ def buckling_force(params: Any) -> Any:
     """Euler's force of a segment between two joints, pi^2 E I/L^2 [N], I = pi/4 (d^4 - b^4)."""
     area = 0.25 * math.pi * (params["segment_radius"] ** 4 - params["segment_bore"] ** 4)
     return math.pi**2 * params["segment_modulus"] * area / params["segment_length"] ** 2
-
-
-def _made(n: int, options: JointOptions) -> StringModel:
-    count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
-    if options.fidelity not in LEVELS:
-        found = f"'{options.fidelity}': joints of a string exchange no dynamics"
-        raise InputError(f"{WHERE} fidelity", found, f"give {' or '.join(LEVELS)}")
-    return StringModel(JointModel(**structure(options)), count)
-
-
-@dataclass(frozen=True)
-class _Options:
-    """Of the scene file: a string has no drive or loads over time.
-
-    Args:
-        n: number of joints.
-        fidelity: one of kinematic, quasistatic. kinematic: closed-form load sharing in every joint. quasistatic:
-            equilibrium at each instant, without friction.
-    """
-
-    n: int = 5
-    materials: JointMaterials = field(default_factory=JointMaterials)
-    geometry: JointGeometry = field(default_factory=JointGeometry)
-    cage: JointCage = field(default_factory=JointCage)
-    fidelity: str = "quasistatic"
-
-
-def string(
-    n: int = 5,
-    geometry: JointGeometry | None = None,
-    cage: JointCage | None = None,
-    materials: JointMaterials | None = None,
-    fidelity: str = "quasistatic",
-) -> StringModel:
-    """``n`` equal ball-cage joints with rigid segments in a curved hole, from drive to bit (module docstring).
-
-    Args:
-        n: number of joints.
-        geometry, cage, materials: of every joint, as ``joint``.
-        fidelity: one of kinematic, quasistatic: of the joints.
-
-    Raises:
-        InputError: as ``joint``.
-    """
-    given = {"geometry": geometry, "cage": cage, "materials": materials}
-    options = JointOptions(fidelity=fidelity, **{key: group for key, group in given.items() if group is not None})
-    return _made(n, options)
-
-
-@keyed(_Options)
-def string_of_keys(n: int = 5, **given: Any) -> StringModel:
-    """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
-    return _made(n, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))

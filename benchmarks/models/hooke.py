@@ -5,7 +5,8 @@
 Each runs with its defaults (1800 N m, 23 degrees, 100 r/min, friction 0.12/0.03) until a turn after the torque has risen; all
 figures are of that last turn. Transmission error is the output's angle less the input's, less its mean. Sliding work and wear
 are sums over all contacts and members, wear by ``analysis.life`` at its default material. Pressure is Hertz's: of the joint's
-contacts by its own radii, of pins that of a line contact as long as the pin is thick. Life is ``life.rolling_life`` of the
+contacts by its own radii, of pins that of a line as long as the pin is thick (``stiffness.LineContact``).
+Life is ``life.rolling_life`` of the
 contact that bears most at one load rating for all, so that only the loads are compared: a pin does not roll.
 """
 
@@ -20,6 +21,7 @@ import numpy as np
 import bcfj_jax as bj
 import benchmarks.common as harness
 from bcfj_jax.analysis import life
+from bcfj_jax.mechanism import materials
 from bcfj_jax.mechanism.channels import channel, histories
 from benchmarks.common import IMAGES, publish, save
 
@@ -28,7 +30,7 @@ SCENES: dict[str, tuple[Any, str]] = {
     "Hooke": (bj.scenes.hooke, "output"),
     "double Hooke": (lambda: bj.scenes.hooke(double=True), "output"),
 }
-SAMPLES, MODULUS, RATING = 6501, 113.0e9, 30e3
+SAMPLES, RATING = 6501, 30e3
 HEADS = {
     "transmission_error": ("transmission error, peak to peak [mrad]", 1e3),
     "drive_ripple": ("drive torque, greatest less least [N m]", 1.0),
@@ -43,12 +45,8 @@ HEADS = {
 
 def _pressure(scene: Any, params: Any, name: str, force: float) -> float:
     """Greatest Hertz pressure of a contact [Pa] at a force [N]."""
-    if scene.kind == "joint":
-        from bcfj_jax.models.joint.constants import patch
-
-        return float(patch(scene, params, name)[0].peak_pressure(force))
-    play, pin = float(params[f"clearance_{name}"]), float(params["radius"])
-    return float(np.sqrt(force * MODULUS * play / (np.pi * 2.0 * pin * pin * (pin + play))))
+    share, exponent, least = (float(x) for x in materials.share(scene, params, name, "pressure"))
+    return max(share * force**exponent, least * force)
 
 
 def of(name: str) -> tuple[dict[str, float], np.ndarray, np.ndarray]:

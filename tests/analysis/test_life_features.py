@@ -136,8 +136,8 @@ def test_derivatives_of_the_wear_volume_are_those_of_differences():
 def test_what_a_contact_has_not_is_refused():
     with pytest.raises(InputError, match="no friction"):
         observing(dragged(friction=None), [WEAR])
-    scene = bj.scenes.hooke()
-    shown = observing(scene, ["input_pins.peak_pressure"])
+    scene = bj.scenes.slider_guide()
+    shown = observing(scene, ["guide.peak_pressure"])
     with pytest.raises(InputError, match="Hertz"):
         shown.prepare(shown.parameters())
     with pytest.raises(InputError, match="wear_volume"):
@@ -157,7 +157,7 @@ def test_the_table_of_a_file():
         with pytest.raises(InputError, match=said):
             scenefile.from_table({"scene": {"kind": "oblique_impact"}, "life": wrong}, None)
     with pytest.raises(InputError, match="reads no materials"):
-        life.with_materials(bj.scenes.string(n=2), {"hardness": 1e9})
+        life.with_materials(observing(dragged(), [PRESSURE]), {"hardness": 1e9})
     assert set(materials.SOURCES) == set(materials.STEEL)
 
 
@@ -169,3 +169,44 @@ def test_a_contact_that_bears_nothing_lives_without_end_and_wears_nothing():
     assert features.KINDS["wear_volume"].of(seen) == features.KINDS["peak_pressure"].of(seen) == 0.0
     slope = jax.grad(lambda x: features.KINDS["rolling_life"].of(features.Seen(times, x * jnp.ones(11), None)))
     assert float(slope(2.0)) == pytest.approx(-3.0 / 16.0) and float(slope(0.0)) == 0.0
+
+
+def test_a_pin_presses_along_a_line():
+    # Johnson 1985, 4.45: p0 = sqrt(F E*/(pi L R)), a = sqrt(4 F R/(pi L E*)), F = pi/2 p0 a L.
+    line = bj.stiffness.LineContact(113e9, 0.02, 0.8, np.inf)
+    force = jnp.asarray([0.0, 100.0, 2e3])
+    pressure, width = line.peak_pressure(force), line.half_width(force)
+    assert np.allclose(pressure, np.sqrt(np.asarray(force) * 113e9 / (math.pi * 0.02 * 0.8)), rtol=1e-12)
+    assert np.allclose(0.5 * math.pi * pressure * width * 0.02, force, rtol=1e-12)
+    # Where the patch would be wider than the pin the load is the cosine's over half of the hole: F = pi/2 p0 r L.
+    pin = bj.stiffness.LineContact(113e9, 0.016, 8e-3 * 8.01e-3 / 1e-5, 8e-3)
+    assert float(pin.half_width(33e3)) == 8e-3
+    assert float(pin.peak_pressure(33e3)) == pytest.approx(33e3 / (0.5 * math.pi * 8e-3 * 0.016), rel=1e-12)
+    assert float(pin.peak_pressure(1e3)) == pytest.approx(math.sqrt(1e3 * 113e9 / (math.pi * 0.016 * 6.408)), rel=1e-12)
+
+
+@pytest.mark.parametrize("length", [None, 0.02])
+def test_pressure_of_hookes_pins(length):
+    scene = bj.scenes.hooke()
+    if length is not None:
+        scene = life.with_materials(scene, {"input_pins": {"contact_length": length}})
+    params, name = scene.parameters(), "input_pins"
+    read = materials.share(scene, params, name, "pressure")
+    radius, play = float(params["radius"]), float(params[f"clearance_{name}"])
+    right = bj.stiffness.LineContact(113e9, length or 2.0 * radius, radius * (radius + play) / play, radius)
+    assert np.allclose(read, right.unit_pressure, rtol=1e-12)
+
+
+def test_a_string_reads_the_materials_of_its_joints():
+    string = life.with_materials(bj.scenes.string(n=2, fidelity="kinematic"), {"seat_ball": {"load_rating": 20e3}})
+    joint = bj.scenes.joint(fidelity="kinematic")
+    params = string.parameters()
+    assert string.unit_pressure(params, "seat_ball", {}) == pytest.approx(
+        joint.unit_pressure(joint.parameters(), "seat_ball", {})
+    )
+    shown = observing(string, ["seat_ball_8.peak_pressure", "seat_ball_8.rolling_life"])
+    run = bj.simulate(shown, shown.parameters(), np.linspace(0.0, 0.2, 5))
+    force = run.force["seat_ball"][:, 7, 0]
+    share = float(string.unit_pressure(params, "seat_ball", {})[0])
+    assert np.allclose(run.force["seat_ball_8.pressure"][..., 0], share * np.cbrt(force), rtol=1e-12)
+    assert np.allclose(run.force["seat_ball_8.load_share"][..., 0], force / 20e3, rtol=1e-12)

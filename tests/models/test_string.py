@@ -3,12 +3,13 @@
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiers
 
 import bcfj_jax as bj
-from bcfj_jax.models.string import buckling_force, loads
+from bcfj_jax.models.string import buckling_force, loads, segments
 
 TIMES = np.linspace(0.0, 0.65, 14)
 
@@ -84,6 +85,22 @@ def test_the_joint_at_the_drive_is_loaded_most():
     assert np.all(np.diff(found.axial) < 0)
 
 
+def test_segments_twist_shorten_and_bend_as_bars():
+    # A solid bar of 100 mm and 0.3987 m, E = 207 GPa, nu = 0.29: G J/L = 80.23e9*9.817e-6/0.3987.
+    params, found = told(3, segment_bore=0.0, wall_friction=0.0, weight_on_bit=10e3)
+    each = segments(params, 3)
+    stiff = 207e9 / 2.58 * math.pi / 2.0 * 0.05**4 / 0.3987
+    assert np.allclose(each.twist, 1800.0 / stiff, rtol=1e-9)
+    assert np.allclose(each.stretch, -10e3 * 0.3987 / (207e9 * math.pi * 0.05**2), rtol=1e-9)
+    # 16 T/(pi D^3), F/A, 32 M/(pi D^3).
+    bent = 1800.0 * math.tan(0.5 * float(found.bend[0]))
+    shear, axial, bending = 16.0 * 1800.0 / (math.pi * 1e-3), 10e3 / (math.pi * 0.0025), 32.0 * bent / (math.pi * 1e-3)
+    assert np.allclose(each.shear, shear, rtol=1e-9) and np.allclose(each.bending, bending, rtol=1e-9)
+    assert np.allclose(each.stress, math.sqrt((axial + bending) ** 2 + 3.0 * shear**2), rtol=1e-9)
+    straight = segments(told(3, hole_radius=1e9)[0], 3)
+    assert np.allclose(straight.moment, 0.0, atol=1e-5)
+
+
 def test_euler():
     # pi^2 E I/L^2 of a rod of 20 mm and 2 m: I = 7.854e-9 m^4, 4.011 kN.
     rod = {"segment_radius": 0.01, "segment_bore": 0.0, "segment_modulus": 207e9, "segment_length": 2.0}
@@ -146,3 +163,24 @@ def test_the_picture_has_every_joint_on_the_hole_and_walls_that_push_inwards():
     assert np.allclose(np.hypot(*(chain.corners - middle).T), 1.0)
     assert np.all(np.sum(chain.pushes * (middle - chain.corners[1:-1]), 1) > 0.0)
     assert np.allclose(np.hypot(*chain.pushes.T), chain.loads["force of the wall"][1])
+
+
+def test_drawn_segments_meet_in_the_joints_and_turn_as_the_drive():
+    scene = bj.scenes.string(n=3, fidelity="kinematic")
+    params = scene.parameters()
+    corners, poses = scene.chain(params).corners, scene.scenery(jnp.asarray(0.02), jnp.zeros(0), params).poses
+    place = np.vstack([poses["top"].place, poses["lump"].place])
+    axes = np.concatenate([poses["top"].axes[None], poses["lump"].axes])
+    assert np.allclose(place[:, [0, 2]], corners[:-1], atol=1e-12)
+    assert np.allclose(place + 0.3987 * axes[..., 2], np.insert(corners[1:], 1, 0.0, 1), atol=1e-9)
+    assert np.allclose(axes @ np.swapaxes(axes, 1, 2), np.eye(3)) and np.allclose(np.linalg.det(axes), 1.0)
+    # Across the plane of the bend: minus the sine of the turn.
+    assert np.allclose(axes[:, 1, 0], -math.sin(0.02 * float(params["drive_speed"])))
+    wall = next(x for x in scene.drawing(params).shapes if x.body == "ground").mesh.points
+    middle = np.array([math.cos(0.5 * 0.4013891), 0.0, -math.sin(0.5 * 0.4013891)])
+    away = np.hypot(np.hypot(*(wall - middle)[:, [0, 2]].T) - 1.0, wall[:, 1])
+    assert np.allclose(away, 0.06, atol=1e-6)
+    # The wall goes along with the string, from the upper connection to the last segment.
+    ends = np.vstack([place[:1], corners[-1:] @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])])
+    for end in ends:
+        assert np.min(np.linalg.norm(wall - end, axis=1)) < 0.08

@@ -146,6 +146,8 @@ def orbits(run: Run, found: Mapping[str, Orbit], path: Path, turning: Turning | 
 
 def chain(found: Chain, path: Path) -> Picture:
     """The row of links in its place with the forces on it, and beside it what each link bears."""
+    from matplotlib.ticker import MaxNLocator
+
     said, each = [], np.arange(1, len(found.pushes) + 1)
     with panels(1 + len(found.loads), 2, path, 4.3, 3.6) as (place, *axes):
         x, y = found.corners.T
@@ -168,6 +170,8 @@ def chain(found: Chain, path: Path) -> Picture:
             scale, prefix = engineering(values, unit)
             axis.plot(each, values * scale, "o-", color=COLOURS[0], markersize=4)
             axis.set(title=name, xlabel=f"{found.link}, from the drive", ylabel=label(name, unit, prefix))
+            axis.ticklabel_format(useOffset=False)
+            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
             highest = int(np.argmax(np.abs(values)))
             said.append(f"{name} {span(values, unit)}, highest at {found.link} {highest + 1}")
     return Picture(path.name, f"Loads by {found.link}", f"From the drive on. {'; '.join(said)}.")

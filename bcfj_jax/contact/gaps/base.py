@@ -157,6 +157,10 @@ class Ground(bj.gaps.AbstractGap):
         """Relative radius R of bodies that touch at a point of two equal curvatures, 1/R = 1/R_1 + 1/R_2 [m]; else None."""
         return None
 
+    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any] | None:
+        """Relative radius R [m] of bodies that touch along a line, and the smaller body's radius; else None."""
+        return None
+
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         """Direction that a force's axial component is read along, less its part along the normal: a's z axis.
 

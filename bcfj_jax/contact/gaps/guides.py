@@ -191,6 +191,10 @@ class PinInBearing(AbstractGap):
     def bends(self, c: Coefficients) -> Bends:
         return Bends(c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
+    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any]:
+        """R = r (r + clearance)/clearance, r the pin's."""
+        return c["radius"] * (c["radius"] + c["clearance"]) / c["clearance"], c["radius"]
+
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         radius, hole = c["radius"], c["radius"] + c["clearance"]
         long = c["half_length"] if self.ends else 0.7 * radius

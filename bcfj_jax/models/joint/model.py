@@ -224,10 +224,10 @@ class JointModel(Joint):
         """``engineering.warnings``."""
         return engineering.warnings(self, params, run)
 
-    def unit_pressure(self, params: Params, contact: str, modulus: float) -> Array | None:
+    def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
         """By its own radii and modulus (``constants.patch``)."""
-        del modulus
-        return patch(self, params, contact)[0].peak_pressure(1.0)
+        del material
+        return jnp.stack([patch(self, params, contact)[0].peak_pressure(1.0), 1.0 / 3.0, 0.0])
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
         """A ball, which is the smallest body at every contact that it has, and thinner than any other at the rest."""

@@ -1,0 +1,411 @@
+"""The string in motion: segments and joints twist, and what hangs between them turns with inertia, from drive to bit.
+
+Lump i, counted from the drive, is segment i with the head of joint i above it; the bit is on the last. Torque T_i passes
+through joint i and segment i, from lump i - 1, or the drive, to lump i:
+
+    I_i dw_i/dt = T_i - T_(i+1) - friction of the wall - bit,   T_i = k_i (a_(i-1) - a_i) + c_i (w_(i-1) - w_i)
+    1/k_i = 1/K_i + L/(G J),   c_i = tau k_i,   I_i = rho J L + I_head,   J = pi/2 (d^4 - b^4),   G = E/(2 (1 + nu))
+
+K_i is the joint's own stiffness at the torque that passes through it in steady turning (``models.string.loads``): a chord of its
+equilibria (``joint_stiffness``). A flexible drive is in series with the first. Segment and joint have their inertia
+at the segment's lower end, so that the string is the spring-mass chain of textbooks; a rod of N lumps has its lowest
+frequency within 1/(2 N) (Rao, Mechanical Vibrations, 2017, 8.4).
+
+The wall takes mu b d dN_i (``models.string``) from the lump above joint i, or the drive, by Coulomb's law regularised
+below ``wall_speed``. The bit takes what drive and loads of a joint may be over time, falling with its speed where it sticks
+and slips, or follows a friction law. Bodies, hinges and loads are those of every mechanism: lumps are members of one body,
+so that a program does not grow with them.
+
+Contact forces are those of each joint in equilibrium under T_i at the angle of the lump above it. Left out: inertia within the
+joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.lax.linalg import tridiagonal_solve
+from jax.typing import ArrayLike
+
+from bcfj_jax.contact.friction import AbstractFriction
+from bcfj_jax.core.quantities import CATALOGUE, Quantity
+from bcfj_jax.mechanism.bodies import Body
+from bcfj_jax.mechanism.loads import CoordinateLoad, JointFriction
+from bcfj_jax.mechanism.mechanism import Mechanism
+from bcfj_jax.mechanism.model import BodyMotion, Chain, Flows, ModelTraits, Params, Reading, Scenery
+from bcfj_jax.mechanism.sizes import Parameters
+from bcfj_jax.mechanism.structure import AbstractStructure
+from bcfj_jax.models import string_drawing
+from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
+from bcfj_jax.models.joint.model import JointModel
+from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
+from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
+from bcfj_jax.xla.programs import ask
+
+MOTIONS = ("none", "torsional")
+# A chord of the joint's equilibria: torques this share below and above, and instants over a ball's pitch.
+_CHORD, _PHASES = 0.1, 3
+# A joint's stiffness is not asked for below this share of the drive's torque, where play decides.
+_LEAST = 0.01
+NUMBERS: dict[str, tuple[float, str]] = {
+    "segment_density": (7801.0, "paper: steel"),
+    "bit_inertia": (0.1, "GUESS"),
+    "twist_relaxation": (1e-5, "GUESS: 1 % of critical damping at 300 Hz"),
+    "wall_speed": (5e-3, "GUESS: a hundredth of the rim's speed"),
+}
+
+
+class Shaft(CoordinateLoad):
+    """Springs and dampers between neighbouring members of one body, the first of them held by the drive."""
+
+    programmes: Programmes
+    body: str = eqx.field(static=True, default="lump")
+    name: str = eqx.field(static=True, default="shaft")
+
+    def torques(self, t: Array, position: Array, rate: Array, p: Params) -> tuple[Array, Array, Array, Array]:
+        """(n,) elastic and damping torque of every spring, its stretch; speed of the drive."""
+        turn, speed = p["drive_speed"] * t, p["drive_speed"]
+        if self.programmes.drive is not None:
+            turn, speed, _ = drive_at(self.programmes, t, p)
+        stretch = jnp.concatenate([jnp.asarray(turn)[None], position[:-1]]) - position
+        closing = jnp.concatenate([jnp.asarray(speed)[None], rate[:-1]]) - rate
+        return p["coupling"] * stretch, p["coupling_damping"] * closing, stretch, jnp.asarray(speed)
+
+    def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+        """T_i - T_(i+1) on every lump."""
+        elastic, damping, _, _ = self.torques(t, position, rate, p)
+        torque = elastic + damping
+        return torque - jnp.append(torque[1:], 0.0)
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The drive's."""
+        drive = self.programmes.drive
+        return [] if drive is None else drive.kinks("seat", p)
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        """None of its own: the string's."""
+        return {}
+
+
+class Bit(CoordinateLoad):
+    """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law."""
+
+    programmes: Programmes
+    law: AbstractFriction | None = None
+    body: str = eqx.field(static=True, default="lump")
+    name: str = eqx.field(static=True, default="bit")
+
+    def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+        """On the last member, against its turning."""
+        amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
+        if self.law is not None:
+            told = {"friction_dynamic": amount, "friction_static": p["stick_ratio"] * amount}
+            amount = self.law.coefficient(rate[-1], told | {"friction_speed": p["stick_width"]})
+        return jnp.zeros_like(rate).at[-1].set(-amount)
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The torque's."""
+        return self.programmes.torque.kinks("load_torque", p)
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        """None of its own: the string's."""
+        return {}
+
+
+def inertias(p: Params, count: int) -> Array:
+    """(n,) of the lumps about the string's axis [kg m^2]."""
+    each = p["segment_density"] * polar(p) * p["segment_length"] + p["head_inertia"]
+    return jnp.full(count, each).at[-1].add(p["bit_inertia"])
+
+
+def joint_stiffness(scene: StringModel, params: Params) -> Array:
+    """Torsional stiffness (n,) of each joint at its own torque, bend and axial load [N m/rad], differentiable.
+
+    Chord between a tenth less and a tenth more torque, of the head's lag behind the seat in equilibrium, the mean over a pitch.
+    """
+    rest, spots = scene.joint.level("quasistatic"), scene.joint.coordinates()
+    head, seat = (spots[name][0] for name in ("head_turn", "seat_turn"))
+    told, count = dict(scene.joints(params)), scene.count
+    torque = jnp.maximum(told["load_torque"], _LEAST * params["drive_torque"])
+    # A joint that turns by a pitch a second, under a load that has risen after one.
+    pitch = jnp.full(count, 2.0 * jnp.pi / scene.joint.balls)
+    told |= {"load_ramp": jnp.ones(count), "drive_speed": pitch}
+    both = jax.tree.map(lambda x: jnp.concatenate([x, x]), told)
+    both["load_torque"] = jnp.concatenate([(1.0 - _CHORD) * torque, (1.0 + _CHORD) * torque])
+    near = jax.tree.map(jnp.asarray, rest.origin(_PHASES))
+
+    def lag(p: Params) -> Array:
+        states = rest.instants(p, 1.0 + jnp.arange(_PHASES) / _PHASES, near, False)[0].states
+        return jnp.mean(states[:, seat] - states[:, head])
+
+    less, more = jax.lax.map(lag, both).reshape(2, count)
+    return 2.0 * _CHORD * torque / (more - less)
+
+
+class _Factors(NamedTuple):
+    """Bands (3, n) below, on and above the diagonal of  I/s - B - s A  and of A; s; the length n of the string."""
+
+    whole: Array
+    by_angle: Array
+    scale: Array
+
+
+class Row(AbstractStructure):
+    """The string's linear algebra: every lump meets its two neighbours alone.
+
+    Of the Jacobian [0 1; A B] of angles and speeds A and B are tridiagonal: three tangents each tell all their entries
+    (Curtis, Powell and Reid 1974), and cost is linear in n.
+    """
+
+    def field(self, t: Any, y: Array, args: Any) -> Array:
+        """The model's."""
+        model, prepared = args
+        return model.vector_field(t, y, prepared)
+
+    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> _Factors:
+        """Bands of the matrix of the speeds, angles eliminated."""
+        count = y.size // 2
+        lump, colours = np.arange(count), np.arange(3)[:, None]
+        ways = jnp.asarray(lump % 3 == colours, float)
+        none, (_, along) = jnp.zeros_like(ways), jax.linearize(lambda y: self.field(t, y, args)[count:], y)
+        found = jax.vmap(along)(jnp.concatenate([jnp.block([ways, none]), jnp.block([none, ways])]))
+        # Of row i the entries i - 1, i, i + 1; those beyond the ends do not exist.
+        beside = lump + colours - 1
+        picked = np.where((beside >= 0) & (beside < count), 1.0, 0.0)
+        by_angle, by_speed = (x[beside % 3, lump] * picked for x in jnp.split(found, 2))
+        whole = (-by_speed - scale * by_angle).at[1].add(1.0 / scale)
+        return _Factors(whole, by_angle, jnp.asarray(scale))
+
+    def solve(self, factors: Any, right: Array) -> Array:
+        """Speeds by elimination along the string (LAPACK's gtsv), then angles."""
+        whole, by_angle, s = factors
+        angle, speed = jnp.split(right, 2)
+        pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
+        below, on, above = whole
+        rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
+        return jnp.concatenate([s * (angle + rate), rate])
+
+    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
+        """By forward differentiation."""
+        return jax.jvp(lambda t: self.field(t, y, args), (t,), (jnp.ones_like(t),))[1]
+
+
+def _shifted(x: Array, by: int) -> Array:
+    """The neighbour's entries, 0 beyond the end."""
+    none = jnp.zeros(1)
+    return jnp.concatenate([none, x[:-1]] if by > 0 else [x[1:], none])
+
+
+class MovingString(StringModel):
+    """A string that twists and swings; made by ``in_motion``.
+
+    Attributes:
+        torsion: its lumps, in a row.
+        names: parameters of drive and loads over time.
+        flexible: whether the drive is.
+    """
+
+    torsion: Mechanism = eqx.field(static=True, kw_only=True)
+    names: tuple[tuple[str, float], ...] = eqx.field(static=True, kw_only=True)
+    flexible: bool = eqx.field(static=True, default=False)
+
+    @property
+    def traits(self) -> ModelTraits:
+        """Friction of wall and bit is stiff; to look at the joints takes far longer than a step."""
+        return ModelTraits(stiff=True, turning=True, large=True)
+
+    @property
+    def title(self) -> str:
+        """That it moves."""
+        return f"torsional {super().title}"
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """The string's at rest, and what motion needs."""
+        return super().quantities | {name: CATALOGUE[name] for name in (*NUMBERS, *dict(self.names))}
+
+    @property
+    def defaults(self) -> tuple[tuple[str, float], ...]:
+        """As ``quantities``; of a table its greatest value."""
+        own = {name: value for name, (value, _) in NUMBERS.items()} | dict(self.names)
+        return tuple((dict(super().defaults) | own).items())
+
+    def prepare(self, params: Params) -> dict[str, Array]:
+        """Stiffness and damping of the springs, friction of the wall."""
+        return self.coupled(params, joint_stiffness(self, params))
+
+    def coupled(self, params: Params, own: Array) -> dict[str, Array]:
+        """``prepare`` with the joints' own stiffness (n,) [N m/rad]."""
+        each = 1.0 / (1.0 / own + 1.0 / torsional_stiffness(params))
+        damping = params["twist_relaxation"] * each
+        if self.flexible:
+            each = each.at[0].set(1.0 / (1.0 / each[0] + 1.0 / params["drive_stiffness"]))
+            damping = damping.at[0].set(params["drive_damping"])
+        # Joint i hands down what is left below its own bend: the wall there takes its share from the lump above.
+        above, wall = jnp.split(loads(params, self.count).around, [1])
+        held = {"wall_torque": jnp.append(wall, 0.0), "wall_torque_above": above[0]}
+        return {**params, **held, "coupling": each, "coupling_damping": damping}
+
+    def initial_state(self, params: Params) -> Array:
+        """Every lump turns as the drive does, untwisted."""
+        return self.torsion.initial_state(params)
+
+    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
+        """The mechanism's."""
+        return self.torsion.vector_field(t, y, prepared)
+
+    def structure(self) -> AbstractStructure:
+        """Neighbours alone."""
+        return Row()
+
+    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
+        """Twist of a segment under the bit's torque, and the speed that this swings at."""
+        del end
+        k = torsional_stiffness(params)
+        twist = (params["bit_torque"] + 1e-3 * params["drive_torque"]) / k
+        return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count))])
+
+    def tolerance(self, force_error: float) -> float:
+        """The mechanism's."""
+        return self.torsion.tolerance(force_error)
+
+    def first_step(self, params: Params, scales: Array) -> Array:
+        """A hundredth of the time in which a twist is gone at its speed."""
+        del params
+        return 1e-2 * scales[0] / scales[-1]
+
+    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
+        """Ends of ramps, knots of tables."""
+        return self.torsion.breaks(params, end)
+
+    def coordinates(self) -> dict[str, tuple[int, int]]:
+        """Of the lumps."""
+        return {f"lump[{i + 1}]": (i, self.count + i) for i in range(self.count)}
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Lumps; joints, whose ``torque`` is what passes through them; the drive as ``top``."""
+        return ("lump", "joint", "top")
+
+    @property
+    def _shaft(self) -> Shaft:
+        found: Any = self.torsion.loads[0]
+        return found
+
+    def _springs(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array, Array]:
+        angle, speed = jnp.split(y, 2)
+        return self._shaft.torques(t, angle, speed, prepared)
+
+    def torque(self, t: Array, y: Array, prepared: Any) -> Array:
+        """(n,) what passes through each joint [N m]."""
+        elastic, damping, _, _ = self._springs(t, y, prepared)
+        return elastic + damping
+
+    def _top(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
+        """Speed of the drive [rad/s], its torque, and what of it the wall takes from the upper connection [N m]."""
+        speed, wall = self._springs(t, y, prepared)[3], self.torsion.loads[1]
+        told = {**prepared, "wall_torque": prepared["wall_torque_above"]}
+        rubs = -wall.on_coordinate(t, 0.0, speed, told)  # pyright: ignore[reportAttributeAccessIssue]
+        return speed, self.torque(t, y, prepared)[0] + rubs, rubs
+
+    def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
+        """Of the lumps; of joints torque and twist; of the drive torque and speed."""
+        stretch, still = self._springs(t, y, prepared)[2], jnp.zeros((self.count, 3))
+        joint = BodyMotion(still, still, still, angle=stretch, drive=self.torque(t, y, prepared))
+        speed, torque, _ = self._top(t, y, prepared)
+        top = BodyMotion(still[0], still[0], still[0], drive=torque, joint={"speed": speed})
+        return self.torsion.motions(t, y, prepared) | {"joint": joint, "top": top}
+
+    def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
+        """Power of the drive; what bit, wall and twisting take; kinetic and elastic energy."""
+        angle, speed = jnp.split(y, 2)
+        elastic, damping, stretch, top = self._shaft.torques(t, angle, speed, prepared)
+        closing = jnp.concatenate([top[None], speed[:-1]]) - speed
+        wall, bit = (load.on_coordinate(t, angle, speed, prepared) for load in self.torsion.loads[1:])  # pyright: ignore[reportAttributeAccessIssue]
+        _, given, rubs = self._top(t, y, prepared)
+        taken = {"bit": -bit @ speed, "wall": rubs * top - wall @ speed, "damping": damping @ closing}
+        kinetic = 0.5 * inertias(prepared, self.count) @ speed**2
+        return Flows({"drive": given * top}, taken, {"kinetic": kinetic, "elastic": 0.5 * elastic @ stretch})
+
+    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
+        """Each joint's contacts under the torque that passes through it, at the angle of the lump above it."""
+        torque, (angle, speed) = self.torque(t, y, prepared), jnp.split(y, 2)
+        stretch, top = self._shaft.torques(t, angle, speed, prepared)[2:]
+        # A joint that turns by this in the first second, under a load that has risen by then. Never 0: rates go by it.
+        turn = jnp.mod(angle + stretch, 2.0 * jnp.pi) + 2.0 * jnp.pi
+        above = jnp.concatenate([top[None], speed[:-1]])
+        told = dict(self.joints({name: prepared[name] for name in self.quantities if name in prepared}))
+        told |= {"load_torque": torque, "drive_speed": turn, "load_ramp": jnp.ones(self.count)}
+
+        near = jax.tree.map(jnp.asarray, self.joint.origin(1)) or None
+
+        def one(given: tuple[Params, Array]) -> dict[str, Reading]:
+            p, share = given
+            state = self.joint.instants(p, jnp.ones(1), near)[0].states[0]
+            found = self.joint.observe(jnp.ones(()), state, self.joint.prepare(p))
+            slip = lambda x: None if x.slip is None else x.slip * jnp.abs(share)  # noqa: E731
+            return {name: x._replace(rate=x.rate * share, slip=slip(x)) for name, x in found.items()}
+
+        return self.side_by_side(jax.lax.map(one, (told, above / turn)))
+
+    def settled_from(self, params: Params) -> float:
+        """When what rises has risen."""
+        shaft = self._shaft.programmes
+        return shaft.risen({**params, "load_torque": params["bit_torque"]})
+
+    def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
+        """Segments at the lumps' angles, the upper connection at the drive's."""
+        over = self._shaft.programmes
+        top = params["drive_speed"] * t if over.drive is None else drive_at(over, t, params)[0]
+        turns = jnp.concatenate([jnp.asarray(top)[None], y[: self.count]])
+        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
+
+    def chain(self, params: Params) -> Chain:
+        """Of steady turning, and called so."""
+        found = super().chain(params)
+        return found._replace(loads={f"{name} in steady turning": x for name, x in found.loads.items()})
+
+    def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
+        """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""
+        entry, tables = super().whole(params, run)
+        states = np.asarray(run.trajectory)
+        torque = np.asarray(ask("torques", _torques, (self,), (dict(params), np.asarray(run.times), states)))
+        most = int(np.argmax(np.nanmax(np.abs(torque), 0))) + 1
+        found = {
+            "torque_least": np.nanmin(torque, 0).tolist(), "torque_greatest": np.nanmax(torque, 0).tolist(),
+            "bit_speed": [float(np.nanmin(states[:, -1])), float(np.nanmax(states[:, -1]))],
+            "most_loaded": most, "why": f"the greatest torque passes through joint {most}",
+        }  # fmt: skip
+        return {"string": entry["string"] | found}, tables
+
+
+def _torques(scene: MovingString, params: Params, times: Array, states: Array) -> Array:
+    """(T, n) through each joint."""
+    prepared = scene.prepare(params)
+    return jax.vmap(lambda t, y: scene.torque(t, y, prepared))(times, states)
+
+
+def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | None = None) -> MovingString:
+    """A string that moves under drive and loads of a joint in motion, and a friction law of the bit."""
+    count, over = scene.count, moving.programmes
+    lumps = Body(
+        "lump", "hinge", members=count, mass=lambda p: p["head_mass"], inertia=lambda p: inertias(p, count),
+        start={"speed": lambda p: jnp.full(count, over.start_speed(p))},
+    )  # fmt: skip
+    wall = JointFriction(
+        "wall", "lump", sliding=lambda p: p["wall_torque"], speed=lambda p: p["wall_speed"] / p["segment_radius"]
+    )
+    acting: Any = [Shaft(programmes=over), wall, Bit(programmes=over, law=law)]  # pyright: ignore[reportCallIssue]
+    torsion = Mechanism("torsion", [lumps], [], acting, end=1.0, implicit=True)
+    known, flexible = dict(moving.defaults), moving.drive == "flexible"
+    names = {name: known[name] for name in over.names if name != "load_ramp"}
+    names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}
+    names |= {name: JOINT[name][0] for name in (("stick_ratio", "stick_width") if law else ())}
+    tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed"}
+    names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
+    return MovingString(scene.joint, count, torsion=torsion, names=tuple(names.items()), flexible=flexible)

@@ -1,0 +1,120 @@
+"""Options of the scene ``string``: from Python, and as keys of [scene] of a scene file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from bcfj_jax.contact.friction import AbstractFriction, make_friction
+from bcfj_jax.core import limits
+from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.quantities import whole
+from bcfj_jax.models.joint.build import structure
+from bcfj_jax.models.joint.model import JointModel
+from bcfj_jax.models.joint.options import (
+    JointCage,
+    JointDrive,
+    JointGeometry,
+    JointLoads,
+    JointMaterials,
+    JointOptions,
+    keyed,
+    with_keys,
+)
+from bcfj_jax.models.string import LEVELS, WHERE, StringModel
+from bcfj_jax.models.string_motion import MOTIONS, in_motion
+
+# Friction laws of the bit: those without a state.
+BITS = ("none", "coulomb", "step", "brown_mcphee")
+
+
+def _law(bit: str, options: JointOptions) -> AbstractFriction | None:
+    """The bit's friction law, of a string in motion."""
+    if bit not in BITS:
+        raise InputError(f"{WHERE} bit_friction", f"no friction {quoted(bit)}", nearest(str(bit), BITS))
+    if bit == "none":
+        return None
+    if options.loads.stick_slip:
+        found = "beside stick_slip, which says by itself how the torque falls"
+        raise InputError(f"{WHERE} bit_friction", found, "give one of them")
+    return make_friction(bit)
+
+
+def _made(n: int, motion: str, bit: str, options: JointOptions) -> StringModel:
+    count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
+    if motion not in MOTIONS:
+        raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
+    if options.fidelity not in LEVELS:
+        found = f"'{options.fidelity}': joints of a string exchange no dynamics but the string's torsion"
+        remedy = f"give {' or '.join(LEVELS)}, and motion = 'torsional' for a string that twists and swings"
+        raise InputError(f"{WHERE} fidelity", found, remedy)
+    usual = replace(options, drive=JointDrive(), loads=JointLoads())
+    joint = JointModel(**structure(usual))
+    if motion == "torsional":
+        moving = JointModel(**structure(replace(options, fidelity="dynamic")))
+        if moving.programmes.axial is not None:
+            found = "an axial load over time: a string in motion twists, and its axial force is that of steady turning"
+            raise InputError(f"{WHERE} axial_profile", found, "leave it constant, and fluctuating without axial")
+        return in_motion(StringModel(joint, count), moving, _law(bit, options))
+    if options != usual or bit != "none":
+        found = "a drive or a load over time in a string without motion"
+        raise InputError(
+            f"{WHERE} motion", found, "give motion = 'torsional', or leave the options of drive and loads out"
+        )
+    return StringModel(joint, count)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Of the scene file.
+
+    Args:
+        n: number of joints.
+        motion: one of none, torsional. none: every instant is one of equilibrium. torsional: segments and joints twist,
+            and lumps between them turn with inertia; drive and loads may then be over time.
+        fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
+            quasistatic: equilibrium under the torque that passes through each, without friction.
+        bit_friction: one of none, coulomb, step, brown_mcphee. none: the bit's torque is what the loads say. Others: it
+            is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width.
+    """
+
+    n: int = 5
+    motion: str = "none"
+    bit_friction: str = "none"
+    materials: JointMaterials = field(default_factory=JointMaterials)
+    geometry: JointGeometry = field(default_factory=JointGeometry)
+    cage: JointCage = field(default_factory=JointCage)
+    drive: JointDrive = field(default_factory=JointDrive)
+    loads: JointLoads = field(default_factory=JointLoads)
+    fidelity: str = "quasistatic"
+
+
+def string(
+    n: int = 5, motion: str = "none", bit_friction: str = "none", fidelity: str = "quasistatic", **groups: Any
+) -> StringModel:
+    """``n`` equal ball-cage joints with segments in a curved hole, from drive to bit (``models.string``).
+
+    Args:
+        n: number of joints.
+        motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
+        bit_friction: one of none, coulomb, step, brown_mcphee: a friction law of the bit, in place of a torque.
+        fidelity: one of kinematic, quasistatic: of the joints' contact forces.
+        groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
+
+    Raises:
+        InputError: as ``joint``.
+    """
+    known = ("geometry", "cage", "materials", "drive", "loads")
+    for name in groups:
+        if name not in known:
+            raise InputError(
+                WHERE, f"no option '{name}'", nearest(name, ("n", "motion", "bit_friction", "fidelity", *known))
+            )
+    options = JointOptions(fidelity=fidelity, **{key: group for key, group in groups.items() if group is not None})
+    return _made(n, motion, bit_friction, options)
+
+
+@keyed(_Options)
+def string_of_keys(n: int = 5, motion: str = "none", bit_friction: str = "none", **given: Any) -> StringModel:
+    """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
+    return _made(n, motion, bit_friction, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))

@@ -1,0 +1,232 @@
+"""The string in motion: chain of textbooks, balances, SciPy's stick-slip, one joint, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax.mechanism.model import field
+from bcfj_jax.mechanism.structure import Dense
+from bcfj_jax.models.string import loads, torsional_stiffness
+from bcfj_jax.models.string_motion import inertias
+
+OWN = 4e5  # A joint's stiffness [N m/rad], where the test gives it.
+
+
+def moving(count=4, fidelity="kinematic", own=OWN, drive=None, rock=None, more=None):
+    """The scene, its parameters and what it prepares, by a given stiffness of joints."""
+    groups = {"drive": bj.scenes.JointDrive(**drive or {}), "loads": bj.scenes.JointLoads(**rock or {})}
+    scene: Any = bj.scenes.string(n=count, motion="torsional", fidelity=fidelity, **groups)
+    params = scene.parameters(more or {})
+    return scene, params, scene.coupled(params, jnp.full(count, own))
+
+
+def some_state(scene, params, seed=0):
+    rng, n = np.random.default_rng(seed), scene.count
+    speed = float(params["drive_speed"]) * rng.uniform(0.2, 1.5, n)
+    return jnp.asarray(np.concatenate([1e-3 * rng.standard_normal(n).cumsum(), speed]))
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_natural_frequencies_are_those_of_a_fixed_free_chain(count):
+    # w_j = 2 sqrt(k/I) sin((2 j - 1) pi/(2 (2 n + 1))), Rao 2017; without damping, wall and bit.
+    quiet = {"bit_torque": 0.0, "weight_on_bit": 0.0, "twist_relaxation": 0.0, "bit_inertia": 0.0, "wall_friction": 0.0}
+    scene, params, held = moving(count, more=quiet)
+    jacobian = jax.jit(jax.jacfwd(lambda y: scene.vector_field(0.0, y, held)))(scene.initial_state(params))
+    found = np.linalg.eigvals(jacobian)
+    k = 1.0 / (1.0 / OWN + 1.0 / float(torsional_stiffness(params)))
+    wave = 2.0 * np.sqrt(k / float(inertias(params, count)[0]))
+    right = wave * np.sin((2 * np.arange(1, count + 1) - 1) * np.pi / (2 * (2 * count + 1)))
+    assert np.allclose(found.real, 0.0, atol=1e-6 * wave)
+    assert np.allclose(np.sort(np.abs(found.imag))[::2], right, rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 8])
+def test_its_linear_algebra_is_the_dense_one(count):
+    scene, params, held = moving(count, drive={"drive": "flexible"}, rock={"stick_slip": True})
+    y, t, right = some_state(scene, params), jnp.asarray(0.03), jnp.asarray(np.random.default_rng(1).random(2 * count))
+
+    @jax.jit
+    def both(scale):
+        found = [(x, x.factor(t, y, (scene, held), scale)) for x in (scene.structure(), Dense(field))]
+        return [(x.solve(of, right), x.solve_transposed(of, right)) for x, of in found]
+
+    for scale in (1e-5, 1e-2):
+        for ours, theirs in zip(*both(scale), strict=True):
+            assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9 * float(jnp.abs(theirs).max()))
+
+
+@pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque"]}])
+def test_power_balances_at_every_instant(rock):
+    scene, params, held = moving(5, drive={"drive": "flexible"}, rock=rock)
+    y, t = some_state(scene, params), jnp.asarray(0.06)
+
+    @jax.jit
+    def balanced(y):
+        stored = lambda y: sum(scene.flows(t, y, held).stored.values())  # noqa: E731
+        rate = jax.jvp(stored, (y,), (scene.vector_field(t, y, held),))[1]
+        return scene.flows(t, y, held), rate, scene.motions(t, y, held)["joint"]
+
+    (given, taken, _), rate, top = balanced(y)
+    # The stretch of the first spring moves with the drive, too.
+    drive = float(held["drive_speed"] * held["coupling"][0] * top.angle[0])
+    size = sum(abs(float(x)) for x in (*given.values(), *taken.values()))
+    assert abs(float(rate) + drive - float(sum(given.values()) - sum(taken.values()))) < 1e-9 * size
+    assert taken["wall"] > 0.0 and taken["damping"] >= 0.0
+
+
+def test_torque_balances_along_the_string_in_steady_turning():
+    # Equilibrium of the field itself: each lump takes what the wall takes, the last hands the bit its torque.
+    scene, params, held = moving(6)
+    found, n = loads(params, 6), 6
+    speed = float(params["drive_speed"])
+    slip = 1.0 / np.sqrt(1.0 + (float(params["wall_speed"] / params["segment_radius"]) / speed) ** 2)
+    wall = np.append(np.asarray(found.around[1:]), 0.0)
+    torque = wall[::-1].cumsum()[::-1] * slip + 1800.0
+    t = jnp.asarray(0.1)
+    angle = speed * t - np.cumsum(torque / np.asarray(held["coupling"]))
+    y = jnp.concatenate([jnp.asarray(angle), jnp.full(n, speed)])
+    rates, moved = jax.jit(lambda y: (scene.vector_field(t, y, held), scene.motions(t, y, held)))(y)
+    assert np.allclose(rates[n:] * np.asarray(inertias(params, n)), 0.0, atol=1e-6 * 1800.0)
+    assert np.allclose(moved["joint"].drive, found.torque, rtol=1e-3)
+    assert float(moved["top"].drive) == pytest.approx(float(found.drive_torque), rel=1e-3)
+    assert slip == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_straight_string_without_load_turns_as_the_drive():
+    scene, params, held = moving(4, more={"hole_radius": 1e9, "weight_on_bit": 0.0, "bit_torque": 0.0})
+    y = scene.initial_state(params)
+    rates, torque = jax.jit(lambda t: (scene.vector_field(t, y, held), scene.torque(t, y, held)))(jnp.zeros(()))
+    assert np.allclose(rates[:4], params["drive_speed"])
+    assert np.allclose(rates[4:], 0.0, atol=1e-12)
+    assert np.allclose(torque, 0.0)
+
+
+def test_what_is_refused():
+    with pytest.raises(bj.InputError, match="without motion"):
+        bj.scenes.string(loads=bj.scenes.JointLoads(stick_slip=True))
+    with pytest.raises(bj.InputError, match="no motion 'lateral'"):
+        bj.scenes.string(motion="lateral")
+    with pytest.raises(bj.InputError, match="motion = 'torsional'"):
+        bj.scenes.string(fidelity="dynamic")
+    with pytest.raises(bj.InputError, match="no option 'cages'"):
+        bj.scenes.string(cages=None)
+    with pytest.raises(bj.InputError, match="no friction 'lugre'"):
+        bj.scenes.string(motion="torsional", bit_friction="lugre")
+    with pytest.raises(bj.InputError, match="axial"):
+        bj.scenes.string(motion="torsional", loads=bj.scenes.JointLoads(fluctuating=["axial"]))
+
+
+STICKY = {
+    "drive_stiffness": 800.0, "drive_damping": 3.0, "bit_inertia": 6.0, "drive_speed": 6.0, "load_ramp": 0.5,
+    "stick_ratio": 2.0, "stick_speed": 1.0, "stick_width": 0.05, "wall_friction": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.full
+def test_stick_slip_of_one_lump_is_scipys():
+    from scipy.integrate import solve_ivp
+
+    scene = bj.scenes.string(
+        n=1, motion="torsional", fidelity="kinematic", drive=bj.scenes.JointDrive(drive="flexible"),
+        loads=bj.scenes.JointLoads(stick_slip=True),
+    )  # fmt: skip
+    params = scene.parameters(STICKY)
+    times = np.linspace(0.0, 12.0, 2401)
+    run = bj.simulate(scene, params, times, accuracy=1e-3, read=["joint_1.torque", "lump_1.speed"])
+    assert run.status == "ok"
+    told = scene.whole(params, run)[0]["string"]
+    assert told["torque_greatest"][0] == pytest.approx(run.readings["joint_1.torque"].max(), rel=1e-9)
+    assert told["bit_speed"][1] == pytest.approx(run.readings["lump_1.speed"].max(), rel=1e-9)
+    held = jax.jit(scene.prepare)(params)
+    k, c, inertia = float(held["coupling"][0]), 3.0, float(inertias(params, 1)[0])
+
+    def rates(t, y):
+        s = min(t / 0.5, 1.0)
+        rise = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        rock = 1800.0 * rise * np.tanh(y[1] / 0.05) * (1.0 + 1.0 / (1.0 + y[1] ** 2))
+        return [y[1], (k * (6.0 * t - y[0]) + c * (6.0 - y[1]) - rock) / inertia]
+
+    right = solve_ivp(rates, (0.0, 12.0), [0.0, 6.0], "LSODA", rtol=1e-9, atol=1e-10, t_eval=times)
+    torque = k * (6.0 * times - right.y[0]) + c * (6.0 - right.y[1])
+    ours, theirs = run.readings["lump_1.speed"], right.y[1]
+    # It sticks for a good part of the time, and slips at more than twice the drive's speed.
+    late = times > 4.0
+    assert 0.1 < np.mean(theirs[late] < 0.1) < 0.9 and theirs.max() > 12.0
+    # Amplitude and period of the limit cycle, then the whole history.
+    assert ours[late].max() == pytest.approx(theirs[late].max(), rel=1e-3)
+    assert np.ptp(run.readings["joint_1.torque"][late]) == pytest.approx(np.ptp(torque[late]), rel=1e-3)
+    assert period(times, ours) == pytest.approx(period(times, theirs), rel=1e-3)
+    assert np.abs(run.readings["joint_1.torque"] - torque).max() < 1e-2 * np.ptp(torque)
+
+
+def period(times, speed):
+    """Mean time between rises of the speed through 6 rad/s after 4 s."""
+    at = np.flatnonzero((speed[:-1] < 6.0) & (speed[1:] >= 6.0) & (times[1:] > 4.0))
+    exact = times[at] + (6.0 - speed[at]) / (speed[at + 1] - speed[at]) * (times[at + 1] - times[at])
+    return float(np.diff(exact).mean())
+
+
+@pytest.mark.full
+def test_joints_bear_what_a_joint_bears_under_the_torque_that_passes():
+    scene = bj.scenes.string(n=1, motion="torsional")
+    params = scene.parameters(wall_friction=0.0)
+    times = np.linspace(0.0, 0.6, 13)
+    run = bj.simulate(scene, params, times, read=["joint_1.torque"])
+    assert run.readings["joint_1.torque"][-1] == pytest.approx(1800.0, rel=1e-3)
+    found, joint = loads(params, 1), bj.scenes.joint(fidelity="quasistatic")
+    told = {"joint_angle": found.bend[0], "load_torque": 1800.0, "axial_load": found.axial[0]}
+    right = bj.simulate(joint, joint.parameters(told), times)
+    for name, force in right.force.items():
+        assert np.allclose(run.force[name][-3:], force[-3:], atol=2e-3 * max(1.0, np.abs(force).max())), name
+        slips = run.slip[name][-3:], right.slip[name][-3:]
+        assert np.allclose(*slips, atol=1e-2 * max(1e-3, np.abs(slips[1]).max())), name
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_torque_are_differences():
+    scene = bj.scenes.string(n=2, motion="torsional", fidelity="kinematic", loads=bj.scenes.JointLoads(stick_slip=True))
+    params = scene.parameters()
+    times = np.linspace(0.0, 0.2, 41)
+    read = lambda p: bj.reading_history(scene, p, times, ["joint_1.torque"], accuracy=1e-7)["joint_1.torque"]  # noqa: E731
+    size = float(jnp.ptp(read(params)))
+    for name in ("stiffness", "bit_torque", "segment_modulus", "wall_friction"):
+        value = float(params[name])
+        way = {key: jnp.asarray(value if key == name else 0.0) for key in params}
+        slope = np.asarray(jax.jvp(read, (params,), (way,))[1])
+        step = 1e-4
+        ends = (read(params | {name: jnp.asarray(value * (1.0 + s * step))}) for s in (1, -1))
+        differences = np.asarray(next(ends) - next(ends)) / (2.0 * step)
+        assert np.abs(slope - differences).max() < 1e-3 * max(np.abs(differences).max(), 1e-3 * size), name
+
+
+@pytest.mark.parametrize("law", ["coulomb", "step", "brown_mcphee"])
+def test_the_bit_has_the_friction_of_ideal_joints(law):
+    scene: Any = bj.scenes.string(n=2, motion="torsional", bit_friction=law)
+    params = scene.parameters(stick_ratio=1.5, stick_width=0.2)
+    told: Any = {"sliding": 1800.0, "breakaway": 2700.0, "speed": 0.2}
+    joint = bj.loads.JointFriction("bit", "lump", friction=law, **told)
+    known: Any = {f"bit.{key}": value for key, value in told.items()}
+    for speed in (-3.0, 0.05, 0.2, 10.0):
+        push = scene.torsion.loads[2].on_coordinate(jnp.asarray(1.0), None, jnp.asarray([9.0, speed]), params)
+        assert float(push[0]) == 0.0
+        assert float(push[1]) == pytest.approx(
+            float(joint.on_coordinate(jnp.asarray(0.0), 0.0, speed, known)), rel=1e-12
+        )
+
+
+def test_a_table_drives_the_bit():
+    rock = {"load_profile": "table", "load_table": [[0.0, 0.1, 0.2], [0.0, 900.0, 600.0]]}
+    scene, params, held = moving(2, rock=rock)
+    assert float(params["bit_torque"]) == 900.0
+    assert np.allclose(np.asarray(scene.breaks(params, 1.0))[:3], [0.0, 0.1, 0.2])
+    y = scene.initial_state(params)
+    push = scene.torsion.loads[2].on_coordinate(jnp.asarray(0.15), *jnp.split(y, 2), held)
+    assert np.allclose(push, [0.0, -750.0])
+    assert dataclasses.replace(scene) == scene
