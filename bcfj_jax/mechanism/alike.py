@@ -14,7 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from bcfj_jax.core.vectors import Number
 from bcfj_jax.mechanism.bodies import Part
@@ -78,7 +78,10 @@ def apart(c: Contact, found: Any) -> dict[str, Any]:
     if len(c.each) == 1:
         return {c.name: found}
     leaves, tree = jax.tree.flatten(found)
-    rows = [[x[i] if getattr(x, "ndim", 0) else x for x in leaves] for i in range(len(c.each))]
+    rows = [
+        [lax.index_in_dim(x, i, keepdims=False) if getattr(x, "ndim", 0) else x for x in leaves]
+        for i in range(len(c.each))
+    ]
     return {one.name: jax.tree.unflatten(tree, row) for one, row in zip(c.each, rows, strict=True)}
 
 

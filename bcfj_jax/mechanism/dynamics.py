@@ -108,6 +108,11 @@ class Dynamics(AbstractModel):
         """The contacts, those that are alike as one (``mechanism.alike``)."""
         return alike.bundled(self.contacts, self.members, lambda name: (name == GROUND, self.turning(name)))
 
+    @cached_property
+    def alike(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """As ``AbstractModel``."""
+        return tuple(tuple(one.name for one in c.each) for c in self.bundles)
+
     def side_by_side(self, c: Contact) -> int:
         """Length of the axis of one of ``bundles``; 0 for none."""
         return len(c.each) if len(c.each) > 1 else self.members[c.name]

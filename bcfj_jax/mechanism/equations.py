@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, cross, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism.bodies import Part
@@ -168,6 +168,7 @@ def apart(y: Array, members: Sequence[int]) -> list[Array]:
     """The numbers that ``flat`` put together."""
     found, at = [], 0
     for k in members:
-        found.append(y[at : at + k] if k else y[at])
+        # Indexing by [] takes JAX ten times as long to trace.
+        found.append(lax.slice_in_dim(y, at, at + k) if k else lax.index_in_dim(y, at, keepdims=False))
         at += k or 1
     return found

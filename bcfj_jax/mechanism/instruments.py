@@ -29,7 +29,7 @@ from bcfj_jax.core.vectors import (
     turned,
     unit,
 )  # fmt: skip
-from bcfj_jax.mechanism import alike, equations
+from bcfj_jax.mechanism import equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
@@ -37,12 +37,15 @@ from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 
+def read(m: Dynamics, t: Array, y: Array, p: Params) -> list[Reading]:
+    """``AbstractModel.read``: the force on each contact's second body, from the law, never from interpolation."""
+    now = m.instant(t, y, p)
+    return [_reading(m, c, now, p) for c in m.bundles]
+
+
 def observe(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Reading]:
-    """``AbstractModel.observe``: the force on each contact's second body, from the law, never from interpolation."""
-    now, found = m.instant(t, y, p), {}
-    for c in m.bundles:
-        found |= alike.apart(c, _reading(m, c, now, p))
-    return {c.name: found[c.name] for c in m.contacts}
+    """``AbstractModel.observe``."""
+    return m.by_contact(read(m, t, y, p))
 
 
 def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:

@@ -119,6 +119,7 @@ class Mechanism(Dynamics):
     remembered = cached_property(stepping.places)  # pyright: ignore[reportAssignmentType]
     approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
     observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
+    read = instruments.read  # pyright: ignore[reportAssignmentType]
     orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
     check, suspects = checks.check_values, checks.suspects  # pyright: ignore[reportAssignmentType]
 

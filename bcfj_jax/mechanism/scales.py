@@ -64,7 +64,7 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     freed = (
         {name: _freed(part, rates) for name, part in parts.items()} if any(map(alike.scattered, scene.bundles)) else {}
     )
-    brought, stored, flight = {}, {}, {}
+    brought, stored, flight, met = {}, {}, {}, []
     forces, speeds, masses = [], [], []
     for c in scene.bundles:
         # Velocities are each body's own: those of bodies side by side are gathered before, in their accelerations.
@@ -97,15 +97,17 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             masses.append(jnp.min(jnp.where(mass > 0, mass, jnp.inf)))
             held.append(_of_each(jnp.max, _stored(c, jnp.asarray(face.depth), params), count_of))
             flights.append(_of_each(jnp.min, 2.0 * jnp.sqrt(squared + 1e-300) / jnp.maximum(pull, 1e-300), count_of))
-        brought |= alike.apart(c, jnp.max(jnp.stack(energies), axis=0))
-        stored |= alike.apart(c, jnp.max(jnp.stack(held), axis=0))
+        most, kept = (jnp.max(jnp.stack(x), axis=0) for x in (energies, held))
+        # A body that starts inside the regularisation is thrown out: what is stored there counts as well.
+        met.append(jnp.max(most + kept if inside else most))
+        brought |= alike.apart(c, most)
+        stored |= alike.apart(c, kept)
         flight |= alike.apart(c, jnp.min(jnp.stack(flights), axis=0))
     found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in felt.levers]
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
         return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)
-    # A body that starts inside the regularisation is thrown out: what is stored there counts as well.
-    energy = jnp.max(jnp.stack([brought[name] + stored[name] if inside else brought[name] for name in brought]))
+    energy = jnp.max(jnp.stack(met))
     force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
     mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
     speed = jnp.maximum(jnp.max(jnp.stack(speeds)), jnp.sqrt(2.0 * energy / mass))
