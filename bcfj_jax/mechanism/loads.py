@@ -48,11 +48,13 @@ class Moving(NamedTuple):
         parts: origin, axes and velocities (``bodies.Part``).
         mass: [kg].
         center: from the origin to the centre of mass [m], world.
+        rows: names of bodies that are alike and have numbers (k,) as one, and of all others.
     """
 
     parts: Mapping[str, Part]
     mass: Mapping[str, Number]
     center: Mapping[str, Vector]
+    rows: tuple[str, ...] = ()
 
     def place(self, body: str, at: Vector = ZERO) -> Vector:
         """Place of a point given in the body's axes [m], world."""
@@ -130,8 +132,8 @@ class Gravity(AbstractLoad):
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         way = sizes.axis(self.direction, "gravity direction")
         found = []
-        for body, mass in bodies.mass.items():
-            axes = bodies.parts[body].axes
+        for body in bodies.rows or bodies.mass:
+            mass, axes = bodies.mass[body], bodies.parts[body].axes
             arm = bodies.center[body]
             at = (dot(axes[0], arm), dot(axes[1], arm), dot(axes[2], arm))
             found.append(Action(body, scale(times(mass, p["gravity"]), way), at))
