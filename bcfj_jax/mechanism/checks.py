@@ -177,7 +177,7 @@ def _read(scene: Dynamics, names: tuple[str, ...], where: str) -> frozenset[str]
         p = _Recorder(values, scene, where)
         y = scene.initial_state(p)
         rates = scene.vector_field(jnp.zeros(()), y, p)
-        scene.observe(jnp.zeros(()), y, p)
+        scene.read(jnp.zeros(()), y, p)
         scene.horizon(p)
         seen.update(p.read)
         return rates

@@ -7,7 +7,7 @@ beside (``mechanism.mechanism``) is worked out from this by the other modules of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -113,10 +113,10 @@ class Dynamics(AbstractModel):
         """The bodies, each after the one that it hangs on, those that are alike as one (``mechanism.rows``)."""
         return rows.rows(self.ordered, {load.body for load in self.loads if isinstance(load, CoordinateLoad)})
 
-    @cached_property
-    def alike(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    @property
+    def alike(self) -> tuple[tuple[str, ...], ...]:
         """As ``AbstractModel``."""
-        return tuple(tuple(one.name for one in c.each) for c in self.bundles)
+        return _alike(self)
 
     def side_by_side(self, c: Contact) -> int:
         """Length of the axis of one of ``bundles``; 0 for none."""
@@ -452,6 +452,11 @@ class Dynamics(AbstractModel):
                 rates += c.learning(face, touch, own, p) if c.memory else []
             found |= alike.apart(c, rates)
         return [rate for c in self.contacts for rate in found[c.name]]
+
+
+@lru_cache(maxsize=256)  # Of equal mechanisms once: every run makes another one (``suited``).
+def _alike(m: Dynamics) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(one.name for one in c.each) for c in m.bundles)
 
 
 def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:

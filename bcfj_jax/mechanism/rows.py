@@ -21,6 +21,8 @@ from bcfj_jax.mechanism.bodies import GROUND, Body, Part
 
 # Fewer bodies, or contacts between different bodies, are computed one by one.
 FEW = 4
+# Numbers from so many runs of places are cut and joined; those from more are gathered, which XLA fuses with nothing.
+_RUNS = 4
 
 
 class Row(NamedTuple):
@@ -115,8 +117,13 @@ def taken(x: Any, at: np.ndarray) -> Any:
     def one(x: Number) -> Number:
         if not getattr(x, "ndim", 0):
             return x
-        same = np.array_equal(at, np.arange(x.shape[0]))
-        return x if same else x.at[at].get(mode="promise_in_bounds")
+        if np.array_equal(at, np.arange(x.shape[0])):
+            return x
+        runs = np.split(at, np.flatnonzero(np.diff(at) != 1) + 1)
+        if len(runs) > _RUNS:
+            return x.at[at].get(mode="promise_in_bounds")
+        cut = [lax.slice_in_dim(x, int(run[0]), int(run[-1]) + 1) for run in runs]
+        return cut[0] if len(cut) == 1 else lax.concatenate(cut, 0)
 
     return jax.tree.map(one, x)
 
