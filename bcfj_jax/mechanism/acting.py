@@ -24,11 +24,13 @@ class Moving(NamedTuple):
         parts: origin, axes and velocities (``bodies.Part``).
         mass: [kg].
         center: from the origin to the centre of mass [m], world.
+        rows: names of bodies that are alike and have numbers (k,) as one, and of all others.
     """
 
     parts: Mapping[str, Part]
     mass: Mapping[str, Number]
     center: Mapping[str, Vector]
+    rows: tuple[str, ...] = ()
 
     def place(self, body: str, at: Vector = ZERO) -> Vector:
         """Place of a point given in the body's axes [m], world."""

@@ -13,16 +13,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from bcfj_jax.core.vectors import Number
-from bcfj_jax.mechanism.bodies import Part
+from bcfj_jax.mechanism.bodies import GROUND, Part
 from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.rows import FEW, ByName, Places, side_by_side, taken
 from bcfj_jax.mechanism.sizes import Params
 
-# Fewer contacts between different bodies are computed one by one.
-_FEW = 4
 _PACKAGE = __name__.partition(".")[0] + "."
 
 
@@ -44,8 +42,15 @@ class Alike(Contact):
         """Its bodies in motion, side by side where they are different ones; what velocities move them by is each one's own."""
         if not scattered(self):
             return super().parts(parts)
-        first, second = (_joined([parts[c.between[k]] for c in self.each]) for k in (0, 1))
+        first, second = (_joined(parts, [c.between[k] for c in self.each]) for k in (0, 1))
         return first, second
+
+    def places(self, parts: Mapping[str, Part]) -> tuple[Places | None, Places | None] | None:
+        """Where its bodies are in rows, None for the ground; None as well where any is in no row."""
+        names = [[c.between[k] for c in self.each] for k in (0, 1)]
+        found = [parts.places(x) if isinstance(parts, ByName) else None for x in names]
+        still = [set(x) == {GROUND} for x in names]
+        return (found[0], found[1]) if all(x or y for x, y in zip(found, still, strict=True)) and any(found) else None
 
     def marker(self, which: int, p: Params) -> tuple[Number, Number, Number]:
         """Places of the markers in the body's axes."""
@@ -58,19 +63,13 @@ def scattered(c: Contact) -> bool:
     return any(one.between != c.between for one in c.each)
 
 
-def side_by_side(numbers: Sequence[Number]) -> Number:
-    """Numbers along an axis; the number itself where all are the same one."""
-    first = numbers[0]
-    if all(x is first for x in numbers) or all(isinstance(x, (int, float)) and x == first for x in numbers):
-        return first
-    return jnp.stack([jnp.asarray(x, dtype=jnp.float64) for x in numbers])
-
-
-def _joined(bodies: Sequence[Part]) -> Part:
+def _joined(parts: Mapping[str, Part], names: Sequence[str]) -> Part:
     """Bodies in motion as one with an axis over them; without partial velocities."""
-    bare = [(b.axes, b.place, b.velocity, b.spin, b.drift, b.swirl) for b in bodies]
-    axes, place, velocity, spin, drift, swirl = jax.tree.map(lambda *x: side_by_side(x), *bare)
-    return Part(axes, place, velocity, spin, {}, drift, swirl)
+    where = parts.places(names) if isinstance(parts, ByName) else None
+    if where is not None:
+        return taken(parts[where.row]._replace(partials={}), where.at)
+    bare = [parts[name]._replace(partials={}, of=None) for name in names]
+    return jax.tree.map(lambda *x: side_by_side(x), *bare)
 
 
 def apart(c: Contact, found: Any) -> dict[str, Any]:
@@ -78,12 +77,18 @@ def apart(c: Contact, found: Any) -> dict[str, Any]:
     if len(c.each) == 1:
         return {c.name: found}
     leaves, tree = jax.tree.flatten(found)
-    rows = [[x[i] if getattr(x, "ndim", 0) else x for x in leaves] for i in range(len(c.each))]
+    rows = [
+        [lax.index_in_dim(x, i, keepdims=False) if getattr(x, "ndim", 0) else x for x in leaves]
+        for i in range(len(c.each))
+    ]
     return {one.name: jax.tree.unflatten(tree, row) for one, row in zip(c.each, rows, strict=True)}
 
 
 def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Callable[[str], Any]) -> tuple[Contact, ...]:
-    """Contacts in their order, alike ones in the place of their first; between other bodies if these are of one ``kind``."""
+    """Contacts in their order, alike ones in the place of their first; between other bodies if these are of one ``kind``.
+
+    A kind is whether a body is the ground, whether anything turns it, and which row of several it is in, None for none.
+    """
     pairs: dict[Any, list[Contact]] = {}
     for c in contacts:
         same = (c.between, c.gap, c.law, c.friction, c.smoothing, c.approach, c.rolling)
@@ -91,11 +96,13 @@ def bundled(contacts: Sequence[Contact], members: Mapping[str, int], kind: Calla
         pairs.setdefault((c.name,) if alone else same, []).append(c)
     groups: dict[Any, list[Contact]] = {}
     for key, group in pairs.items():
-        single = len(group) == 1 and len(key) > 1
-        groups.setdefault((*map(kind, group[0].between), *key[1:]) if single else (key,), []).extend(group)
+        kinds = [kind(name) for name in group[0].between]
+        inside = any(row for *_, row in kinds) and all(ground or row for ground, _, row in kinds)
+        single = (len(group) == 1 or inside) and len(key) > 1
+        groups.setdefault((*kinds, *key[1:]) if single else (key,), []).extend(group)
     found: list[Contact] = []
     for key, group in groups.items():
-        few = len(key) > 1 and len(group) < _FEW
+        few = len(key) > 1 and len(group) < FEW
         found += group if few or len(group) == 1 else [_together(group)]
     return tuple(found)
 

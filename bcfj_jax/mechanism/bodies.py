@@ -363,6 +363,7 @@ class Part(NamedTuple):
         velocity, spin: of the origin [m/s]; angular [rad/s].
         partials: by index of a velocity, (w_j, v_j of the origin).
         drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
+        of: of one body in a row (``rows``) its place, and how many there are: its partials are that of the row's velocities.
     """
 
     axes: Axes
@@ -372,6 +373,7 @@ class Part(NamedTuple):
     partials: dict[int, tuple[Vector, Vector]]
     drift: Vector
     swirl: Vector
+    of: tuple[int, int] | None = None
 
     def velocity_at(self, arm: Vector) -> Vector:
         """Velocity of the material at ``arm`` from the origin."""
@@ -410,9 +412,9 @@ class _Along(NamedTuple):
     index: int
 
 
-def carried(body: Body, parent: Part, own: Own, t: Array, p: Params) -> Part:
-    """A body from the one that it hangs on, at a time [s]."""
-    part = parent.shifted(turned(parent.axes, sizes.point(body.at, body.name, "at", p)))
+def carried(body: Body, at: Vector, parent: Part, own: Own, t: Array, p: Params) -> Part:
+    """A body from the one that it hangs on, ``at`` a point of that one's axes, at a time [s]."""
+    part = parent.shifted(turned(parent.axes, at))
     if body.tilt is not None:
         angle = sizes.length(body.tilt[1], body.name, "tilt", p)
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))

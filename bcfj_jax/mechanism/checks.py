@@ -14,6 +14,7 @@ from jax import Array
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import is_traced, positive
+from bcfj_jax.core.vectors import spread
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, principal, refuse_impossible
@@ -187,7 +188,7 @@ def _read(scene: Dynamics, names: tuple[str, ...], where: str) -> frozenset[str]
         p = _Recorder(values, scene, where)
         y = scene.initial_state(p)
         rates = scene.vector_field(jnp.zeros(()), y, p)
-        scene.observe(jnp.zeros(()), y, p)
+        scene.read(jnp.zeros(()), y, p)
         scene.horizon(p)
         seen.update(p.read)
         return rates
@@ -321,10 +322,9 @@ def _thrown(scene: Dynamics, params: dict[str, Array]) -> dict[str, Array]:
 
 def _faces(scene: Dynamics, t: Array, y: Array, params: Params) -> tuple[dict[str, Array], dict[str, Array]]:
     """Penetration and its rate of every face of each contact."""
-    now = scene.instant(t, y, params, laws=False)
-    depths, rates = {}, {}
-    for name, touching in ((c.name, scene.faces_of(now, c.name)) for c in scene.contacts):
-        depths[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(face.depth) for face, _ in touching)))
-        rates[name] = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(touch.rate, dtype=float) for _, touch in touching)))
-        depths[name], rates[name] = jnp.broadcast_arrays(depths[name], rates[name])
+    now, found = scene.instant(t, y, params, laws=False), []
+    for c in scene.bundles:
+        rows = [spread(x, scene.side_by_side(c)) for face, touch in now.faces[c.name] for x in (face.depth, touch.rate)]
+        found.append((jnp.stack(rows[::2], -1), jnp.stack(rows[1::2], -1)))
+    depths, rates = (scene.by_contact([pair[k] for pair in found]) for k in (0, 1))
     return depths, rates

@@ -7,12 +7,14 @@ beside (``mechanism.mechanism``) is worked out from this by the other modules of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import Face
@@ -32,17 +34,13 @@ from bcfj_jax.core.vectors import (
     subtract,
     turned,
 )  # fmt: skip
-from bcfj_jax.mechanism import alike, arrays, equations, sizes
+from bcfj_jax.mechanism import alike, arrays, equations, rows, sizes
 from bcfj_jax.mechanism.bodies import GROUND, INERTIAS, STILL, Body, Own, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
-from bcfj_jax.mechanism.model import (
-    AbstractModel,
-    Life,
-    Params,
-    Solution,
-)
+from bcfj_jax.mechanism.model import AbstractModel, Life, Params, Solution
+from bcfj_jax.mechanism.rows import Row
 
 
 class Instant(NamedTuple):
@@ -76,6 +74,7 @@ class Dynamics(AbstractModel):
     longest_step: float | None = eqx.field(static=True, default=None)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
     start: str = eqx.field(static=True, default="")
+    apart: bool = eqx.field(static=True, default=False)
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -107,7 +106,22 @@ class Dynamics(AbstractModel):
     @cached_property
     def bundles(self) -> tuple[Contact, ...]:
         """The contacts, those that are alike as one (``mechanism.alike``)."""
-        return alike.bundled(self.contacts, self.members, lambda name: (name == GROUND, self.turning(name)))
+        row = {b.name: row.name for row in self.rows if len(row.each) > 1 for b in row.each}
+        return alike.bundled(
+            self.contacts, self.members, lambda name: (name == GROUND, self.turning(name), row.get(name))
+        )
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """The bodies, each after the one that it hangs on, those that are alike as one (``mechanism.rows``)."""
+        joints = (load.coordinates for load in self.loads if isinstance(load, CoordinateLoad))
+        tied = {b.name for b in self.bodies} if self.apart else set(chain.from_iterable(joints))
+        return rows.rows(self.ordered, tied)
+
+    @property
+    def alike(self) -> tuple[tuple[str, ...], ...]:
+        """As ``AbstractModel``."""
+        return _alike(self)
 
     def side_by_side(self, c: Contact) -> int:
         """Length of the axis of one of ``bundles``; 0 for none."""
@@ -183,13 +197,55 @@ class Dynamics(AbstractModel):
         return tuple((b.name, key, b.members) for b in self.ordered for key in b.coordinates)
 
     @cached_property
+    def _velocities(self) -> tuple[tuple[str, str, int], ...]:
+        """(row, velocity, members) of every free velocity of ``rows``: what partial velocities and equations count."""
+        return tuple((row.name, rate, row.members) for row in self.rows for rate in row.body.rates)
+
+    @cached_property
+    def _coordinates(self) -> tuple[tuple[str, str, int], ...]:
+        """(row, coordinate, members) of every coordinate of ``rows``."""
+        return tuple((row.name, key, row.members) for row in self.rows for key in row.body.coordinates)
+
+    @cached_property
+    def _order(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where coordinates and velocities of ``rows`` are in the state, and the other way round; None for where they stand."""
+        at: dict[tuple[str, str], np.ndarray] = {}
+        first = 0
+        for name, key, k in (*self._placed, *self._free):
+            at[name, key] = np.arange(first, first + (k or 1))
+            first += k or 1
+        each = {row.name: row.each for row in self.rows}
+        keys = [(b.name, key) for name, key, _ in (*self._coordinates, *self._velocities) for b in each[name]]
+        found = np.concatenate([at[key] for key in keys]) if keys else np.arange(0)
+        return None if np.array_equal(found, np.arange(first)) else (found, np.argsort(found))
+
+    def numbers(self, y: Array) -> tuple[list[Number], list[Number], list[Number]]:
+        """Coordinates and velocities of ``rows``, and what contacts remember."""
+        places, rates = [k for *_, k in self._coordinates], [k for *_, k in self._velocities]
+        if self._order is not None:
+            moved = rows.taken(y[: self._order[0].size], self._order[0])
+            y = jnp.concatenate([moved, y[self._order[0].size :]]) if self._memory else moved
+        found = equations.apart(y, [*places, *rates, *(k for _, k in self._memory)])
+        count = len(places) + len(rates)
+        return found[: len(places)], found[len(places) : count], found[count:]
+
+    def state(self, q: Sequence[Number], v: Sequence[Number], memory: Sequence[Number] = ()) -> Array:
+        """Numbers of ``rows``, and of contacts, as they stand in the state."""
+        counts = [k for *_, k in (*self._coordinates, *self._velocities)]
+        remembered = [k for _, k in self._memory] if memory else []
+        if self._order is None:
+            return flat([*q, *v, *memory], [*counts, *remembered])
+        moved = rows.taken(flat([*q, *v], counts), self._order[1])
+        return jnp.concatenate([moved, flat(memory, remembered)]) if memory else moved
+
+    @cached_property
     def _driven(self) -> tuple[Body, ...]:
         return tuple(b for b in self.ordered if b.drive is not None)
 
     @cached_property
     def _members(self) -> tuple[int, ...]:
         """Members by velocity, driven ones last."""
-        return (*(k for *_, k in self._free), *(b.members for b in self._driven))
+        return (*(k for *_, k in self._velocities), *(b.members for b in self._driven))
 
     @cached_property
     def _memory(self) -> tuple[tuple[str, int], ...]:
@@ -233,20 +289,28 @@ class Dynamics(AbstractModel):
     # The equations.
 
     def moving(self, t: Array, q: list[Number], v: list[Number], p: Params) -> Moving:
-        """All bodies from coordinates and velocities."""
+        """All bodies from coordinates and velocities of ``rows``."""
         parts: dict[str, Part] = {GROUND: STILL}
         mass: dict[str, Number] = {}
         center: dict[str, Vector] = {}
-        at, first, driven = 0, 0, len(self._free)
-        for b in self.ordered:
-            n, m = len(b.coordinates), len(b.rates)
+        at, first, driven = 0, 0, len(self._velocities)
+        for row in self.rows:
+            b, n, m = row.body, len(row.body.coordinates), len(row.body.rates)
             own = Own(q[at : at + n], v[first : first + m], first, driven)
-            part = carried(b, parts[b.parent], own, t, p)
+            hung = row.numbers(lambda b: sizes.point(b.at, b.name, "at", p))
+            part = carried(b, hung, parts[b.parent], own, t, p)
             at, first, driven = at + n, first + m, driven + (b.drive is not None)
-            parts[b.name] = part
-            mass[b.name] = sizes.value(b.mass, b.name, "mass", p)
-            center[b.name] = turned(part.axes, sizes.point(b.center, b.name, "center", p))
-        return Moving(parts, mass, center)
+            parts[row.name] = part
+            mass[row.name] = row.numbers(lambda b: sizes.value(b.mass, b.name, "mass", p))
+            center[row.name] = turned(part.axes, row.numbers(lambda b: sizes.point(b.center, b.name, "center", p)))
+        if len(self.rows) == len(self.bodies):
+            return Moving(parts, mass, center)
+        named = [rows.ByName(self.rows, found) for found in (parts, mass, center)]
+        return Moving(named[0], named[1], named[2], tuple(row.name for row in self.rows))
+
+    def inertias(self, row: Row, p: Params) -> Any:
+        """``inertia`` of a body, or of several that are alike."""
+        return row.numbers(lambda b: self.inertia(b, p))
 
     def inertia(self, body: Body, p: Params) -> Any:
         """About the centre of mass; None of a body that nothing turns."""
@@ -259,10 +323,7 @@ class Dynamics(AbstractModel):
 
     def instant(self, t: Array, y: Array, p: Params, laws: bool = True) -> Instant:
         """Everything at one instant; without ``laws`` no force, for what reads geometry and rates alone."""
-        places, rates = [k for *_, k in self._placed], [k for *_, k in self._free]
-        numbers = equations.apart(y, [*places, *rates, *(k for _, k in self._memory)])
-        q, v = numbers[: len(places)], numbers[len(places) : len(places) + len(rates)]
-        kept = numbers[len(places) + len(rates) :]
+        q, v, kept = self.numbers(y)
         bodies = self.moving(t, list(q), list(v), p)
         apart: dict[str, list[list[Number]]] = {}
         for c in self.contacts:
@@ -274,7 +335,7 @@ class Dynamics(AbstractModel):
             memory[c.name] = apart[c.name]
             if len(c.each) > 1 and c.memory:
                 every = zip(*(apart[one.name] for one in c.each), strict=True)
-                memory[c.name] = [[alike.side_by_side(x) for x in zip(*face, strict=True)] for face in every]
+                memory[c.name] = [[rows.side_by_side(x) for x in zip(*face, strict=True)] for face in every]
             faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
         return Instant(list(q), list(v), bodies, faces, memory)
 
@@ -314,9 +375,9 @@ class Dynamics(AbstractModel):
     def assembled(self, t: Array, now: Instant, p: Params, pressing: bool = True) -> Equations:
         """Mass matrix and forces; without ``pressing`` no contact force."""
         found = Equations(self._members)
-        parts = now.bodies.parts
-        for b in self.ordered:
-            found.body(parts[b.name], now.bodies.center[b.name], now.bodies.mass[b.name], self.inertia(b, p))
+        for row in self.rows:
+            bodies, name = now.bodies, row.name
+            found.body(bodies.parts[name], bodies.center[name], bodies.mass[name], self.inertias(row, p))
         for load in self.loads:
             self._loaded(found, load, t, now, p)
         if pressing:
@@ -338,7 +399,15 @@ class Dynamics(AbstractModel):
                 for which, force, arm, turn in acting:
                     found.act(bodies[which], arm, force, turn)
                 continue
-            parted = alike.apart(c, [(k, force, add(cross(arm, force), turn), arm) for k, force, arm, turn in acting])
+            acting = [(k, force, add(cross(arm, force), turn), arm) for k, force, arm, turn in acting]
+            places = c.places(now.bodies.parts) if isinstance(c, alike.Alike) else None
+            if places is not None:
+                for which, *wrench in acting:
+                    if (where := places[which]) is not None:
+                        for each in where.spread(tuple(wrench)):
+                            found.wrench(now.bodies.parts[where.row], *each)
+                continue
+            parted = alike.apart(c, acting)
             for one in c.each:
                 own = one.parts(now.bodies.parts)
                 for which, *wrench in parted[one.name]:
@@ -375,31 +444,27 @@ class Dynamics(AbstractModel):
         """Index of the velocity of a slide or hinge, its coordinate and its velocity; of a driven one, too."""
         for k, b in enumerate(self._driven):
             if b.name == name and b.drive is not None:
-                return len(self._free) + k, *b.drive.motion(t, name, p)[:2]
-        j = next(j for j, (body, *_) in enumerate(self._free) if body == name)
-        i = next(i for i, (body, *_) in enumerate(self._placed) if body == name)
+                return len(self._velocities) + k, *b.drive.motion(t, name, p)[:2]
+        j = next(j for j, (body, *_) in enumerate(self._velocities) if body == name)
+        i = next(i for i, (body, *_) in enumerate(self._coordinates) if body == name)
         return j, now.q[i], now.v[j]
 
     def motion(self, t: Array, y: Array, p: Params) -> Array:
         """Rates of coordinates and velocities without contact forces; of what contacts remember 0."""
-        now, count = self.instant(t, y, p, laws=False), len(self._free)
-        out = [*self._rates(now), *self.assembled(t, now, p, pressing=False).accelerations(count)]
-        moved = flat(out, [*(k for *_, k in self._placed), *self._members[:count]])
+        now, count = self.instant(t, y, p, laws=False), len(self._velocities)
+        moved = self.state(self._rates(now), self.assembled(t, now, p, pressing=False).accelerations(count))
         return jnp.concatenate([moved, jnp.zeros(y.size - moved.size)])
 
     def vector_field(self, t: Array, y: Array, prepared: Params) -> Array:
         """Newton's law, and what contacts remember."""
         now = self.instant(t, y, prepared)
-        count = len(self._free)
-        accelerations = self.assembled(t, now, prepared).accelerations(count)
-        rates = self._rates(now)
-        out = [*rates, *accelerations, *self._remembered(now, prepared)]
-        return flat(out, [*(k for *_, k in self._placed), *self._members[:count], *(k for _, k in self._memory)])
+        accelerations = self.assembled(t, now, prepared).accelerations(len(self._velocities))
+        return self.state(self._rates(now), accelerations, self._remembered(now, prepared))
 
     def _rates(self, now: Instant) -> list[Number]:
         """Rates of the coordinates: the velocities, but for attitudes."""
         found, at, first = [], 0, 0
-        for b in self.ordered:
+        for b in (row.body for row in self.rows):
             q, v = now.q[at : at + len(b.coordinates)], now.v[first : first + len(b.rates)]
             at, first = at + len(q), first + len(v)
             plain = len(q) - (4 if "q0" in b.coordinates else 0)
@@ -416,6 +481,11 @@ class Dynamics(AbstractModel):
                 rates += c.learning(face, touch, own, p) if c.memory else []
             found |= alike.apart(c, rates)
         return [rate for c in self.contacts for rate in found[c.name]]
+
+
+@lru_cache(maxsize=256)  # Of equal mechanisms once: every run makes another one (``suited``).
+def _alike(m: Dynamics) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(one.name for one in c.each) for c in m.bundles)
 
 
 def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:

@@ -12,6 +12,7 @@ through the joint: its drive and the loads on its coordinate, too. Along a free 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -44,7 +45,7 @@ class _Wrenches(equations.Equations):
         one, other = self.found.get(name, _NOTHING)
         self.found[name] = add(one, self._of(name, force)), add(other, self._of(name, moment))
 
-    def push(self, j: int, force: Any) -> None:
+    def push(self, j: int, force: Any, of: tuple[int, int] | None = None) -> None:
         """It goes through a joint."""
 
     def _of(self, name: str, vector: Vector) -> Vector:
@@ -54,6 +55,7 @@ class _Wrenches(equations.Equations):
 
 def efforts(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Effort]:
     """``AbstractModel.efforts``."""
+    m = replace(m, apart=True)
     now = m.instant(t, y, p)
     gathered, count = m.assembled(t, now, p), len(m._free)
     rates = gathered.accelerations(count)

@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
+import numpy as np
+from jax import Array, lax
 
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, cross, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism.bodies import Part
@@ -39,6 +40,13 @@ def inertial(inertia: Inertia, axes: Axes, v: Vector) -> Vector:
 def total(value: Number, members: int) -> Number:
     """A force on a coordinate: of a body with members one each, of any other the sum over a contact's members."""
     return jnp.sum(value) if not members and getattr(value, "ndim", 0) else value
+
+
+def onto(value: Number, members: int, of: tuple[int, int] | None) -> Number:
+    """``total`` of a body, or of one of several that are side by side, 0 for the others."""
+    if of is None or _zero(value):
+        return total(value, members)
+    return jnp.where(np.arange(of[1]) == of[0], total(value, 0), 0.0)
 
 
 class Equations:
@@ -72,16 +80,16 @@ class Equations:
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
         """A force at ``arm`` from a body's origin, and a torque; world."""
         for j, (w, v) in part.partials.items():
-            self.push(j, plus(dot(add(v, cross(w, arm)), force), dot(w, torque)))
+            self.push(j, plus(dot(add(v, cross(w, arm)), force), dot(w, torque)), part.of)
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
         """A force at ``arm`` from a body's origin whose moment about that is known; world."""
         for j, (w, v) in part.partials.items():
-            self.push(j, plus(dot(v, force), dot(w, moment)))
+            self.push(j, plus(dot(v, force), dot(w, moment)), part.of)
 
-    def push(self, j: int, force: Number) -> None:
-        """A force on the velocity j."""
-        self.forces[j] = plus(self.forces[j], total(force, self.members[j]))
+    def push(self, j: int, force: Number, of: tuple[int, int] | None = None) -> None:
+        """A force on the velocity j; ``of``: on one of several."""
+        self.forces[j] = plus(self.forces[j], onto(force, self.members[j], of))
 
     def entry(self, j: int, k: int) -> Number:
         """M_jk."""
@@ -173,6 +181,7 @@ def apart(y: Array, members: Sequence[int]) -> list[Array]:
     """The numbers that ``flat`` put together."""
     found, at = [], 0
     for k in members:
-        found.append(y[at : at + k] if k else y[at])
+        # Indexing by [] takes JAX ten times as long to trace.
+        found.append(lax.slice_in_dim(y, at, at + k) if k else lax.index_in_dim(y, at, keepdims=False))
         at += k or 1
     return found

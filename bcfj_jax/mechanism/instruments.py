@@ -30,7 +30,7 @@ from bcfj_jax.core.vectors import (
     turned,
     unit,
 )  # fmt: skip
-from bcfj_jax.mechanism import alike, equations
+from bcfj_jax.mechanism import equations
 from bcfj_jax.mechanism.bodies import JOINTS, RATES, Part, unit_of
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
@@ -38,12 +38,15 @@ from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
 from bcfj_jax.mechanism.model import Account, BodyMotion, Flows, Params, Reading
 
 
+def read(m: Dynamics, t: Array, y: Array, p: Params) -> list[Reading]:
+    """``AbstractModel.read``: the force on each contact's second body, from the law, never from interpolation."""
+    now = m.instant(t, y, p)
+    return [_reading(m, c, now, p) for c in m.bundles]
+
+
 def observe(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Reading]:
-    """``AbstractModel.observe``: the force on each contact's second body, from the law, never from interpolation."""
-    now, found = m.instant(t, y, p), {}
-    for c in m.bundles:
-        found |= alike.apart(c, _reading(m, c, now, p))
-    return {c.name: found[c.name] for c in m.contacts}
+    """``AbstractModel.observe``."""
+    return m.by_contact(read(m, t, y, p))
 
 
 def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
@@ -83,27 +86,27 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
     """``AbstractModel.motions``: centres of mass, axes, accelerations and the drives' forces."""
     now = m.instant(t, y, p)
     gathered = m.assembled(t, now, p)
-    count = len(m._free)
+    count = len(m._velocities)
     rates = gathered.accelerations(count)
     found, driven = {}, count
-    for b in m.ordered:
-        part, arm, k = now.bodies.parts[b.name], now.bodies.center[b.name], b.members
+    for row in m.rows:
+        b, part, arm, k = row.body, now.bodies.parts[row.name], now.bodies.center[row.name], row.members
         at, turns = part.shifted(arm), m.turning(b.name)
         gain, swirl = gained(at, rates)
-        drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._placed) if name == b.name}
-        joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._free) if name == b.name}
+        drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._coordinates) if name == row.name}
+        joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._velocities) if name == row.name}
         if b.drive is not None:
             key = JOINTS[b.joint][0][0]
             joint = dict(zip((key, RATES[key]), b.drive.motion(t, b.name, p), strict=False))
             drive, driven = jnp.asarray(gathered.reaction(driven, rates)), driven + 1
-        found[b.name] = BodyMotion(
+        found |= row.apart(BodyMotion(
             place=stacked(at.place, k), velocity=stacked(at.velocity, k), acceleration=stacked(gain, k),
             axes=jnp.stack([stacked(x, k) for x in part.axes], -1) if turns else None,
             spin=stacked(at.spin, k) if turns else None, spin_rate=stacked(swirl, k) if turns else None,
             angle=None if joint.get("angle") is None else spread(joint["angle"], k), drive=drive,
             joint={key: spread(jnp.asarray(x), k) for key, x in joint.items()},
-        )  # fmt: skip
-    return found
+        ))  # fmt: skip
+    return {b.name: found[b.name] for b in m.ordered}
 
 
 def gained(at: Part, rates: Sequence[Number]) -> tuple[Vector, Vector]:
@@ -121,12 +124,12 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
     """
     now = m.instant(t, y, p)
     gathered = m.assembled(t, now, p)
-    rates = gathered.accelerations(len(m._free))
+    rates = gathered.accelerations(len(m._velocities))
     given: dict[str, Array] = {}
     for k, b in enumerate(m._driven):
         assert b.drive is not None
         speed = b.drive.motion(t, b.name, p)[1]
-        given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._free) + k, rates) * speed)
+        given[f"{b.name} drive"] = jnp.asarray(gathered.reaction(len(m._velocities) + k, rates) * speed)
     friction: Number = jnp.zeros(())
     for load in m.loads:
         brought = jnp.asarray(power(m, load, t, now, p))
@@ -135,11 +138,11 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
         else:
             given[load.name] = brought
     kinetic: Number = 0.0
-    for b in m.ordered:
-        part, arm = now.bodies.parts[b.name], now.bodies.center[b.name]
+    for row in m.rows:
+        part, arm = now.bodies.parts[row.name], now.bodies.center[row.name]
         v = part.velocity_at(arm)
-        kinetic = plus(kinetic, jnp.sum(0.5 * now.bodies.mass[b.name] * dot(v, v)))
-        inertia = m.inertia(b, p)
+        kinetic = plus(kinetic, jnp.sum(0.5 * now.bodies.mass[row.name] * dot(v, v)))
+        inertia = m.inertias(row, p)
         if inertia is not None:
             turning = dot(part.spin, equations.inertial(inertia, part.axes, part.spin))
             kinetic = plus(kinetic, jnp.sum(0.5 * jnp.asarray(turning)))
@@ -192,10 +195,10 @@ class Forces(equations.Equations):
         super().__init__(members)
         self.sizes: list[Number] = [0.0 for _ in members]
 
-    def push(self, j: int, force: Number) -> None:
+    def push(self, j: int, force: Number, of: tuple[int, int] | None = None) -> None:
         """And its size."""
-        super().push(j, force)
-        self._add(j, jnp.abs(jnp.asarray(force)))
+        super().push(j, force, of)
+        self._add(j, jnp.abs(jnp.asarray(force)), of)
 
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
         """And its size."""
@@ -210,10 +213,10 @@ class Forces(equations.Equations):
     def _rounded(self, part: Part, arm: Vector, force: Vector) -> None:
         """What rounding may leave of a force whose moment is 0."""
         for j, (w, v) in part.partials.items():
-            self._add(j, self.rounding * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force))
+            self._add(j, self.rounding * (_extent(v) + _extent(w) * _extent(arm)) * _extent(force), part.of)
 
-    def _add(self, j: int, size: Number) -> None:
-        self.sizes[j] = plus(self.sizes[j], equations.total(size, self.members[j]))
+    def _add(self, j: int, size: Number, of: tuple[int, int] | None) -> None:
+        self.sizes[j] = plus(self.sizes[j], equations.onto(size, self.members[j], of))
 
 
 def _extent(x: Vector) -> Number:
@@ -232,21 +235,21 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
     hinge their angular momentum about its axis [N m s], of a free body both, angular momentum about its own origin along
     its own axes. Reactions of joints are in none. Neither the mass matrix nor accelerations are used.
     """
-    now, count = m.instant(t, y, p), len(m._free)
+    now, count = m.instant(t, y, p), len(m._velocities)
     found = Forces(m._members)
     m._pressed(found, now, p)
     for load in m.loads:
         m._loaded(found, load, t, now, p)
     moved: dict[str, tuple] = {}
-    for b in m.ordered:
-        part, inertia = now.bodies.parts[b.name], m.inertia(b, p)
+    for row in m.rows:
+        part, inertia = now.bodies.parts[row.name], m.inertias(row, p)
         spun = ZERO if inertia is None else equations.inertial(inertia, part.axes, part.spin)
-        velocity = part.velocity_at(now.bodies.center[b.name])
-        moved[b.name] = (scale(now.bodies.mass[b.name], velocity), spun)
+        velocity = part.velocity_at(now.bodies.center[row.name])
+        moved[row.name] = (scale(now.bodies.mass[row.name], velocity), spun)
 
     def momenta(t: Array, q: list[Array]) -> list[Array]:
         """The momenta of other places and the same velocities."""
-        bodies, along = m.moving(t, list(q), list(now.v), p), [jnp.zeros(k or ()) for *_, k in m._free]
+        bodies, along = m.moving(t, list(q), list(now.v), p), [jnp.zeros(k or ()) for *_, k in m._velocities]
         for name, (push, spun) in moved.items():
             for j, (w, v) in bodies.parts[name].shifted(bodies.center[name]).partials.items():
                 if j < count:
@@ -256,10 +259,11 @@ def momenta(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Account]:
 
     ways = [jnp.broadcast_to(jnp.asarray(x, float), jnp.shape(q)) for x, q in zip(m._rates(now), now.q, strict=True)]
     values, leaned = jax.jvp(momenta, (jnp.asarray(t, float), now.q), (jnp.ones(()), ways))
-    accounts = {}
-    for j, (body, rate, _) in enumerate(m._free):
+    accounts, each = {}, {row.name: row for row in m.rows}
+    for j, (name, rate, _) in enumerate(m._velocities):
         shape = values[j].shape
         force, size = (jnp.broadcast_to(jnp.asarray(x, float), shape) for x in (found.forces[j], found.sizes[j]))
         what = "angular_momentum" if unit_of(rate) == "rad/s" else "momentum"
-        accounts[f"{body} {what} {rate}"] = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
+        account = Account(values[j], force + leaned[j], size + jnp.abs(leaned[j]))
+        accounts |= {f"{body} {what} {rate}": one for body, one in each[name].apart(account).items()}
     return accounts

@@ -55,8 +55,8 @@ class Gravity(AbstractLoad):
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         way = sizes.axis(self.direction, "gravity direction")
         found = []
-        for body, mass in bodies.mass.items():
-            axes = bodies.parts[body].axes
+        for body in bodies.rows or bodies.mass:
+            mass, axes = bodies.mass[body], bodies.parts[body].axes
             arm = bodies.center[body]
             at = (dot(axes[0], arm), dot(axes[1], arm), dot(axes[2], arm))
             found.append(Action(body, scale(times(mass, p["gravity"]), way), at))

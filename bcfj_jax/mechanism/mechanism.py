@@ -58,6 +58,7 @@ class Mechanism(Dynamics):
         longest_step: of a solver [s]; None: as long as its errors allow.
         start: "static": bodies start where they are at rest, sought from where they are placed (``mechanism.statics``); "":
             as their own starts say.
+        apart: whether bodies that are alike are computed one by one (``mechanism.rows``).
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 
@@ -126,6 +127,7 @@ class Mechanism(Dynamics):
     approaches, misremembered = stepping.approaches, stepping.doubt  # pyright: ignore[reportAssignmentType]
     observe, motions, flows = instruments.observe, instruments.motions, instruments.flows  # pyright: ignore[reportAssignmentType]
     efforts = efforts.efforts  # pyright: ignore[reportAssignmentType]
+    read = instruments.read  # pyright: ignore[reportAssignmentType]
     orbits, drawing, scenery = scenery.orbits, scenery.drawing, scenery.scenery  # pyright: ignore[reportAssignmentType]
     suspects = checks.suspects  # pyright: ignore[reportAssignmentType]
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 import dataclasses
 import textwrap
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -75,8 +76,8 @@ class Solution(NamedTuple):
 
     Attributes:
         accepted, rejected: numbers of steps.
-        extremes: by contact ``solve.extremes.Extremes``, where the plan asks for them.
-        totals: by account ``solve.extremes.Totals``, likewise.
+        extremes: in the order of ``AbstractModel.alike`` ``solve.extremes.Extremes``, where the plan asks for them.
+        totals: by account rows of ``solve.extremes.Totals``, likewise.
         whole: what is of the continuous curves between the first and the last time, where it was asked for.
     """
 
@@ -265,6 +266,29 @@ class AbstractModel(eqx.Module):
     @abstractmethod
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Every contact's reading in one state."""
+
+    @property
+    def alike(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the contacts that ``read`` has side by side; here each by itself."""
+        return tuple((c.name,) for c in self.contacts)
+
+    def read(self, t: Array, y: Array, prepared: Any) -> list[Reading]:
+        """``observe`` in the order of ``alike``: arrays of several contacts have an axis over them, their first."""
+        found = self.observe(t, y, prepared)
+        return [found[name] for (name,) in self.alike]
+
+    def by_contact(self, found: Sequence[Any], axis: int = 0) -> dict[str, Any]:
+        """What ``read`` gives, or anything in its order, by contact; ``axis``: the one over contacts."""
+
+        def at(x: Any, k: int) -> Any:
+            # NumPy's own arrays stay NumPy's: nothing is compiled.
+            return x.take(k, axis) if isinstance(x, np.ndarray) else jax.lax.index_in_dim(x, k, axis, keepdims=False)
+
+        parted: dict[str, Any] = {}
+        for names, one in zip(self.alike, found, strict=True):
+            for k, name in enumerate(names):
+                parted[name] = one if len(names) == 1 else jax.tree.map(lambda x, k=k: at(x, k), one)
+        return {c.name: parted[c.name] for c in self.contacts}
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -567,6 +591,7 @@ def _horizon(model: AbstractModel, params: Params) -> Array:
     return jnp.asarray(model.horizon(params))
 
 
+@eqx.filter_jit  # Traced once for all of its places.
 def field(t: Any, y: Array, args: tuple[AbstractModel, Any]) -> Array:
     """The vector field with arguments (model, what it has prepared)."""
     model, prepared = args

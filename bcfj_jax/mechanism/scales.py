@@ -12,7 +12,7 @@ The scale is a guess; every run can measure its own error (``simulate``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -25,9 +25,13 @@ from bcfj_jax.mechanism import alike
 from bcfj_jax.mechanism.bodies import Part
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.equations import Equations, flat, solved
+from bcfj_jax.mechanism.equations import Equations, onto, solved
+from bcfj_jax.mechanism.rows import ByName, Places, taken
+from bcfj_jax.mechanism.rows import own as own_of
 from bcfj_jax.mechanism.sizes import Params
 
+# A velocity that equations count, and of one of several bodies that are alike its place; else None.
+Velocity = tuple[int, int | None]
 # Where nothing is known: a penetration of a micrometre [m], a speed of a millimetre a second [m/s].
 DEPTH, SPEED = 1e-6, 1e-3
 # A load that is none [N].
@@ -39,7 +43,7 @@ class Expected(NamedTuple):
 
     Attributes:
         depth, speed: penetration [m] and speed [m/s] of the contacts to come.
-        levers: by velocity, how far the points of contact move by it [m/rad, or 1].
+        levers: by velocity of ``rows``, how far the points of contact move by it [m/rad, or 1].
         brought, stored: by contact, energy [J] that it is to take in, and that its first penetration holds.
         flight: by contact, time [s] from a touch to the next under the free acceleration; infinite without one.
     """
@@ -57,14 +61,15 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     t = jnp.zeros(())
     now = scene.instant(t, scene.initial_state(params), params, laws=False)
     gathered = scene.assembled(t, now, params, pressing=False)
-    count = len(scene._free)
+    count = len(scene._velocities)
     rates = gathered.accelerations(count)
     felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
-    freed = (
-        {name: _freed(part, rates) for name, part in parts.items()} if any(map(alike.scattered, scene.bundles)) else {}
-    )
-    brought, stored, flight = {}, {}, {}
+    free = lambda part: _freed(part, rates)  # noqa: E731
+    freed: Mapping[str, Part] = {}
+    if any(map(alike.scattered, scene.bundles)):
+        freed = parts.changed(free) if isinstance(parts, ByName) else {n: free(part) for n, part in parts.items()}
+    brought, stored, flight, met = {}, {}, {}, []
     forces, speeds, masses = [], [], []
     for c in scene.bundles:
         # Velocities are each body's own: those of bodies side by side are gathered before, in their accelerations.
@@ -77,10 +82,12 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             arms = subtract(point, first.place), subtract(point, second.place)
             gain = subtract(second.drift_at(arms[1]), first.drift_at(arms[0]))
             partials = {} if scattered else felt.partials((first, second), arms)
-            gain = add(gain, *(scale(rates[j], v) for j, v in partials.items()))
+            gain = add(gain, *(scale(own_of(rates[j], k), v) for (j, k), v in partials.items()))
             moving = add(touch.slide, scale(touch.rate, face.normal))
             way = _direction(face.normal, gain, moving)
-            if scattered:
+            if isinstance(c, alike.Alike) and (places := c.places(parts)) is not None:
+                mass = felt.beside(parts, places, way, arms)
+            elif scattered:
                 own_arms = alike.apart(c, (way, *arms))
                 mass = jnp.stack([felt.apart(one.parts(parts), *own_arms[one.name]) for one in c.each])
             else:
@@ -97,15 +104,17 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             masses.append(jnp.min(jnp.where(mass > 0, mass, jnp.inf)))
             held.append(_of_each(jnp.max, _stored(c, jnp.asarray(face.depth), params), count_of))
             flights.append(_of_each(jnp.min, 2.0 * jnp.sqrt(squared + 1e-300) / jnp.maximum(pull, 1e-300), count_of))
-        brought |= alike.apart(c, jnp.max(jnp.stack(energies), axis=0))
-        stored |= alike.apart(c, jnp.max(jnp.stack(held), axis=0))
+        most, kept = (jnp.max(jnp.stack(x), axis=0) for x in (energies, held))
+        # A body that starts inside the regularisation is thrown out: what is stored there counts as well.
+        met.append(jnp.max(most + kept if inside else most))
+        brought |= alike.apart(c, most)
+        stored |= alike.apart(c, kept)
         flight |= alike.apart(c, jnp.min(jnp.stack(flights), axis=0))
-    found = [jnp.max(jnp.stack(x)) if x else jnp.ones(()) for x in felt.levers]
+    found = [jnp.max(jnp.stack(jnp.broadcast_arrays(*x)), axis=0) if x else jnp.ones(()) for x in felt.levers]
     lengths: list[Number] = [jnp.where(x > 1e-9, x, 1.0) for x in found]
     if not scene.contacts:
         return Expected(jnp.asarray(DEPTH), jnp.asarray(SPEED), lengths, brought, stored, flight)
-    # A body that starts inside the regularisation is thrown out: what is stored there counts as well.
-    energy = jnp.max(jnp.stack([brought[name] + stored[name] if inside else brought[name] for name in brought]))
+    energy = jnp.max(jnp.stack(met))
     force, mass = jnp.max(jnp.stack(forces)), jnp.min(jnp.stack(masses))
     mass = jnp.where(jnp.isfinite(mass), mass, 1.0)
     speed = jnp.maximum(jnp.max(jnp.stack(speeds)), jnp.sqrt(2.0 * energy / mass))
@@ -128,17 +137,17 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
             share = values.get("friction_static", values.get("friction_dynamic", jnp.ones(())))
             speed = jnp.minimum(speed, jnp.min(values["friction_speed"] / jnp.clip(share, 1e-9, 1.0)))
     places, at = [], 0
-    for b in scene.ordered:
+    for b in (row.body for row in scene.rows):
         own = found.levers[at : at + len(b.rates)]
         at += len(b.rates)
         plain = len(b.coordinates) - (4 if "q0" in b.coordinates else 0)
-        longest = jnp.max(jnp.stack([jnp.asarray(x) for x in own[plain:]])) if len(b.coordinates) > plain else 1.0
+        turning = jnp.broadcast_arrays(*own[plain:]) if len(b.coordinates) > plain else [jnp.ones(())]
+        longest = jnp.max(jnp.stack(turning), axis=0)
         places += [found.depth / x for x in own[:plain]] + [found.depth / longest] * (len(b.coordinates) - plain)
     kept: list[Number] = []
     for c in scene.contacts:
         kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
-    members = [*(k for *_, k in scene._placed), *(k for *_, k in scene._free), *(k for _, k in scene._memory)]
-    return flat([*places, *(speed / x for x in found.levers), *kept], members)
+    return scene.state(places, [speed / x for x in found.levers], kept)
 
 
 def _freed(part: Part, rates: list[Number]) -> Part:
@@ -155,23 +164,47 @@ class _Felt(NamedTuple):
     count: int
     levers: list[list[Array]]
 
-    def partials(self, bodies: tuple[Part, Part], arms: tuple[Vector, Vector]) -> dict[int, Vector]:
+    def partials(self, bodies: tuple[Part, Part], arms: tuple[Vector, Vector]) -> dict[Velocity, Vector]:
         """By velocity, that of the second body's point past the first's, at ``arms`` from their origins."""
-        found: dict[int, Vector] = {}
+        found: dict[Velocity, Vector] = {}
         for part, arm, sign in zip(bodies, arms, (-1.0, 1.0), strict=True):
             for j in part.partials:
                 if j < self.count:
                     w, origin = part.partials[j]
                     v = scale(sign, add(origin, cross(w, arm)))
-                    found[j] = add(found.get(j, ZERO), v)
-                    self.levers[j].append(jnp.max(jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)))
+                    key = j, part.of and part.of[0]
+                    found[key] = add(found.get(key, ZERO), v)
+                    self.levers[j].append(onto(jnp.max(_size(v)), 0, part.of))
         return found
 
-    def mass(self, partials: dict[int, Vector], way: Vector) -> Array:
+    def mass(self, partials: dict[Velocity, Vector], way: Vector) -> Array:
         """Along a direction; 0 of what nothing moves."""
-        row = {j: dot(way, v) for j, v in partials.items()}
-        mass = 1.0 / jnp.maximum(jnp.asarray(_compliance(self.gathered, row, self.count)), 1e-30)
-        return jnp.where(mass < 1e20, mass, 0.0)
+        row = {key: dot(way, v) for key, v in partials.items()}
+        found: Number = 0.0
+        for k in {k for _, k in row}:
+            mine = {j: x for (j, of), x in row.items() if of == k}
+            found = plus(found, _compliance(self.gathered, mine, self.count, lambda x, k=k: own_of(x, k)))
+        return _mass(found)
+
+    def beside(
+        self,
+        parts: Mapping[str, Part],
+        places: tuple[Places | None, Places | None],
+        way: Vector,
+        arms: Sequence[Vector],
+    ) -> Array:
+        """Of contacts side by side whose bodies are in rows, or the ground."""
+        found: Number = 0.0
+        for where, arm in zip(places, arms, strict=True):
+            if where is None:
+                continue
+            row = {}
+            for j, (w, origin) in taken(parts[where.row].partials, where.at).items():
+                v = add(origin, cross(w, arm))
+                row[j] = dot(way, v)
+                self.levers[j].extend(where.spread(_size(v)))
+            found = plus(found, _compliance(self.gathered, row, self.count, lambda x, where=where: taken(x, where.at)))
+        return _mass(found)
 
     def apart(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
         """Of one of several contacts side by side."""
@@ -196,14 +229,23 @@ def _direction(normal: Vector, gain: Vector, moving: Vector) -> Vector:
     return x, y, z
 
 
-def _compliance(gathered: Equations, row: dict[int, Number], count: int) -> Number:
-    """J M^-1 J' of one face's row."""
+def _size(v: Vector) -> Array:
+    return jnp.sqrt(jnp.asarray(dot(v, v)) + 1e-300)
+
+
+def _mass(compliance: Number) -> Array:
+    mass = 1.0 / jnp.maximum(jnp.asarray(compliance), 1e-30)
+    return jnp.where(mass < 1e20, mass, 0.0)
+
+
+def _compliance(gathered: Equations, row: dict[int, Number], count: int, of: Callable[[Number], Number]) -> Number:
+    """J M^-1 J' of one face's row; ``of``: of a row's numbers those of the face's body."""
     found: Number = 0.0
     for block in gathered.blocks(count):
         own = [row.get(j, 0.0) for j in block]
         if all(isinstance(x, float) and x == 0.0 for x in own):
             continue
-        moved = solved([[gathered.entry(j, k) for k in block] for j in block], own)
+        moved = solved([[of(gathered.entry(j, k)) for k in block] for j in block], own)
         for a, b in zip(own, moved, strict=True):
             found = plus(found, times(a, b))
     return found

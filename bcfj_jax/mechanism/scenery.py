@@ -194,11 +194,8 @@ def _closed(m: Dynamics, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
     rest = y[count:]
 
     def moving(places: Array) -> Mapping[str, Part]:
-        from bcfj_jax.mechanism.equations import apart
-
-        at, rates = [k for *_, k in m._placed], [k for *_, k in m._free]
-        numbers = apart(jnp.concatenate([places, rest])[: count + sum(k or 1 for k in rates)], [*at, *rates])
-        return m.moving(t, list(numbers[: len(at)]), list(numbers[len(at) :]), p).parts
+        q, v, _ = m.numbers(jnp.concatenate([places, rest]))
+        return m.moving(t, q, v, p).parts
 
     def off(places: Array) -> Array:
         parts = moving(places)

@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import AbstractModel, Account, Params
@@ -86,45 +88,40 @@ class Look(NamedTuple):
 Args = tuple[AbstractModel, Any]
 
 
-def _by_name(t: Any, y: Array, args: Args) -> tuple[dict[str, Look], dict[str, Account]]:
+def _apart(t: Any, y: Array, args: Args) -> tuple[list[Look], dict[str, Account]]:
     model, prepared = args
-    readings = model.observe(t, y, prepared)
-    looks = {name: Look(r.force[..., 0], r.penetration, r.rate) for name, r in readings.items()}
-    return looks, model.accounts(t, y, prepared)
+    readings = model.read(t, y, prepared)
+    return [Look(r.force[..., 0], r.penetration, r.rate) for r in readings], model.accounts(t, y, prepared)
 
 
+@eqx.filter_jit  # Traced once for all of its places.
 def look(t: Any, y: Array, args: Args) -> tuple[Look, Account]:
     """All contacts and all accounts in one state, each as one array; ``args`` are (model, what it has prepared)."""
-    contacts, accounts = _by_name(t, y, args)
+    contacts, accounts = _apart(t, y, args)
 
-    # In the order that JAX gives dictionaries.
-    def flat(parts: dict[str, Any]) -> list[Array]:
+    def flat(parts: list[Any]) -> list[Array]:
+        return [jnp.concatenate([jnp.zeros(0), *(jnp.ravel(part[k]) for part in parts)]) for k in range(3)]
+
+    return Look(*flat(contacts)), Account(*flat([accounts[name] for name in sorted(accounts)]))
+
+
+def named(t: Any, y: Array, args: Args, found: tuple[Extremes, Totals]) -> tuple[list[Extremes], dict[str, Array]]:
+    """What was found of contacts, in the order of the model's ``alike``, and of accounts, by name and as rows of ``Totals``."""
+    contacts, accounts = jax.eval_shape(lambda: _apart(t, y, args))
+
+    def apart(whole: Any, parts: list[Any]) -> list[Any]:
+        ends = np.cumsum([math.prod(part[0].shape) for part in parts])
+        each = zip(ends, parts, strict=True)
         return [
-            jnp.concatenate([jnp.zeros(0), *(jnp.ravel(parts[name][k]) for name in sorted(parts))]) for k in range(3)
+            jax.tree.map(
+                lambda x, n=n, shape=one[0].shape: x[..., n - math.prod(shape) : n].reshape(*x.shape[:-1], *shape),
+                whole,
+            )
+            for n, one in each
         ]
 
-    return Look(*flat(contacts)), Account(*flat(accounts))
-
-
-def named(
-    t: Any, y: Array, args: Args, found: tuple[Extremes, Totals]
-) -> tuple[dict[str, Extremes], dict[str, Totals]]:
-    """What was found of all contacts and accounts, by their names."""
-    shapes = jax.eval_shape(lambda: _by_name(t, y, args))
-
-    def apart(whole: Any, parts: dict[str, Any]) -> dict[str, Any]:
-        result, at = {}, 0
-        for name, one in parts.items():
-            shape = one[0].shape
-            size = math.prod(shape)
-            result[name] = jax.tree.map(
-                lambda x, at=at, size=size, shape=shape: x[at : at + size].reshape(shape), whole
-            )
-            at += size
-        return result
-
-    contacts, accounts = (apart(whole, parts) for whole, parts in zip(found, shapes, strict=True))
-    return contacts, accounts
+    rows = apart(jnp.stack(found[1]), [accounts[name] for name in sorted(accounts)])
+    return apart(found[0], contacts), dict(zip(sorted(accounts), rows, strict=True))
 
 
 def begun(t: Any, look: Look) -> Extremes:

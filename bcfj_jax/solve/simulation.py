@@ -24,9 +24,11 @@ from bcfj_jax.mechanism import channels, inputs
 from bcfj_jax.mechanism.channels import Channel, channel
 from bcfj_jax.mechanism.model import AbstractModel, Choice, Params, Reading, Solution, as_model
 from bcfj_jax.mechanism.readings import contact_states
+from bcfj_jax.solve.extremes import Totals
 from bcfj_jax.solve.measured_error import Accuracy, measured
 from bcfj_jax.solve.plan import LONGEST, LOOKS, Plan, Solving, SolvingKeys, Way, check_bits, force_error, plan
 from bcfj_jax.xla.forward_reverse import forward_and_reverse, reverse_only
+from bcfj_jax.xla.kept import kept
 from bcfj_jax.xla.programs import make_room, program
 from bcfj_jax.xla.threads import together
 
@@ -95,8 +97,18 @@ def outcome(
 
 def readings(model: AbstractModel, params: Params, times: Array, states: Array) -> dict[str, Reading]:
     """What every contact reads in states (T, n) at times (T,)."""
+    # XLA would compute contacts that are alike anew for each of them.
+    found = [
+        jax.tree.map(kept, x) if len(names) > 1 else x
+        for names, x in zip(model.alike, read(model, params, times, states), strict=True)
+    ]
+    return model.by_contact(found, axis=1)
+
+
+def read(model: AbstractModel, params: Params, times: Array, states: Array) -> list[Reading]:
+    """Likewise in the order of ``alike``, contacts that are alike side by side (T, k)."""
     prepared = model.prepare(params)
-    return jax.vmap(lambda t, y: model.observe(t, y, prepared))(jnp.maximum(times, 0.0), states)
+    return jax.vmap(lambda t, y: model.read(t, y, prepared))(jnp.maximum(times, 0.0), states)
 
 
 # Compiled as one, and traced once a model, also where the caller compiles nothing.
@@ -208,8 +220,11 @@ def _channels(scene: AbstractModel, read: Sequence[str]) -> tuple[Channel, ...]:
 
 def _run(
     scene: AbstractModel, wanted: tuple[Channel, ...], params: Params, times: Array, how: Plan
-) -> tuple[Solution, dict[str, Reading], dict[str, Array]]:
-    solution, found = outcome(scene, params, times, how, "forward")
+) -> tuple[Solution, list[Reading], dict[str, Array]]:
+    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
+
+    solution = integrate(scene, params, times, how, "forward")
+    found = read(scene, params, times, solution.states)
     more = channels.histories(scene, params, times, solution.states, wanted) if wanted else {}
     return solution, found, more
 
@@ -323,15 +338,15 @@ def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, w
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
     run_it, compile_s = compiled(scene, params, values, how, wanted)
     begin = time.perf_counter()
-    solution, readings, more = run_it(dict(params), np.asarray(values), how)
+    solution, found, more = run_it(dict(params), np.asarray(values), how)
+    readings = scene.by_contact(found, axis=1)
     walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
     run = story(scene, values, solution, readings, how, walls)
-    found = {name: np.asarray(more[name]) for name in (c.name for c in wanted)}
+    values_read = {c.name: np.asarray(more[c.name]) for c in wanted}
     states = contact_states(scene, params, readings)
-    extremes = jax.tree.map(np.asarray, solution.extremes or {})
-    extremes = {name: extremes[name] for name in run.force if name in extremes}
-    run = run._replace(totals=jax.tree.map(np.asarray, solution.totals or {}))
-    return run._replace(state=states, trajectory=np.asarray(solution.states), readings=found, extremes=extremes)
+    extremes = scene.by_contact(jax.tree.map(np.asarray, solution.extremes)) if solution.extremes else {}
+    run = run._replace(totals={name: Totals(*rows) for name, rows in (solution.totals or {}).items()})
+    return run._replace(state=states, trajectory=np.asarray(solution.states), readings=values_read, extremes=extremes)
 
 
 def story(

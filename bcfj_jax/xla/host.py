@@ -46,6 +46,23 @@ def _dynamic_slice(x: Any, *starts: Any, slice_sizes: Sequence[int], **_: Any) -
     return x[tuple(slice(s, s + k) for s, k in zip(places, slice_sizes, strict=True))]
 
 
+def _gather(x: Any, at: Any, dimension_numbers: Any, slice_sizes: Sequence[int], **_: Any) -> Any:
+    """Rows along one axis, as ``x.at[at].get`` takes them."""
+    known = dimension_numbers
+    if (
+        len(known.start_index_map) != 1
+        or known.collapsed_slice_dims != known.start_index_map
+        or known.operand_batching_dims
+    ):
+        raise Unknown("gather along several axes")
+    (axis,), wide = known.start_index_map, np.ndim(at) - 1
+    others = [i for i in range(np.ndim(x)) if i != axis]
+    apart = [i if i < axis else i + wide - 1 for i in others]
+    if list(known.offset_dims) != apart or any(slice_sizes[i] != x.shape[i] for i in others):
+        raise Unknown("gather of parts")
+    return np.take(x, np.clip(at[..., 0], 0, x.shape[axis] - 1), axis)
+
+
 def _dot(a: Any, b: Any, dimension_numbers: Any, **_: Any) -> Any:
     (left, right), (first, second) = dimension_numbers
     if first or second:
@@ -74,7 +91,7 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 _SHAPED: dict[str, Callable[..., Any]] = {
     "integer_pow": lambda x, y, **_: np.power(x, y) if y >= 0 else 1.0 / np.power(x, -y),
-    "broadcast_in_dim": _broadcast, "slice": _slice, "dynamic_slice": _dynamic_slice, "dot_general": _dot,
+    "broadcast_in_dim": _broadcast, "slice": _slice, "dynamic_slice": _dynamic_slice, "gather": _gather, "dot_general": _dot,
     "convert_element_type": lambda x, new_dtype, **_: x.astype(new_dtype),
     "reshape": lambda x, new_sizes, **_: np.reshape(x, new_sizes),
     "squeeze": lambda x, dimensions, **_: np.squeeze(x, tuple(dimensions)),
