@@ -179,3 +179,16 @@ def test_a_program_grows_little_with_contacts_that_are_alike():
         return len(jax.make_jaxpr(lambda y: scene.vector_field(0.0, y, prepared))(y).jaxpr.eqns)
 
     assert size(32) < 1.3 * size(1)
+
+
+def test_a_program_grows_little_with_bodies_that_are_alike():
+    def size(count: int) -> int:
+        balls = [Body(f"b{k}", "free", mass=0.1, inertia=1e-5, start={"x": 0.02 * k}) for k in range(count)]
+        contacts = [Contact(f"c{k}", (f"b{k}", f"b{k + 1}"), gaps.SphereOnSphere()) for k in range(count - 1)]
+        scene = Mechanism("row", balls, contacts, [loads.Gravity("-z")])
+        params = scene.parameters(**{n: 1.0 for n in scene.quantities if n not in dict(scene.defaults)})
+        y = scene.initial_state(params)
+        return len(jax.make_jaxpr(lambda y: scene.vector_field(0.0, y, params))(y).jaxpr.eqns)
+
+    # What is left for each body are its own numbers.
+    assert size(32) < 1.5 * size(8)
