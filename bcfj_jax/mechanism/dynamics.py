@@ -121,7 +121,7 @@ class Dynamics(AbstractModel):
     @property
     def alike(self) -> tuple[tuple[str, ...], ...]:
         """As ``AbstractModel``."""
-        return _alike(self)
+        return _alike(self) if len(self.contacts) > 1 else super().alike
 
     def side_by_side(self, c: Contact) -> int:
         """Length of the axis of one of ``bundles``; 0 for none."""

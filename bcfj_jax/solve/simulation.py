@@ -339,8 +339,8 @@ def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, w
     run_it, compile_s = compiled(scene, params, values, how, wanted)
     begin = time.perf_counter()
     solution, found, more = run_it(dict(params), np.asarray(values), how)
-    readings = scene.by_contact(found, axis=1)
     walls = {"wall_s": time.perf_counter() - begin, "compile_s": compile_s}
+    readings = scene.by_contact(found, axis=1)
     run = story(scene, values, solution, readings, how, walls)
     values_read = {c.name: np.asarray(more[c.name]) for c in wanted}
     states = contact_states(scene, params, readings)
