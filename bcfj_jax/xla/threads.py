@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import TypeVar
 
 S = TypeVar("S")
@@ -33,6 +34,16 @@ def each(function: Callable[[S], T], items: Iterable[S]) -> list[T]:
     """What a function gives of every item, in order; as many at a time as there are cores."""
     with ThreadPoolExecutor(cores()) as pool:
         return list(pool.map(function, items))
+
+
+def begun(task: Callable[[], T]) -> Callable[[], T]:
+    """Begin what is wanted later: the function gives it, and raises what it raised."""
+    if cores() == 1:
+        return cache(task)
+    pool = ThreadPoolExecutor(1)
+    waiting = pool.submit(task)
+    pool.shutdown(wait=False)
+    return waiting.result
 
 
 def ahead(task: Callable[[], object]) -> None:

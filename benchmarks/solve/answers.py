@@ -4,7 +4,8 @@ Whole processes with kept programs, in turns with an import of jax, diffrax and 
 line on stdout. Growth: a body with 1, 8 and 32 equal contacts, and 2, 8 and 32 spheres in a row, nothing kept, from making the
 mechanism to the end of a run.
 
-    python -m benchmarks.solve.answers [--processes 5] [--against OTHER]    keeps benchmarks/results/answers.json
+    python -m benchmarks.solve.answers [--processes 5] [--only NAME ...] [--against OTHER]
+        keeps benchmarks/results/answers.json, each part beside the others as soon as it is measured
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.common import ROOT, options, publish, save, table
+from benchmarks.common import ROOT, known, options, publish, save, table
 from benchmarks.processes import bcfj, done, environment
 from benchmarks.solve.waiting import importing
 
@@ -74,41 +75,35 @@ GROWING = {
 }
 
 
-def answers(processes: int, checkout: Path) -> dict[str, dict[str, float]]:
-    """By command, medians: first answer, all, all cores, the import beside them, in seconds; a first run with nothing kept."""
-    found = {}
-    for name, words in COMMANDS.items():
-        with tempfile.TemporaryDirectory() as cache:
+def answers(name: str, processes: int, checkout: Path) -> dict[str, float]:
+    """Of a command, medians: first answer, all, all cores, the import beside them, in seconds; a first run with nothing kept."""
+    with tempfile.TemporaryDirectory() as cache:
 
-            def answer(words: list[str] = words, cache: str = cache) -> tuple[float, float, float]:
-                with tempfile.TemporaryDirectory() as folder:
-                    ran = bcfj(words, Path(folder), {"BCFJ_CACHE": cache}, checkout)
-                return ran.first_s, ran.wall_s, ran.cpu_s
+        def answer() -> tuple[float, float, float]:
+            with tempfile.TemporaryDirectory() as folder:
+                ran = bcfj(COMMANDS[name], Path(folder), {"BCFJ_CACHE": cache}, checkout)
+            return ran.first_s, ran.wall_s, ran.cpu_s
 
-            cold = answer()
-            rows = [(*answer(), importing()) for _ in range(processes)]
-        medians = map(statistics.median, zip(*rows, strict=True))
-        found[name] = dict(zip(("first", "all", "cpu", "import"), medians, strict=True))
-        found[name] |= {"cold_first": cold[0], "cold_all": cold[1]}
-        print(name, {key: round(x, 2) for key, x in found[name].items()}, flush=True)
-    return found
+        cold = answer()
+        rows = [(*answer(), importing()) for _ in range(processes)]
+    medians = map(statistics.median, zip(*rows, strict=True))
+    found = dict(zip(("first", "all", "cpu", "import"), medians, strict=True))
+    return {**found, "cold_first": cold[0], "cold_all": cold[1]}
 
 
-def growth(processes: int, checkout: Path) -> dict[str, dict[str, dict[str, float]]]:
-    """By what is counted and its number, medians: seconds of the first run, nothing kept, and of one that is compiled."""
+def growth(name: str, processes: int, checkout: Path) -> dict[str, dict[str, float]]:
+    """By number of what is counted, medians: seconds of the first run, nothing kept, and of one that is compiled."""
     surroundings = environment({"BCFJ_CACHE": "off"}, checkout)
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for name, (made, counts) in GROWING.items():
-        rows: dict[str, list[list[float]]] = {str(count): [] for count in counts}
-        for _ in range(processes):
-            for count, row in rows.items():
-                ran = done([sys.executable, "-c", made + _MEASURED, count], checkout, surroundings)
-                row.append([float(x) for x in ran.out.split()])
-        found[name] = {
-            count: dict(zip(("first", "run"), map(statistics.median, zip(*row, strict=True)), strict=True))
-            for count, row in rows.items()
-        }
-    return found
+    made, counts = GROWING[name]
+    rows: dict[str, list[list[float]]] = {str(count): [] for count in counts}
+    for _ in range(processes):
+        for count, row in rows.items():
+            ran = done([sys.executable, "-c", made + _MEASURED, count], checkout, surroundings)
+            row.append([float(x) for x in ran.out.split()])
+    return {
+        count: dict(zip(("first", "run"), map(statistics.median, zip(*row, strict=True)), strict=True))
+        for count, row in rows.items()
+    }
 
 
 def tables(found: dict[str, dict]) -> tuple[str, str]:
@@ -117,9 +112,9 @@ def tables(found: dict[str, dict]) -> tuple[str, str]:
         "`bcfj ...`, kept programs": "`{name}`", "first answer": "{first:.1f} s", "all": "{all:.1f} s",
         "over the import": lambda r: f"{r['first'] / r['import']:.1f}, {r['all'] / r['import']:.1f}",
         "CPU over wall": lambda r: f"{r['cpu'] / r['all']:.2f}", "nothing kept": "{cold_first:.1f} s, {cold_all:.1f} s",
-    }, ({"name": name, **row} for name, row in found["commands"].items()))  # fmt: skip
+    }, ({"name": name, **row} for name, row in found.get("commands", {}).items()))  # fmt: skip
     rows = []
-    for name, counts in found["growth"].items():
+    for name, counts in found.get("growth", {}).items():
         least = next(iter(counts.values()))["first"]
         rows += [{"name": name, "count": count, "over": row["first"] / least, **row} for count, row in counts.items()]
     second = table({
@@ -130,14 +125,22 @@ def tables(found: dict[str, dict]) -> tuple[str, str]:
 
 
 def main() -> None:
-    given = options(__doc__, processes=5, against=(Path, "an older checkout, shown and not kept"))
+    only = ([*COMMANDS, *GROWING], "parts to measure; the others stay as they are kept")
+    given = options(__doc__, processes=5, only=only, against=(Path, "an older checkout, shown and not kept"))
     checkout = given.against.resolve() if given.against else ROOT
-    found = {"growth": growth(given.processes, checkout), "commands": answers(given.processes, checkout)}
+    found = {} if given.against else known("answers")
+    for name in given.only:
+        part, measured, every = ("commands", answers, COMMANDS) if name in COMMANDS else ("growth", growth, GROWING)
+        rows = found.get(part, {}) | {name: measured(name, given.processes, checkout)}
+        print(name, rows[name], flush=True)
+        found[part] = {one: rows[one] for one in every if one in rows}
+        if not given.against:
+            save("answers", found)
+    shown = tables(found)
     if given.against:
-        print(*tables(found), sep="\n\n")
+        print(*shown, sep="\n\n")
         return
-    save("answers", found)
-    for name, text in zip(("answers", "alike"), tables(found), strict=True):
+    for name, text in zip(("answers", "alike"), shown, strict=True):
         publish(name, text, "docs/waiting.md")
 
 

@@ -278,6 +278,11 @@ def test_the_first_line_is_of_the_peak_that_moves_by_most_newtons():
     given = {"wrt": ["gap"], "values": {"gap": 1.0}, "features": peaks, "feature_derivatives": slopes}
     (line,) = drivers(cast(Any, SimpleNamespace(steady=None, certificate=None, **given)))
     assert line == "gap drives loaded.peak: +0.1 % per %"
+    # Steady motion alone, before the run has any feature.
+    steady = SimpleNamespace(reason="", features=peaks, feature_derivatives=slopes, apart={})
+    alone = {**given, "features": {}, "feature_derivatives": {"gap": {}}}
+    (line,) = drivers(cast(Any, SimpleNamespace(steady=steady, certificate=None, **alone)))
+    assert line == "gap drives steady loaded.peak: +0.1 % per %"
 
 
 @pytest.mark.slow

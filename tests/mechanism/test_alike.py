@@ -11,7 +11,7 @@ import pytest
 import tiers
 
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
-from bcfj_jax.mechanism import alike, rows, scales
+from bcfj_jax.mechanism import alike, dynamics, rows, scales
 
 COEFFICIENTS = {
     "stiffness": 1e6, "exponent": 1.5, "damping": 0.2, "restitution": 0.7, "radius": 2e-3, "smoothing": 1e-5,
@@ -137,6 +137,7 @@ def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction,
     # The order of contacts is the mechanism's, whatever is computed with what.
     assert list(answers(together)["readings"]) == [c.name for c in together.contacts]
     found = without_levers(answers(together))
+    monkeypatch.setattr(dynamics, "_alike", dynamics._alike.__wrapped__)
     monkeypatch.setattr(alike, "bundled", lambda contacts, members, kind: tuple(contacts))
     monkeypatch.setattr(rows, "rows", lambda bodies, tied: tuple(rows.Row(b.name, (b,)) for b in bodies))
     apart = made(law, friction)

@@ -21,6 +21,17 @@ def test_results_come_in_order_whichever_ends_first(monkeypatch, cores):
     assert threads.together(lambda: (time.sleep(0.02), 1)[1], lambda: 2, lambda: 3) == [1, 2, 3]
 
 
+@pytest.mark.parametrize("cores", [1, 2])
+def test_what_is_begun_is_computed_once_and_raises_where_it_is_wanted(monkeypatch, cores):
+    monkeypatch.setattr(threads, "cores", lambda: cores)
+    calls: list[int] = []
+    wanted = threads.begun(lambda: (calls.append(0), len(calls))[1])
+    assert [wanted(), wanted()] == [1, 1]
+    failing = threads.begun(lambda: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        failing()
+
+
 def test_on_two_cores_both_run_at_once(monkeypatch):
     monkeypatch.setattr(threads, "cores", lambda: 2)
     met = threading.Barrier(2, timeout=10.0)

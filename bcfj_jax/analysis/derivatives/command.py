@@ -34,6 +34,7 @@ from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.xla.programs import keep_asked
+from bcfj_jax.xla.threads import begun
 
 FILES = (
     "sensitivity.csv", "certificate.json", "tornado.png", "histories.png", *report.FILES, "run.toml", "environment.json",
@@ -65,15 +66,21 @@ class Wanted(NamedTuple):
 
 
 class _Told:
-    """What is written and shown of a result as it grows; ``absurd``: what is not plausible of the run itself."""
+    """What is written and shown of a result as it grows; ``judged`` gives what is not plausible of the run itself."""
 
     def __init__(
-        self, folder: Path, scene: AbstractModel, absurd: Sequence[plausibility.Finding], show: Callable[[str], None]
-    ) -> None:
-        self.folder, self.scene, self.absurd = folder, scene, absurd
-        self.doubts = [plausibility.headline(absurd)] if absurd else []
+        self, folder: Path, scene: AbstractModel, judged: Callable[[], Sequence[plausibility.Finding]],
+        show: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.folder, self.scene, self.judged = folder, scene, judged
         self.growing = Growing(folder / "certificate.json", show)
         self.ends: list[float] = []
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is said before all else, or nothing."""
+        absurd = self.judged()
+        return [plausibility.headline(absurd)] if absurd else []
 
     def write(self, found: Sensitivity, stage: str) -> Tables:
         """The files; tables as they are shown."""
@@ -81,7 +88,7 @@ class _Told:
         if ends != self.ends and found.derivative:
             write_histories(self.folder / "sensitivity.csv", self.scene, found)
             self.ends = ends
-        content = certificate_json(found, self.scene) | {"plausibility": plausibility.content(self.absurd)}
+        content = certificate_json(found, self.scene) | {"plausibility": plausibility.content(self.judged())}
         self.growing.write(stage, content)
         return _tables(found, UNCHECKED if stage == UNCHECKED else "")
 
@@ -90,6 +97,8 @@ class _Told:
         stage = BOUNDED if found.certificate else UNCHECKED if found.derivative else STEADY
         tables = self.write(found, stage)
         self.growing.tell([*self.doubts, *_driven(found), *_texts(tables)], _NEXT[stage].format(said(found)))
+        # Drawing comes last; its import would have kept the first answer waiting.
+        plots.get_ready()
         return stage
 
     def at_last(self, found: Sensitivity) -> tuple[str, Tables]:
@@ -126,10 +135,15 @@ def run(
     resolved, known = {**given.resolved, "sensitivity": options}, outputs.environment(data=given.sources)
     outputs.write_origin(folder, resolved, f"{what}, every default, SI", known)
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    plots.get_ready()
-    told = _Told(folder, given.scene, plausibility.at(given.scene, params, given.times), show)
-    for doubt in told.doubts:
-        say(f"warning: {doubt}")
+    plots.load_fonts()
+
+    def judged() -> list[plausibility.Finding]:
+        absurd = plausibility.at(given.scene, params, given.times)
+        if absurd:
+            say(f"warning: {plausibility.headline(absurd)}")
+        return absurd
+
+    told = _Told(folder, given.scene, begun(judged), show)
 
     def so_far(found: Sensitivity) -> None:
         say(_NOW[told.so_far(found)].format(wanted.budget))
@@ -146,7 +160,7 @@ def run(
     text, tables = told.at_last(found)
     with stage("drawing"):
         drawn = tornado(ranking(found), folder / "tornado.png"), bands(found, folder / "histories.png")
-    report.write(folder, page(f"Sensitivity of {stem}", found, tables, drawn, told.absurd), given.scene.model_form)
+    report.write(folder, page(f"Sensitivity of {stem}", found, tables, drawn, told.judged()), given.scene.model_form)
     keep_asked()
     return f"{text}\n\nresults in {folder}", found.status == "ok"
 

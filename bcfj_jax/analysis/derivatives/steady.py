@@ -35,7 +35,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import BEGIN, START, Onward
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.xla.programs import program
+from bcfj_jax.xla.programs import LONG, program
 
 # Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101
@@ -348,7 +348,7 @@ def prepared(
     (count,) = jax.eval_shape(scene.initial_state, params).shape
     begin = _begin(np.zeros(count), len(wrt), np.asarray(1.0))
     arguments = (dict(params), _sizes(params, wrt), begin, _SHARES, tight)
-    solve, compile_s = program("pitch", _pitch, (scene, wrt), arguments)
+    solve, compile_s = program("pitch", _pitch, (scene, wrt), arguments, LONG)
 
     def solved(sizes: np.ndarray, begin: _Start, tightened: float) -> _Pitch:
         return solve(dict(params), sizes, begin, _SHARES, Plan(tight.tolerance / tightened, max_steps, tight.tangents))

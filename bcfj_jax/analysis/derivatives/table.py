@@ -135,7 +135,7 @@ def drivers(found: Sensitivity) -> list[str]:
     peaks = [name for name in ranked.features if name.endswith(".peak")]
     peaks.sort(key=lambda name: -moved[known[name]])
     sentences = []
-    for name in wanted if len(wanted) <= 3 else (peaks or ranked.features)[:1]:
+    for name in wanted if 0 < len(wanted) <= 3 else (peaks or ranked.features)[:1]:
         row, apart = ranked.elasticity[known[name]], ranked.apart[known[name]]
         size = np.where(np.isfinite(row), np.abs(row), -1.0)
         first, *others = np.argsort(-size, kind="stable")
