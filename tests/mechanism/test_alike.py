@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
-from bcfj_jax.mechanism import alike, rows, scales
+from bcfj_jax.mechanism import alike, dynamics, rows, scales
 
 COEFFICIENTS = {
     "stiffness": 1e6, "exponent": 1.5, "damping": 0.2, "restitution": 0.7, "radius": 2e-3, "smoothing": 1e-5,
@@ -130,6 +130,7 @@ def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction,
     assert list(answers(together)["readings"]) == [c.name for c in together.contacts]
     found = without_levers(answers(together))
     monkeypatch.setattr(alike, "bundled", lambda contacts, members, kind: tuple(contacts))
+    monkeypatch.setattr(dynamics, "_alike", dynamics._alike.__wrapped__)
     monkeypatch.setattr(rows, "rows", lambda bodies, tied: tuple(rows.Row(b.name, (b,)) for b in bodies))
     apart = made(law, friction)
     assert len(apart.bundles) == len(apart.contacts) and len(apart.rows) == len(apart.bodies)
