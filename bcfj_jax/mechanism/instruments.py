@@ -170,7 +170,7 @@ def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
 def power(m: Dynamics, load: AbstractLoad, t: Array, now: Instant, p: Params) -> Number:
     """Power of a load [W]: what it gives to the bodies."""
     if isinstance(load, CoordinateLoad):
-        return reduce(plus, (times(force, v) for _, force, v in m.sprung(load, t, now, p)))
+        return reduce(plus, (jnp.sum(jnp.asarray(times(force, v))) for _, force, v in m.sprung(load, t, now, p)))
     found: Number = 0.0
     for action in load.actions(t, now.bodies, p):
         part = now.bodies.parts[action.body]

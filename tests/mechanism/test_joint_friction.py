@@ -56,6 +56,11 @@ def test_its_power_is_friction_in_the_balance():
     given, taken, _ = flows
     assert not given
     assert float(taken["friction"]) == pytest.approx(TORQUE * SPEED, rel=1e-6)
+    # Of several like wheels it is that of all.
+    body = Body("wheel", "hinge", mass=1.0, inertia=INERTIA, start={"speed": SPEED}, members=3)
+    several = Mechanism("wheels", [body], loads=scene.loads, end=3.0)
+    _, taken, _ = several.flows(0.0, several.initial_state(several.parameters()), several.parameters())
+    assert float(taken["friction"]) == pytest.approx(3 * TORQUE * SPEED, rel=1e-6)
 
 
 def test_the_derivative_of_the_stopping_angle_by_the_torque():

@@ -47,8 +47,8 @@ _SEED = 4
 _LEAST, _VAGUE = 0.1, 0.5
 # Noise, as a share of the derivative, within which the shorter step alone is believed: a joint's two steps are as much apart.
 _CLEAR = 0.05
-# Pitches of steady motion over which central differences are taken: in one, all members together do what each does in a turn.
-_PITCHES = 1
+# Pitches of steady motion over which central differences are taken.
+_PITCHES = 2
 # Share of a parameter that features' runs move it by, and relative difference that is looked into.
 _STEP, _SEEN = 1e-3, 1e-3
 _TOGETHER = "central differences along one random direction of all parameters"
@@ -288,7 +288,7 @@ def certified(
 def _shortened(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Times that differences are taken over, and as many times as there were, so that one program serves both.
 
-    What repeats itself after a pitch is compared until a pitch after the start is forgotten.
+    What repeats itself after a pitch is compared until a few pitches after the start is forgotten.
     """
     scene, times = problem.scene, problem.times
     if not scene.recurs(problem.params):
