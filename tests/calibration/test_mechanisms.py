@@ -147,7 +147,7 @@ def test_noise_is_stated_in_the_readings_own_unit(stated):
 
 
 WRONG = {
-    "body": ("slider.acc", "slidr.acc", ["no contact 'slidr' and no body of that name", "did you mean 'slider'?"]),
+    "body": ("slider.acc", "slidr.acc", ["no contact 'slidr' and no body or load of that name", "did you mean 'slider'?"]),
     "reading": ("acceleration.x", "aceleration.x", ["'slider' has no reading 'aceleration.x'", "did you mean 'acceleration.x'?"]),
     "axis": ("acceleration.x", "acceleration", ["no reading 'acceleration'", "acceleration."]),
     "frame": ('on.x"', 'on.x in rodd"', ["no body 'rodd'", "did you mean 'rod'?"]),

@@ -139,7 +139,6 @@ def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction,
     found = without_levers(answers(together))
     monkeypatch.setattr(dynamics, "_alike", dynamics._alike.__wrapped__)
     monkeypatch.setattr(alike, "bundled", lambda contacts, members, kind: tuple(contacts))
-    monkeypatch.setattr(dynamics, "_alike", dynamics._alike.__wrapped__)
     monkeypatch.setattr(rows, "rows", lambda bodies, tied: tuple(rows.Row(b.name, (b,)) for b in bodies))
     apart = made(law, friction)
     assert len(apart.bundles) == len(apart.contacts) and len(apart.rows) == len(apart.bodies)
