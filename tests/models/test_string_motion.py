@@ -173,7 +173,7 @@ def period(times, speed):
     return float(np.diff(exact).mean())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_joints_bear_what_a_joint_bears_under_the_torque_that_passes():
     scene = bj.scenes.string(n=1, motion="torsional")
     params = scene.parameters(wall_friction=0.0)
