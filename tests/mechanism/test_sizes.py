@@ -117,7 +117,9 @@ def test_moments_of_inertia_obey_the_triangle_inequality():
             with pytest.raises(bj.InputError, match=r"'top' body 'b' inertia: .*no body has such"):
                 verb(scene, scene.parameters(params), [0.0, 1.0])
     assert bj.simulate(scene, scene.parameters({"b.inertia_z": 3.0}), [0.0, 1e-3]).status == "ok"
-    with pytest.raises(bj.InputError, match=r"inertia: 5 numbers .*give one number, three about the body's axes, or six"):
+    with pytest.raises(
+        bj.InputError, match=r"inertia: 5 numbers .*give one number, three about the body's axes, or six"
+    ):
         bj.Body("b", "free", inertia=(1.0, 1.0, 1.0, 0.0, 0.0))
 
 
