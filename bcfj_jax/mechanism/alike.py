@@ -121,18 +121,6 @@ def _ours(part: Any) -> bool:
 
 
 def _together(group: Sequence[Contact]) -> Alike:
-    c = group[0]
-    return Alike(
-        c.name,
-        c.between,
-        c.gap,
-        c.law,
-        c.friction,
-        None,
-        c.smoothing,
-        c.at,
-        c.values,
-        c.approach,
-        c.rolling,
-        tuple(group),
-    )
+    first = {field.name: getattr(group[0], field.name) for field in dataclasses.fields(Contact)}
+    # Its law has the elastic part already.
+    return Alike(**first | {"elastic": None}, each=tuple(group))

@@ -111,21 +111,15 @@ def _check_loads(scene: Dynamics, where: str) -> None:
             if body not in known:
                 raise InputError(f"{where} load '{load.name}'", f"no body '{body}'", nearest(body, known))
         if isinstance(load, CoordinateLoad):
-            joints = [scene.body(name) for name in load.coordinates if name != GROUND]
-            for name, b in zip(load.coordinates, [*joints, None], strict=False):
+            bodies = [None if name == GROUND else scene.body(name) for name in load.coordinates]
+            moves = any(b is not None and b.drive is None for b in bodies)
+            for name, b in zip(load.coordinates, bodies, strict=True):
+                free = 0 if b is None else len(b.rates)
                 # Of two joints one may be driven.
-                free = (
-                    0
-                    if b is None
-                    else 1
-                    if b.drive is not None and any(x.drive is None for x in joints)
-                    else len(b.rates)
-                )
-                if free != 1:
+                if free != 1 and not (moves and b is not None and b.drive is not None):
+                    found = f"'{name}' has {free} free coordinates"
                     remedy = "give a body that slides or hinges freely"
-                    raise InputError(
-                        f"{where} load '{load.name}' body", f"'{name}' has {free} free coordinates", remedy
-                    )
+                    raise InputError(f"{where} load '{load.name}' body", found, remedy)
 
 
 def _check_static(where: str, part: Any) -> None:

@@ -74,7 +74,7 @@ class Dynamics(AbstractModel):
     longest_step: float | None = eqx.field(static=True, default=None)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
     start: str = eqx.field(static=True, default="")
-    apart: bool = eqx.field(static=True, default=False)
+    one_by_one: bool = eqx.field(static=True, default=False)
 
     @cached_property
     def ordered(self) -> tuple[Body, ...]:
@@ -115,7 +115,7 @@ class Dynamics(AbstractModel):
     def rows(self) -> tuple[Row, ...]:
         """The bodies, each after the one that it hangs on, those that are alike as one (``mechanism.rows``)."""
         joints = (load.coordinates for load in self.loads if isinstance(load, CoordinateLoad))
-        tied = {b.name for b in self.bodies} if self.apart else set(chain.from_iterable(joints))
+        tied = {b.name for b in self.bodies} if self.one_by_one else set(chain.from_iterable(joints))
         return rows.rows(self.ordered, tied)
 
     @property

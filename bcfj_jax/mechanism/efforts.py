@@ -55,7 +55,7 @@ class _Wrenches(equations.Equations):
 
 def efforts(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, Effort]:
     """``AbstractModel.efforts``."""
-    m = replace(m, apart=True)
+    m = replace(m, one_by_one=True)
     now = m.instant(t, y, p)
     gathered, count = m.assembled(t, now, p), len(m._free)
     rates = gathered.accelerations(count)

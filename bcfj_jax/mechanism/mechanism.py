@@ -58,7 +58,7 @@ class Mechanism(Dynamics):
         longest_step: of a solver [s]; None: as long as its errors allow.
         start: "static": bodies start where they are at rest, sought from where they are placed (``mechanism.statics``); "":
             as their own starts say.
-        apart: whether bodies that are alike are computed one by one (``mechanism.rows``).
+        one_by_one: whether bodies that are alike are computed one by one (``mechanism.rows``).
         implicit: whether an implicit solver takes it (``mechanism.stiff``); None: as its default values say.
     """
 

@@ -101,7 +101,7 @@ class _Search:
     def __init__(self, m: Dynamics, p: Params) -> None:
         held = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
                 for b in m.bodies]  # fmt: skip
-        self.scene = replace(m, bodies=tuple(held), start="", apart=True)
+        self.scene = replace(m, bodies=tuple(held), start="", one_by_one=True)
         self.placed, self.free = [k for *_, k in m._placed], [k for *_, k in m._free]
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]

@@ -144,3 +144,32 @@ def test_a_start_that_is_none_is_refused():
         Mechanism("bead", [Body("bead", "slide", mass=1.0)], start="rest")
     assert jnp.isnan(Mechanism("bead", [Body("bead", "slide", axis="y", mass=1.0)], loads=[Gravity()], start="static")
                      .initial_state({"bead.mass": jnp.ones(()), "gravity": jnp.asarray(G)})[0])  # fmt: skip
+
+
+@pytest.mark.full
+def test_balls_side_by_side_rest_and_bear_as_each_alone():
+    """Five that are alike are one row of the equations: each presses by its own weight, with six numbers of inertia, rolling."""
+    masses = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+    tilted = (2e-4, 3e-4, 4e-4, 2e-5, 1e-5, -1e-5)
+    balls = [
+        Body(f"ball_{k}", "free", mass=mass, inertia=tilted, start={"z": 0.0205, "x": 0.1 * k})
+        for k, mass in enumerate(masses)
+    ]
+    floors = [
+        Contact(f"floor_{k}", (GROUND, f"ball_{k}"), gaps.SphereOnPlane("z"), "memory_free", rolling=True)
+        for k in range(5)
+    ]
+    given = LAW | {"radius": 0.02, "rolling_length": 1e-4, "drilling_length": 1e-4, "spin_speed": 0.1}
+    pushes = [Force("push", "ball_3", "x", 2.0)]
+    falling = Mechanism("balls", balls, floors, [Gravity("-z"), *pushes], given=given)
+    scene = Mechanism("balls", balls, floors, [Gravity("-z")], given=given, start="static")
+    assert len(scene.rows) == 1
+    y = np.asarray(jax.jit(scene.initial_state)(scene.parameters()))
+    assert 0.02 - y[2:35:7] == pytest.approx((masses * G / 1e9) ** (1.0 / 1.5), rel=1e-8)
+    params = falling.parameters()
+    efforts, moves = jax.jit(lambda y: (falling.efforts(0.0, y, params), falling.motions(0.0, y, params)))(y)
+    assert float(efforts["push"].force[0]) == pytest.approx(2.0)
+    for k, mass in enumerate(masses):
+        assert float(moves[f"ball_{k}"].acceleration[0]) == pytest.approx(2.0 / mass if k == 3 else 0.0, abs=1e-9)
+        # A free joint bears nothing.
+        assert np.abs(np.asarray(efforts[f"ball_{k}"].reaction)).max() < 1e-8 * mass * G
