@@ -121,6 +121,7 @@ def _ours(part: Any) -> bool:
 
 
 def _together(group: Sequence[Contact]) -> Alike:
-    first = {field.name: getattr(group[0], field.name) for field in dataclasses.fields(Contact)}
+    first: dict[str, Any] = {field.name: getattr(group[0], field.name) for field in dataclasses.fields(Contact)}
     # Its law has the elastic part already.
-    return Alike(**first | {"elastic": None}, each=tuple(group))
+    first["elastic"] = None
+    return Alike(**first, each=tuple(group))
