@@ -48,6 +48,7 @@ def closure(scene, times=TIMES, asked=1e-2, looked=True, **given):
 # --- at one instant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joints", "touching", "seed"),
     [
@@ -124,6 +125,7 @@ def test_features_of_the_steps_do_not_depend_on_samples(samples):
     assert balance.of_run(scene, params, run, 1e-4).verdict == balance.CLOSED
 
 
+@pytest.mark.slow
 def test_features_of_the_steps_are_those_of_fine_samples():
     scene = bj.scenes.bounce()
     params = scene.parameters()
@@ -137,6 +139,7 @@ def test_features_of_the_steps_are_those_of_fine_samples():
     assert balance.of_run(scene, params, run, 1e-4).verdict == balance.CLOSED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_signs_and_the_order_of_bodies_change_nothing(way):
     start = {"a.vx": way * SPEED, "b.x": way * (0.02 + GAP)}
@@ -230,6 +233,7 @@ class Deaf(Mechanism):
         return Mechanism(self.kind, self.bodies, self.contacts).vector_field(t, y, prepared)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alone", tiers.ci([True, False], True))
 def test_a_torque_of_rounding_is_no_contradiction(alone):
     """A ball in a circular track, without friction: no force turns it, and what is computed of the torque is rounding."""

@@ -244,7 +244,7 @@ def test_a_kink_at_the_only_output_time_is_caught():
     assert smooth.certificate.verdict == TRUSTED
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_chaotic_bounce_is_called_chaotic():
     scene = bumps()
     found = bj.sensitivity(scene, scene.parameters(), np.linspace(0.0, 8.0, 2001), ("stiffness", "drop_height"))

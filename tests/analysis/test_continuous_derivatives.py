@@ -74,8 +74,9 @@ def test_remembering_laws_in_a_sensitivity(law):
 
 
 # The others, and in reverse: tests/contact/test_remembered_derivatives.py, too, in the slow tier.
-@pytest.mark.parametrize("way", ["ahead", pytest.param("back", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("law", [pytest.param(x, marks=() if x == "exact" else pytest.mark.slow) for x in REMEMBERING])
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["ahead", "back"])
+@pytest.mark.parametrize("law", REMEMBERING)
 def test_a_memory_passes_the_touch(law, way):
     # Without gravity in the contact e does not depend on the speed: v' = e' sqrt(2 g h), so that d ln v'/d ln h = 1/2.
     scene = bj.scenes.bounce(law=law, smoothing=False)

@@ -145,7 +145,7 @@ CASES = {
 }
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1.0, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("case", CASES)
 def test_finite(impact, case, n):

@@ -82,7 +82,7 @@ def test_least_peak_of_a_damped_impact(dashpot, tmp_path, monkeypatch):
     assert found.to_xarray()["dashpot"].attrs["units"] == "N s/m"
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_least_product_of_peak_and_depth(dashpot):
     def product(features):
         return jnp.log(features["contact.peak"]) + jnp.log(features["contact.peak_penetration"])
@@ -96,6 +96,7 @@ def test_least_product_of_peak_and_depth(dashpot):
     assert math.exp(found.after) == pytest.approx(0.5206 * M * V**2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_optimum_on_a_bound_and_its_tolerance(dashpot):
     tolerance = 0.02 * UNIT
     free = {"dashpot": (0.3 * UNIT, 0.45 * UNIT, tolerance)}

@@ -36,7 +36,7 @@ def close(a, b, share):
     return abs(a - b) <= share * abs(a)
 
 
-@pytest.mark.parametrize("tool", tiers.ci(leaving.TOOLS, "mujoco", "exudyn"))
+@pytest.mark.parametrize("tool", tiers.ci(leaving.TOOLS, "exudyn"))
 def test_the_drop_keeps_its_rebound_and_what_is_the_same_is_said(tool, tmp_path):
     found = leaving.export(leaving.source(scene(tmp_path)), tool)
     assert close(found.before.rebound, found.after.rebound, 1e-4)
@@ -55,7 +55,7 @@ OWN = {
 }
 
 
-@pytest.mark.parametrize("tool", OWN)
+@pytest.mark.parametrize("tool", tiers.ci(OWN, "adams"))
 def test_a_law_that_the_tool_has_is_copied(tool, tmp_path):
     law, more, terms = OWN[tool]
     found = leaving.export(leaving.source(scene(tmp_path, law, STEEL + more)), tool)

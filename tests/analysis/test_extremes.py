@@ -165,7 +165,7 @@ def test_a_body_at_rest_within_a_regularisation_has_no_approach_speed(kind, valu
     assert np.hypot(run.rate["contact"][-1], np.sqrt(fallen)) == within(speed, 1e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_small_regularisation_does_not_change_what_a_restitution_delivers():
     scene = scenes.bounce("exact")
     params = scene.parameters(restitution=0.6, stiffness=1e11, smoothing=1e-6, drop_height=1e-2)
@@ -176,7 +176,7 @@ def test_a_small_regularisation_does_not_change_what_a_restitution_delivers():
     assert kept == within(0.6, 1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_rest_within_a_wide_regularisation():
     """Its ups and downs there are no flights: to have learned a new approach speed in them made the law rigid."""
     scene = scenes.bounce("flores")
@@ -199,7 +199,7 @@ def test_a_short_run_ends_where_it_was_asked_to():
     assert alone.status == "ok" and alone.penetration["contact"][0] == 0.0
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_energy_is_not_created_by_many_bounces():
     """Seven hundred without loss gained 13 % at "balanced": what one may add is now shared among them."""
     scene = scenes.bounce("hertz")
@@ -210,7 +210,7 @@ def test_energy_is_not_created_by_many_bounces():
     assert abs(total / total[0] - 1.0).max() < 1e-2
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_derivatives_beyond_all_numbers_are_a_failure():
     """A body that stands where it would fall away stays; its derivative cosh(w t)/w^2 overflows, once "ok"."""
 
@@ -250,7 +250,7 @@ def test_certified_derivatives_of_many_bounces_do_not_grow():
     assert check.verdict == "trusted" and check.growth < 1e3 and np.isnan(check.breakdown)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_far_flights_cost_nothing():
     """Rounding of a place that is far away once counted as a step's error, and no step was short enough for it."""
     scene = scenes.impact("memory_free")

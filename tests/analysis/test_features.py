@@ -235,6 +235,7 @@ def test_residual_oscillation_of_a_sine_on_a_polynomial():
     assert float(found.relative) == pytest.approx(float(found.rms) / np.mean(np.abs(course(times))), rel=1e-3)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), noise=st.floats(0.0, 200.0))
 def test_noise_adds_to_the_oscillation_no_more_than_itself(seed, noise):
     """The residual is a projection: |rms(F + e) - rms(F)| <= rms(e), and 10 of 641 degrees are the course's."""

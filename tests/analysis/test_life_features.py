@@ -197,6 +197,7 @@ def test_pressure_of_hookes_pins(length):
     assert np.allclose(read, right.unit_pressure, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_string_reads_the_materials_of_its_joints():
     string = life.with_materials(bj.scenes.string(n=2, fidelity="kinematic"), {"seat_ball": {"load_rating": 20e3}})
     joint = bj.scenes.joint(fidelity="kinematic")

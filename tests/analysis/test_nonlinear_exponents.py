@@ -91,7 +91,7 @@ def test_standard_error_is_that_of_independent_batches():
     assert abs(found.value) < 4 * found.standard_error
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_body_at_rest_on_its_surface_has_its_dampings_exponent():
     """m z'' = m g - K d^n (1 + a d'), K d0^n = m g: linearised z'' + a g z' + w^2 z = 0, exponent -a g/2."""
     scene = scenes.bounce(smoothing=False)

@@ -88,7 +88,7 @@ def test_bounces_decay_by_newtons_restitution_and_accumulate_at_zenos_time(e):
     assert found.times + 2.0 * found.speeds * e / GRAVITY / (1.0 - e) == pytest.approx(zeno, rel=5e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_bouncing_has_one_fixed_point_whatever_the_restitution():
     """Period 1 and no bifurcation: an unforced bouncing ball comes to rest (Guckenheimer and Holmes 1983, 2.4)."""
     scene = scenes.bounce("exact", smoothing=False)

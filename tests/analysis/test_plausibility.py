@@ -88,6 +88,7 @@ def test_without_sizes_a_depth_is_judged_by_the_mass(scale, stiffness, sound):
         assert said[0].most == pytest.approx(edge) and "cube of" in plausibility.headline(said)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_a_scene_is_sound():
     assert not found((bj.scenes.impact(), bj.scenes.impact().parameters()))
     for kind in ("oblique_impact", "slider_crank"):
@@ -141,7 +142,7 @@ def test_simulate_says_it_first(folder):
     assert page["verdict"]["word"] == "Not plausible" and page["verdict"]["kind"] == "bad"
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", tiers.ci(["sensitivity", "study", "design"], "study"))
 def test_every_verb_says_it_first(verb, folder):
     scene, out = str(folder / "ball.toml"), str(folder / verb)
@@ -162,6 +163,7 @@ def test_every_verb_says_it_first(verb, folder):
     assert page["verdict"]["word"] == "Not plausible"
 
 
+@pytest.mark.slow
 def test_a_run_that_failed_stays_failed(folder):
     done = run("simulate", str(folder / "ball.toml"), "--set", "accuracy.max_steps=5", "--out", str(folder / "failed"))
     assert done.exit_code == 3, done.stdout + done.stderr

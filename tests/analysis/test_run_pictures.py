@@ -117,7 +117,7 @@ def test_the_verdict_names_the_highest_force_and_its_error():
 # Clearance circles: how far a centre is from the middle is the clearance and the penetration.
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_pin_of_the_slider_crank_is_where_its_penetration_says():
     scene = bj.scenes.slider_crank()
     params = scene.parameters()

@@ -38,7 +38,7 @@ def elasticity(found, values, name):
     return {p: float(values[p]) * found.feature_derivatives[p][name] / found.features[name] for p in found.wrt}
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("n", tiers.ci([1.5, 2.2], 2.2))
 def test_undamped_scaling_laws(n):
     values = {**AT, "stiffness": 1e10 * 1e-5 ** (1.5 - n), "exponent": n}
@@ -302,7 +302,7 @@ def test_command_line_without_a_certificate(here):
     assert list(content["features"]) == ["contact.peak"]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_command_line_refuses_and_fails(here):
     done = bcfj("impact", "--wrt", "stifness", "--out", "out")
     assert done.exit_code == 2

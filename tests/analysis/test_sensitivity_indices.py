@@ -138,7 +138,7 @@ def test_sobol_indices_of_the_impacts_peak_are_those_of_a_product_of_powers(here
     np.testing.assert_array_equal(again.values["S1_conf"], found.values["S1_conf"])
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_elementary_effects_of_the_impacts_peak_are_in_order(here):
     result = bj.study(tomllib.loads(IMPACT + '[design]\nkind = "morris"\ntrajectories = 512'), here / "out", workers=1)
     found = sensitivity.indices(result, "contact.peak")

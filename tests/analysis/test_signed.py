@@ -148,7 +148,7 @@ def test_a_slot_across_the_stroke_is_said():
     assert plausibility.at(scene, params, np.linspace(0.0, 0.02, 101))[0].cause == found.cause
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_integrals_of_a_reading_keep_its_sign():
     """A body that falls: the mean of its velocity is -g t/2, by gravity -t/2, whatever contacts are of the size of."""
     body = bj.Body("b", "slide", axis="y", mass=1.0, start={"position": 1.0})

@@ -161,7 +161,7 @@ def test_another_study_is_refused_in_the_same_folder(done):
     assert digest(Path("out/results.parquet")) == before
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_blocks_from_elsewhere_are_merged(done):
     files = sorted(Path("out/blocks").glob("*.parquet"))
     before = digest(Path("out/results.parquet"))
@@ -240,7 +240,7 @@ def test_a_point_that_no_joint_has_is_a_row_with_its_reason(here):
     assert "moves a ball out of its window" in result.column("reason")[1]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_histories_are_kept_and_guarded(here):
     zarr = pytest.importorskip("zarr")
     table = {

@@ -49,6 +49,7 @@ def test_blocks_follow_from_the_device(accelerator):
     assert 64 < tangents.size <= large <= 16_384
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("derivatives", tiers.ci([[], ["stiffness"]], []))
 def test_one_large_block_gives_what_small_ones_give(tmp_path: Path, accelerator, derivatives: list[str]):
     table = {**IMPACT, "results": {**IMPACT["results"], "derivatives": derivatives}}
@@ -67,6 +68,7 @@ def test_one_large_block_gives_what_small_ones_give(tmp_path: Path, accelerator,
     assert said["block_size"] == 10 and said["device"]["devices"]
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_in_blocks_of_the_size_it_was_begun_with(tmp_path: Path, accelerator):
     begun = api.prepare(from_table(IMPACT), tmp_path / "out")
     accelerator.setattr(backend, "on_cpu", lambda: True)

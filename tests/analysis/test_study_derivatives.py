@@ -54,6 +54,7 @@ def done(tmp_path_factory):
     return bj.study(impacts(), folder, workers=1), folder
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_study_are_those_of_the_closed_form(done):
     result, _ = done
     assert result.failed == 0 and result.table.num_rows == 8

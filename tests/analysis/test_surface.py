@@ -170,6 +170,7 @@ def misses(found: surface.Surface) -> float:
     return float(jnp.sqrt(jnp.mean((found.predict(test.values)[0] - test.columns[PEAK]) ** 2)))
 
 
+@pytest.mark.slow
 def test_of_a_study_that_ran(here):
     Path("study.toml").write_text(IMPACT + '[design]\nkind = "latin_hypercube"\npoints = 32')
     found = surface.fit(bj.study("study.toml", here / "out", workers=1), PEAK)

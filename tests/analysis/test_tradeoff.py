@@ -115,6 +115,7 @@ def off(table, times, force):
     )
 
 
+@pytest.mark.slow
 def test_files_and_columns(done):
     assert {path.name for path in done.out.iterdir()} == {*command.FILES, "journal.jsonl", "reference.npz"}
     assert list(done.rows[0])[: len(FIRST)] == FIRST

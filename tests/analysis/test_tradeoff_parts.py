@@ -176,7 +176,7 @@ def test_32_bit_numbers_are_measured_in_a_process_of_their_own():
         assert isinstance(error, RuntimeError) and str(error).startswith("32-bit numbers: ") and said in str(error)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_solvers_by_name():
     scene = bj.scenes.impact()
     with pytest.raises(bj.InputError, match="did you mean 'bosh3'"):

@@ -52,7 +52,7 @@ def at(free, values, times=TIMES):
     return made, built, built.point(np.array([values[name] for name in order])), tuple(order)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_directions_that_trade_are_named_with_what_separates_them():
     """A force history tells v sqrt(K m) and K/m: of stiffness, mass and speed one combination stays free."""
     free = (Free("stiffness", 1e4, 1e6), Free("mass", 0.01, 1.0), Free("approach_speed", 0.1, 10.0))
@@ -119,7 +119,7 @@ def test_a_clearance_must_be_seen_crossed(last, gap, passed, words):
         assert "shorter than a contact" in whole_contact_test(built, seen, False)[0].reason
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", tiers.ci([0.3e-3, 1.2e-3], 1.2e-3))
 def test_how_well_a_clearance_is_known_does_not_depend_on_how_large_it_comes_out(gap):
     """Else the verdict would pick large estimates, and intervals of those it picked would miss the truth."""

@@ -61,6 +61,7 @@ def test_a_bound_on_a_linear_scale_is_held_too(elastic):
     np.testing.assert_allclose(told(found, ("stiffness",)), told(stated, ("stiffness",)), rtol=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_what_nothing_tells_apart_is_given_with_one_of_them_held(elastic):
     """Of noise that is more than half the peak: no empty table."""

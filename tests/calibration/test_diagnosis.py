@@ -60,6 +60,7 @@ def fitted(force: np.ndarray, change=lambda f: f, seed: int = 0) -> tuple[Proble
     return problem, fit(problem, starts=4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", tiers.ci(["hum", "resonance"], "resonance"))
 def test_what_was_planted_is_named(force, kind):
     problem, plain = fitted(force, PLANTED[kind])

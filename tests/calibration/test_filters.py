@@ -146,12 +146,17 @@ def test_a_record_that_no_filter_touched_stays_identified_with_intervals_that_al
         assert "filter" in found.parameters[name].intervals and "filter" not in sure.parameters[name].intervals
 
 
+PASSED = {
+    "back and forth": Filter("butterworth", 3, True), "bessel": Filter("bessel", 2), "butterworth": Filter("butterworth", 6),
+}  # fmt: skip
+
+
 @pytest.mark.full
-@pytest.mark.parametrize("passed", [Filter("butterworth", 3, True), Filter("bessel", 2), Filter("butterworth", 6)])
+@pytest.mark.parametrize("passed", tiers.ci(PASSED, "butterworth"))
 @pytest.mark.parametrize("share", tiers.ci([1.5, 4.0], 4.0))
 def test_a_filter_that_nobody_stated_is_never_taken_for_the_law(tmp_path, passed, share):
     duration = float(np.ptp(np.flatnonzero(force(1e-5 * np.arange(4000)))) * 1e-5)
-    found = fit(written(tmp_path, "", passed, share / (2.0 * duration)))
+    found = fit(written(tmp_path, "", PASSED[passed], share / (2.0 * duration)))
     if found.verdict in ("identified", "adequate"):
         assert held(found)
     else:
@@ -160,7 +165,7 @@ def test_a_filter_that_nobody_stated_is_never_taken_for_the_law(tmp_path, passed
         assert any("low-pass of order" in reason and "state the low-pass" in reason for reason in found.reasons)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("known", tiers.ci([True, False], True))
 def test_a_stated_filter_is_part_of_the_model_with_its_cutoff_given_or_free(tmp_path, known):
     cutoff = ', cutoff = "300 Hz"' if known else ""

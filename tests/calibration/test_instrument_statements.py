@@ -101,6 +101,7 @@ def width(found: Fit) -> float:
     return float(np.log(ends[1] / ends[0]))
 
 
+@pytest.mark.slow
 def test_a_fit_says_what_is_stated_and_what_it_costs():
     """A gain known to 1 and to 0.1 %; the force at the reference depth moves by it as by any gain, and by nothing else."""
     loose, tight = (fit(problem(gain=said), starts=4) for said in ("1 % of reading", "0.1 % of reading"))

@@ -75,6 +75,7 @@ def test_the_record_loses_as_a_power_of_the_speed():
     np.testing.assert_allclose(powers, 0.2, atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "power"), tiers.ci([("memory_free", 0.2), ("memory_free", 2.0), ("exact", 1.0)], ("memory_free", 2.0))
 )
@@ -129,6 +130,7 @@ def test_a_sensor_that_errs_at_several_speeds_is_no_loss(kind, speeds):
     assert found is not None and found.named == [kind], found.found
 
 
+@pytest.mark.slow
 def test_jitter_stays_jitter():
     """The same runs with the law's own loss, read by a clock that errs by 4 us."""
     problem, plain = calibrated("memory_free", 0.1, 1.0, noise=1e-3, jitter=4e-6)
@@ -138,6 +140,7 @@ def test_jitter_stays_jitter():
     assert found.agreed is None
 
 
+@pytest.mark.slow
 def test_the_laws_own_loss_names_none():
     problem, plain = calibrated("memory_free", 0.1, 1.0)
     found = rank(problem, plain)

@@ -115,7 +115,7 @@ def test_a_parameter_of_its_own_is_unknown_in_a_candidate_too():
     assert informed.information == pytest.approx(0.5 * np.log(np.linalg.det(before) / np.linalg.det(after)), rel=1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_what_cannot_be_ranked_is_said():
     for broken, said in (
         (Candidate("a", at_peak(1.0), {"contact.normal": 1.0}, {"aproach_speed": 2.0}), "approach_speed"),

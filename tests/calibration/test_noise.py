@@ -66,7 +66,7 @@ def solved(*channels: Channel, loss: str = "linear"):
 SHARED = (Free("mass", 0.05, 0.2),)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_one_estimated_deviation_is_cost_over_degrees_of_freedom(force):
     readings = force + 3.0 * np.random.default_rng(0).standard_normal(COUNT)
     _, end, found, spread = solved(Channel("contact.normal", readings, None))

@@ -93,7 +93,7 @@ def seen(**features: float) -> tuple[Observation, ...]:
     return tuple(Observation(f"contact.{name}", value, 0.01 * value) for name, value in features.items())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_features_are_those_of_the_closed_form():
     """A ball that bounces without loss: speed sqrt(2 g h), period of flight and contact, impulse 2 m v a contact."""
     speed = np.sqrt(2 * GRAVITY * DROP)

@@ -43,8 +43,8 @@ def problem(change: Change, size: float) -> Problem:
     return Problem(SCENE, params, (Experiment("drop", TIMES, (channel,)),), free)
 
 
-@pytest.mark.parametrize("size", [0.3, 1.0])
-@pytest.mark.parametrize("change", tiers.ci([_jump, _sticks, _rings, _skips], _sticks, _rings))
+@pytest.mark.parametrize("size", tiers.ci([0.3, 1.0], 1.0))
+@pytest.mark.parametrize("change", tiers.ci([_jump, _sticks, _rings, _skips], _sticks))
 def test_what_no_prior_knows_is_a_shape_that_is_missed(change, size):
     """A zero that jumps, a sensor that sticks, one that rings nine times, a clock that skips: 15 to 100 deviations."""
     found = fit(problem(change, size), starts=4)

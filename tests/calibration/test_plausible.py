@@ -126,6 +126,7 @@ def test_records_of_clearly_different_noise_have_deviations_of_their_own():
     assert ratios([quiet, loud + 1e3 * np.sin(np.arange(400) / 30.0)]).tolist() == [1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_two_free_bodies_are_one_of_their_effective_mass_and_keep_their_momentum():
     params = TRUTH | {"mass": 0.4, "struck_mass": 1.7, "approach_speed": 0.8}
     times = np.linspace(0.0, 0.02, 401)
@@ -231,7 +232,7 @@ def test_hits_of_several_speeds_by_the_mass_of_the_block_say_what_holds_on_which
     assert "if each record has a speed of its own" in text(found) and "approach_speed[hit 2]" in text(found)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_mass_that_impulse_and_speed_contradict_is_what_they_imply_on_condition(tmp_path):
     problem = hits(tmp_path, (1.5,), 'mass = "3.5 kg", approach_speed = "1.5 m/s"', "")
     (doubt,) = problem.doubts

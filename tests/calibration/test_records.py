@@ -210,6 +210,7 @@ def test_five_samples_a_contact_are_fitted(runs, tmp_path, monkeypatch):
         holds(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("observe", "known", "free", "words"),
     [

@@ -87,6 +87,7 @@ def test_derivatives_by_numbers_of_sensor_and_record_are_those_of_differences():
         np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-5 * np.abs(slope).max() + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_known_sensor_is_part_of_the_prediction():
     """Beside SciPy's at a hundred times the resolution."""
     problem = two_runs(resonance=3e3, resonance_damping=0.1)

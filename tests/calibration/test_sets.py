@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+import tiers
 
 from calibration.uncertainty import sets
 from calibration.uncertainty.sets import ACTS, QUANTILE, SCALES, Error, Linear, mixture
@@ -123,7 +124,7 @@ def test_noise_with_a_memory_widens():
     assert mixture(world.at(white)._replace(series=series), []).variance == mixture(world.at(white), []).variance
 
 
-@pytest.mark.parametrize("noise", [1.0, 3.0])
+@pytest.mark.parametrize("noise", tiers.ci([1.0, 3.0], 3.0))
 def test_intervals_cover_worlds_with_none_one_and_two_errors(noise):
     """Twelve errors, of which few act with sizes of their own; 95 % within what 200 worlds tell."""
     rng, held = np.random.default_rng(6), []

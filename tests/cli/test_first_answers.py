@@ -139,6 +139,7 @@ derivatives = ["exponent"]
 """
 
 
+@pytest.mark.slow
 def test_a_study_shows_its_first_block_first(tmp_path, monkeypatch):
     file, out = tmp_path / "study.toml", tmp_path / "out"
     file.write_text(STUDY)

@@ -174,7 +174,7 @@ def test_lugre_takes_a_batch():
         assert all(np.allclose(many[row], one, rtol=1e-13, atol=0.0) for many, one in pairs)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_bristle_has_its_derivative_through_a_touch():
     """It begins to bend in the last micrometre of the gap, where an explicit step ends: at every accuracy it is right."""
     start = {"y": "height", "vx": 0.5, "vy": -0.5, "speed": 10.0}

@@ -202,7 +202,7 @@ def test_thornton_delivers_its_closed_form():
         assert force[-1] == 0.0 and rebound(force, times, values) == pytest.approx(e, abs=1e-4), x
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_regularisation_changes_nothing_of_the_restitution():
     times = np.linspace(0.0, 9e-5, SAMPLES)
     for law, values in (("walton_braun", LINEAR | {"restitution": 0.6}), ("thornton", REFERENCES["thornton"][1])):
@@ -222,7 +222,7 @@ def pressed_twice(t, p):
     return 1e-6 * jnp.interp(1e3 * t, jnp.array(knots), jnp.array([-5.0, 20.0, 15.0, 30.0, -10.0, 10.0]))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_surface_reloads_along_its_unloading_line_and_forgets_apart():
     c = {"stiffness": 4e7, "restitution": 0.6, "smoothing": 0.0}
     contact = Contact("pad", ("ground", "die"), gaps.PointOnPlane("-x"), "walton_braun")
@@ -245,6 +245,7 @@ def test_a_surface_reloads_along_its_unloading_line_and_forgets_apart():
     assert np.abs(found - expected)[again].max() < 2e-3 * expected.max()
 
 
+@pytest.mark.slow
 def test_every_bounce_has_the_restitution():
     scene = scenes.bounce("walton_braun")
     params = scene.parameters(restitution=0.8, drop_height=0.02, smoothing=0.0)
@@ -263,7 +264,7 @@ def test_every_bounce_has_the_restitution():
 # --- derivatives
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "names"),
     [

@@ -177,6 +177,7 @@ def test_bad_input_exits_2_and_writes_nothing(text, parts, here):
         assert sorted(here.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_unresolved_contacts_are_warned_of(here):
     Path("coarse.toml").write_text('[scene]\nkind = "bounce"\n[time]\nsamples = 1001\n')
     done = bcfj("simulate", "coarse.toml", "--out", "out")
@@ -237,7 +238,7 @@ def test_compile_cache_is_per_user_unless_set(variable, here, monkeypatch):
     assert found is None if wanted is None else Path(found).parents[1] == Path(wanted)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_as_a_process(here):
     root = str(Path(__file__).parents[2])
     command = [sys.executable, "-W", "error", "-m", "bcfj_jax"]

@@ -105,6 +105,7 @@ def code_lines(text: str) -> int:
     return sum(1 for line in text.splitlines() if line.strip())
 
 
+@pytest.mark.slow
 def test_a_slider_crank_in_25_lines_of_python_and_the_same_in_toml_give_the_same_forces():
     assert code_lines(PYTHON) <= 25
     mine = runpy.run_path(str(written(PYTHON, "mine.py")))

@@ -221,7 +221,7 @@ def test_numbers_have_three_digits_and_one_unit():
 # Folders of runs.
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_report_of_a_run_is_made_again_from_its_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BCFJ_CACHE", str(BUILD / "jax-cache"))

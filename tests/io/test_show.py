@@ -41,6 +41,7 @@ FIRST = {
 pytestmark = pytest.mark.full
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIRST)
 def test_a_result_is_told_in_a_few_lines(shown, kind):
     brief(shown[kind], FIRST[kind])
@@ -53,11 +54,13 @@ def test_a_failed_run_says_when_and_why():
     assert len(found.to_pandas()) == len(TIMES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FIRST)
 def test_figures_open_no_window_and_write_no_file(shown, kind, tmp_path, monkeypatch):
     drawn(shown[kind], tmp_path, monkeypatch)
 
 
+@pytest.mark.slow
 def test_tables_hold_the_numbers(shown):
     run, table = shown["run"], shown["run"].to_pandas()
     np.testing.assert_array_equal(table["contact.normal [N]"], run.force["contact"][:, 0])

@@ -96,7 +96,7 @@ SHOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", tiers.ci(SHOWN, "yoke", "slider_crank", "chain", "oblique_impact", "impact"))
+@pytest.mark.parametrize("name", tiers.ci(SHOWN, "chain", "impact"))
 def test_pictures_show_the_tables_numbers(name):
     """Every arrow is as long as the force of its sample in forces.csv, and points as its readings in the world's axes."""
     scene = SHOWN[name]()
@@ -185,6 +185,7 @@ def test_the_ideal_mechanism_has_no_play(crank):
     assert of.exaggeration in fragment.steps(of.most) and of.exaggeration > 1.0
 
 
+@pytest.mark.slow
 def test_play_that_is_seen_is_not_exaggerated():
     scene = bj.scenes.bounce()
     run = bj.simulate(scene, scene.parameters(), np.linspace(0.0, 0.3, 301))

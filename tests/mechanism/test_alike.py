@@ -123,11 +123,8 @@ def without_levers(found: dict) -> dict:
     return found | {"expected": found["expected"]._replace(levers=[])}
 
 
-# Every machine, both laws and each friction once in CI's tier.
-MACHINES = tiers.ci(
-    itertools.product([tossed, row, heap], LAWS, FRICTIONS),
-    (tossed, "flores", "lugre"), (row, "memory_free", "brown_mcphee"), (heap, "memory_free", None),
-)  # fmt: skip
+# In CI's tier the row, whose contacts and bodies are both side by side.
+MACHINES = tiers.ci(itertools.product([tossed, row, heap], LAWS, FRICTIONS), (row, "memory_free", "brown_mcphee"))
 
 
 @pytest.mark.parametrize(("made", "law", "friction"), MACHINES)

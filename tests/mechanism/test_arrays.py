@@ -122,7 +122,7 @@ def test_a_part_with_arrays_runs_as_one_with_numbers(whole):
     np.testing.assert_allclose(found.force["pad"], expected.force["pad"], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", tiers.ci(["auto", "reverse"], "auto"))
 def test_gradients_of_modules_are_those_of_differences(whole, mode):
     scene, modules = whole

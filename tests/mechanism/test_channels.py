@@ -31,6 +31,7 @@ def run():
     return found
 
 
+@pytest.mark.slow
 def test_the_journal_pushes_the_slider(run):
     """Newton's third law: the force that is read acts on the rod."""
     force, gain = run.readings["journal.force.x"], run.readings["slider.acceleration.x"]
@@ -89,7 +90,7 @@ def gain(values, mode="forward"):
     return reading_history(scene, given, times, (read,), accuracy=1e-9, mode=mode)[read]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_readings_are_differentiable():
     """Derivative of the slider's acceleration by its mass and by the stiffness against central differences."""
     at = jnp.stack([scenes.slider_crank().parameters()[name] for name in WRT])

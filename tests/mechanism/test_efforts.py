@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from mechanisms import mechanism
 
 import bcfj_jax as bj
@@ -41,7 +42,7 @@ def test_a_pendulums_pin():
     np.testing.assert_allclose(r["gravity.power"], -M * G * r["bar.velocity.y"], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", tiers.ci(range(3), 2))
 def test_random_trees_balance(seed):
     """Of every body and all that hangs on it: what its joint and the loads bring is the rate of both momenta."""
     rng = np.random.default_rng(seed)
@@ -174,7 +175,7 @@ def test_springs_and_bushes_by_their_formulas_and_their_derivatives():
     np.testing.assert_allclose(slope, near, atol=2e-5 * np.abs(near).max())
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_reactions_are_features_with_derivatives():
     """A pendulum's motion does not depend on its mass where that is all at a point: its forces are proportional to it."""
     point = Body("bar", "hinge", center=(L, 0, 0), mass=M, inertia=1e-12, start={"angle": -0.2, "speed": 1.5})

@@ -62,6 +62,7 @@ def test_a_contacts_own_name_overrides_what_is_there():
     assert not np.allclose(own, usual, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_traced_values_pass(usual):
     def peak(mass):
         return bj.force_history(SCENE, {**PARAMS, "mass": mass}, TIMES)["contact"][:, 0].max()
@@ -178,6 +179,7 @@ OUT_OF_RANGE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tiers.ci(OUT_OF_RANGE, "clearance_contact"))
 def test_traced_parameters_out_of_range_make_all_of_a_run_nan(name):
     """No value, no reading and no derivative is a plausible number, and the lanes beside it do not know of it."""

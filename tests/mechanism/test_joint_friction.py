@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+import tiers
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Mechanism
@@ -18,7 +19,7 @@ def wheel(friction="coulomb", **more):
     return Mechanism("wheel", [body], loads=[brake], end=3.0)
 
 
-@pytest.mark.parametrize("friction", ["coulomb", "step", "brown_mcphee"])
+@pytest.mark.parametrize("friction", tiers.ci(["coulomb", "step", "brown_mcphee"], "coulomb"))
 def test_a_wheel_stops_after_j_w_over_t(friction):
     scene, times = wheel(friction), np.linspace(0.0, 3.0, 61)
     run = bj.simulate(scene, scene.parameters(), times, read=["wheel.speed", "wheel.angle"])

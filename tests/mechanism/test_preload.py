@@ -38,7 +38,7 @@ def test_an_interference_fit():
                   given={**LINEAR, "radius": 0.01}).parameters({"pin_1.clearance": -1e-6})  # fmt: skip
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_pressed_pin_rings_at_twice_the_stiffness():
     """Struck with v it swings by v/w sin w t, w^2 = 2k/m, while v/w is below the interference."""
     pin = Body("pin", "slide", axis="x", mass=0.1, start={"velocity": 0.02})

@@ -152,7 +152,7 @@ def test_a_coefficient_that_only_a_contact_has_is_named():
         bj.sensitivity(scene, scene.parameters(), np.linspace(0.0, 0.01, 11), ["restitution"])
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_block_held_by_bristles_is_stuck_up_to_break_away():
     """Pushed by a share of its static friction; beyond all of it, it slides."""
     block = bj.Body("block", "particle", mass=1.0, start={"y": -9.81e-6})

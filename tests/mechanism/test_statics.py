@@ -23,7 +23,7 @@ def ball(height=0.03, **more):
     return Mechanism("ball", [body], [floor], [Gravity("-z")], given=LAW | {"radius": 0.02}, start="static", end=1e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_ball_rests_on_a_compliant_plane():
     """k d^n = m g from 10 mm above; the derivatives of d, and the place along the floor, which is what it was."""
     scene = ball()
@@ -42,7 +42,7 @@ def test_a_ball_rests_on_a_compliant_plane():
     assert float(slope["ball.z"][2]) == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_run_from_rest_stays_there():
     scene = ball()
     run = bj.simulate(scene, scene.parameters(), np.linspace(0.0, 1e-2, 21), read=["ball.velocity.z"])
@@ -92,7 +92,7 @@ def test_a_pendulum_between_spring_and_weight_with_derivatives():
     assert float(jax.jit(jax.jacfwd(jax.grad(place)))(15.0)) == pytest.approx(second, rel=1e-5)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_runs_derivatives_go_through_its_start():
     """d(reaction)/dk over a run that begins at rest and is then pushed, by JAX against central differences."""
     bar = Body("bar", "hinge", center=(0.4, 0, 0), mass=2.0, inertia=0.01)

@@ -50,7 +50,8 @@ def machines(ci=range(6)):
 
 
 # Exchange concerns each gap's lever arms; a mirror and a turn, what all of them share: one machine in the plane, one in space.
-EVERY, SOME = machines(), machines((0, 5))
+# Machine 3 takes ten seconds to compile.
+EVERY, SOME = machines((0, 1, 2, 4, 5)), machines((0, 5))
 TOLERANCE = 1e-11
 
 
@@ -275,6 +276,7 @@ def _axis(scene, moved, body):
 # --- a closed form, and runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pin_on_wheel", [True, False])
 def test_a_wheel_that_turns_on_its_pin_is_braked_alike_whoever_holds_the_pin(pin_on_wheel):
     """It climbs by the angle of friction q, tan q = mu, where its weight W is borne; the torque is -W r sin q.

@@ -38,6 +38,7 @@ def seen(scene, params, run):
     return np.stack([second.place[:, 0] - first.place[:, 0], second.velocity[:, 0] - first.velocity[:, 0]], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 @pytest.mark.parametrize(
     "scene",

@@ -56,7 +56,7 @@ def test_forces_of_a_lossy_row_are_those_of_the_reference():
     assert np.abs(found - forces).max() < 1e-5 * forces.max()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_law_stated_by_restitution_has_the_first_speed():
     scene = scenes.chain(2, law="exact")
     params = scene.parameters(restitution=0.7)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from by_numpy import by_numpy
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
@@ -144,7 +145,7 @@ def check_accelerations(joints, seed):
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("joints", "touching", "seed"),
-    [(["free", "free"], sorted(GAPS)[:5], 4), (["hinge", "planar", "sphere"], sorted(GAPS)[5:], 5)],
+    [(["free", "free"], sorted(GAPS)[:5], 4), tiers.slow((["hinge", "planar", "sphere"], sorted(GAPS)[5:], 5))],
 )
 def test_power_is_balanced(joints, touching, seed):
     check_power(joints, touching, seed)

@@ -100,7 +100,7 @@ def test_forces_are_those_of_the_reference(name, friction, asked):
         assert turning == pytest.approx(ends[3], abs=asked * made.speed / made.radius)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_friction_takes_what_the_reference_loses():
     made = dataclasses.replace(KHARAZ, friction="brown_mcphee", friction_speed=0.01)
     scene, params, run = struck(True, made, 1e-4)
@@ -122,6 +122,7 @@ def test_every_friction_law_runs(friction):
     assert (turning == 0.0) == (friction is False)
 
 
+@pytest.mark.slow
 def test_measured_restitution_where_the_sphere_slides():
     # Kharaz's three points above 32.5 degrees; nothing is fitted.
     sliding = [row for row in reference.KHARAZ["restitution"] if row[0] > math.degrees(reference.rolling_angle(KHARAZ))]

@@ -129,7 +129,7 @@ STICKY = {
 }  # fmt: skip
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_stick_slip_of_one_lump_is_scipys():
     from scipy.integrate import solve_ivp
 

@@ -115,7 +115,9 @@ def test_every_function_that_takes_whole_numbers_is_called():
     assert len(TAKING) > 15
 
 
-COSTLY = {"calibration.fit", "design", "contact_events", "hessian_vector", "sensitivity"}
+COSTLY = {
+    "calibration.fit", "design", "contact_events", "hessian_vector", "sensitivity", "smoothing_ladder", "study",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", tiers.ci(CALLS, *(CALLS.keys() - COSTLY)))

@@ -79,7 +79,7 @@ def test_reverse_is_forward_along_the_same_steps(segment, controlled, tolerance)
     assert np.max(np.abs(reverse - forward)) < 1e-10 * np.max(np.abs(forward))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_segments_that_are_solved_again():
     whole, forward, _ = run(4096, 1, 1e-8, 100_000, COTANGENTS)
     found, _, reverse = run(50, 1, 1e-8, 100_000, COTANGENTS)

@@ -48,7 +48,7 @@ def test_gradients_among_devices_and_exported(mode, way):
     np.testing.assert_allclose(found, slope_of_one(mode), rtol=1e-12)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", tiers.ci(["auto", "forward"], "forward"))
 def test_hessians_are_differences_of_gradients(mode):
     x, step = jnp.array([0.5, 0.1]), 1e-4

@@ -187,12 +187,10 @@ def ends(solver):
     return run
 
 
-SOLVERS = ["tsit5", pytest.param("rodas3", marks=pytest.mark.full)] + [
-    pytest.param(name, marks=pytest.mark.slow) for name in ("dopri5", "dopri8", "bosh3", "kvaerno5", "sdirk2", "bdf")
-]
+SOLVERS = ["tsit5", "dopri5", "dopri8", "bosh3", "rodas3", "kvaerno5", "sdirk2", "bdf"]
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", tiers.ci(SOLVERS, "tsit5"))
 @given(far=st.floats(1.5, 1000.0), aim=st.floats(-2.5, 2.5), speed=st.floats(-1.0, 1.0))
 def test_balls_that_meet_exchange_what_momentum_and_energy_say(solver, far, aim, speed):
     a, b, reach = 0.1, 0.3, 0.03
@@ -214,6 +212,7 @@ def test_balls_that_meet_exchange_what_momentum_and_energy_say(solver, far, aim,
     assert u == pytest.approx(expected, rel=0.01 + turned, abs=(0.01 + turned) * vx)
 
 
+@pytest.mark.slow
 def test_one_program_of_a_queue_misses_none():
     base = BALLS.parameters(ax=-1.0, vx=1.0)
     far = np.array([0.05, 0.3, 1.0, 3.0, 10.0, 0.5, 0.06, 7.0])
@@ -275,7 +274,7 @@ def test_a_pulse_of_a_function_gives_its_momentum(where, middle, size):
     assert run.readings["block.velocity.x"][-1] == within(10.0 * width / 2.0, 2e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", tiers.ci(["rodas3", "bdf"], "bdf"))
 def test_functions_go_through_implicit_solvers(solver):
     known = [(bj.Quantity(name, "s", name), 0.0) for name in ("middle", "width")]
@@ -304,6 +303,7 @@ def test_parts_say_where_they_bend():
     assert Drive("constant", speed=1.0).kinks("hand", cast(Any, p)) == []
 
 
+@pytest.mark.slow
 def test_unloading_is_seen_where_every_body_is_driven():
     """Walton and Braun's loop of a press, e = 0.7: it holds (1 - e^2) of the work of loading, 16 mJ."""
     press = Drive("table", table=((0, 0.5, 1, 1.5, 2), (0, 0.00025, 0.0005, 0.00025, 0)))
@@ -325,6 +325,7 @@ def test_unloading_is_seen_where_every_body_is_driven():
 # Limits and checks.
 
 
+@pytest.mark.slow
 def test_the_longest_step_is_kept():
     scene = block(loads.Force("push", "block", "x", size=1.0))
     params = scene.parameters()
@@ -336,6 +337,7 @@ def test_the_longest_step_is_kept():
         bj.simulate(scene, params, np.array([0.0, 1.0]), longest_step=-1.0)
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_finite_do_not_cost_the_step_budget():
     scene, times = bj.scenes.impact(), jnp.linspace(0.0, 1e-3, 3)
     params = scene.parameters()
@@ -371,6 +373,7 @@ def test_a_run_that_steps_over_a_contact_is_doubtful(monkeypatch):
     assert run.failure_time == within(0.47 / 2.0, 0.02)
 
 
+@pytest.mark.slow
 def test_a_plan_has_a_longest_step_that_may_be_traced():
     times = jnp.array([0.0, 1e-3])
     scene = bj.scenes.impact()

@@ -40,7 +40,7 @@ def strike(scene, accuracy="reference", until=2.0, **values):
     return times, run.force["contact"][:, 0]
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("elastic", "restitution"),
     [

@@ -67,7 +67,7 @@ def test_loose_reverse_derivatives_are_as_good_as_forward_ones(accuracy):
     assert np.abs(reverse - SLOPES).max() < 2.0 * np.abs(forward - SLOPES).max()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("accuracy", tiers.ci([1e-2, 1e-6], 1e-6))
 def test_reverse_is_as_accurate_as_asked_in_a_batch(accuracy):
     batch = jnp.stack([jnp.ones(4), jnp.array([1.0, 0.8, 1.0, 1.0])])

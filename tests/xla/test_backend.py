@@ -28,7 +28,7 @@ def test_batched_small_products(rows, reduce):
     assert np.abs(np.asarray(found) - expected).max() < 1e-13  # three products and at most six terms of size 1
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_many_histories_in_a_batch():
     # A linear undamped contact: F = v sqrt(K m) sin(sqrt(K/m) t) until it ends at pi sqrt(m/K), then 0.
     scene = scenes.impact("hertz", "linear", smoothing=False)

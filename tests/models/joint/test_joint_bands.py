@@ -146,7 +146,7 @@ def at_rest():
     return lambda **values: jax.device_get(quasistatic_forces(scene, scene.parameters(**values), times))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_pilots_of_the_straight_joint_bear_twice_what_the_windows_push():
     # Undeflected, the cage is pushed along its axis alone, and its edges bear evenly: N sin(30 deg) is the axial force.
     found = at_rest()(joint_angle=0.0)

@@ -110,6 +110,7 @@ def pressed(scene, params, seed, side=1.0):
     return y
 
 
+@pytest.mark.slow
 @each(NEW)
 def test_arrowhead_solves_with_the_exact_jacobian(name):
     scene = plain_joint(**NEW[name])
@@ -254,7 +255,7 @@ def test_window_ends_bear_the_torque_that_holds_the_cage():
     assert -2.5e-3 / 0.0355 < lag.mean() < -2.1e-3 / 0.0355 and np.ptp(lag) < 0.01
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_gyroscopic_couples_of_a_ring_are_small():
     # What a spherical shell leaves out: (0.917 - 0.542) m R^2 |w x (w . b) b| for a ring between +-30 degrees.
     scene, params, _, found = steady()

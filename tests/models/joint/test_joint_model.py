@@ -60,7 +60,7 @@ def test_bodies_move_as_their_states_say():
             )
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_forces_in_world_axes_are_the_whole_forces():
     prepared, y = jolted()
     read, summed = jax.jit(JOINT.observe)(jnp.zeros(()), y, prepared), resultants(JOINT, prepared, y)

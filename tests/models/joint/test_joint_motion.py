@@ -247,7 +247,7 @@ def test_sixfold_symmetry_of_the_field(spin):
             assert np.abs(found - expected)[part].max() < 3e-12 * np.abs(expected[part]).max()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_sixfold_symmetry_of_a_run():
     params, times, states = run()
     _, _, turned = run(np.pi / 3)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from joints import GROOVES, LITTLE, QUICK, constants, plain_joint
 from oracles import within
 
@@ -75,7 +76,7 @@ def disturbed(scene, params, seed: int = 0) -> jax.Array:
 # --- linear algebra
 
 
-@EACH
+@pytest.mark.parametrize("options", tiers.ci(OPTIONS.values(), OPTIONS["all"]), ids=OPTIONS)
 def test_arrowhead_solves_with_the_exact_jacobian(options):
     scene, params, c = made(options)
     assert isinstance(c.groove_laws, LawPair) == bool({"laws", "frictions", "elastics"} & set(options))
