@@ -24,12 +24,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import act
-from bcfj_jax.models.joint.constants import BALLS, Constants
+from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import Part, cross_columns
@@ -199,38 +198,41 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     """
     b = scene.coupling
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
-    if c.pilot_laws is not None:
-        part, spin = system.piloted(scene, c, state), system.guided(scene, c, state)[1]
-        motion, found = part.motion, slopes(part)
-        freed = None
+    pilots, tilt = system.piloted(scene, c, state), scene.slices["cage_turn"]
+    whole, spins = system.guided(scene, c, state) if pilots else (None, jnp.zeros((0, 3)))
+    every = None if whole is None else system.guide_maps(scene, c, whole.arm)
+    first = 0
+    for part in pilots:
+        at = slice(first, first + len(part.names))
+        first, maps, spin = at.stop, jax.tree.map(lambda x, at=at: x[at], every), spins[at]
+        motion, found, freed = part.motion, slopes(part), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
         value, by_place, by_twist = kept(*found[:3])
-        maps = system.guide_maps(scene, c, motion.arm)
         back = jnp.swapaxes(maps.twist, -1, -2)
         at_inner, turned, _ = _seen(motion, spin, by_place, by_twist)
         # Outer spheres carry their material with the inner centres.
         moved = back @ kept(at_inner) - jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
-        place = jnp.einsum("pbi,pic->bc", moved, maps.place)
-        rate = jnp.sum(back @ by_twist @ maps.twist, 0)
-        tilt = scene.slices["cage_turn"]
+        place = place + jnp.einsum("pbi,pic->bc", moved, maps.place)
+        rate = rate + jnp.sum(back @ by_twist @ maps.twist, 0)
         if scene.banded and tilt is not None:
             carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
             turned = turned + jnp.concatenate(carried, -2)
             place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
-        if freed is not None:
-            at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
-            by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
-            if scene.width == 3:
-                # An outer sphere's spin turns its bristles.
-                rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
-                by_rate = by_rate + freed.spin[:, 0] @ maps.turning
-            if scene.banded and tilt is not None:
-                by_place = by_place.at[..., tilt].add(turned)
-            for i, name in enumerate(scene.pilots):
-                if name in scene.bristles:
-                    rows.append((freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]))
+        if freed is None:
+            continue
+        at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
+        by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
+        if scene.width == 3:
+            # An outer sphere's spin turns its bristles.
+            rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
+            by_rate = by_rate + freed.spin[:, 0] @ maps.turning
+        if scene.banded and tilt is not None:
+            by_place = by_place.at[..., tilt].add(turned)
+        rows += [
+            (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]) for i in range(first - at.start)
+        ]
     if scene.drive == "flexible":
         seat = scene.slices["seat_turn"]
         assert seat is not None
@@ -295,25 +297,18 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
     return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
 
 
-def _freed(
-    scene: Joint, c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any
-) -> tuple:
+def _freed(c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any) -> tuple:
     """Slopes with the bristles eliminated, their ``_rows``, and ``effective``'s turn and spin of all bodies."""
     slants, rows, turns, spins, first = [], [], [], [], 0
     for one in found:
-        count, turn, spin = one.value.shape[1], *[jnp.zeros(one.by_place.shape)] * 2
+        at = slice(first, first + one.value.shape[1])
+        first, turn, spin = at.stop, *[jnp.zeros(one.by_place.shape)] * 2
         if one.bond is not None:
-            freed = free(one.bond, relative_motions.spins[first : first + count], scale)
+            freed = free(one.bond, relative_motions.spins[at], scale)
             one, turn, spin = effective(one, freed)
-            stated = [i for i, name in enumerate(BALLS[first : first + count]) if name in scene.bristles]
-            if len(stated) == count:
-                rows.append(_rows(c, relative_motions, freed, slice(first, first + count)))
-            else:
-                some, bodies = np.array(stated), first + np.array(stated)
-                rows.append(_rows(c, relative_motions, Freed(*(x[:, some] for x in freed)), bodies))
+            rows.append(_rows(c, relative_motions, freed, at))
         for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
             held.append(x)
-        first += count
     return slants, rows, jnp.concatenate(turns, 1), jnp.concatenate(spins, 1)
 
 
@@ -324,10 +319,10 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """
     state = system.view(scene, c, y)
     relative_motions = system.relative_motions(scene, c, state)
-    found = [slopes(part) for part in relative_motions.parts()]
+    found = [slopes(part) for part in relative_motions.parts]
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
-        found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
+        found, bent, by_turn, by_spin = _freed(c, relative_motions, found, scale)
     value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
     motion, eye = relative_motions.motion, jnp.eye(3)
     # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
