@@ -97,11 +97,19 @@ def _acting(scene: Joint, c: Constants, state: system.State) -> list[_Acting]:
     return found
 
 
+def _friction(one: _Acting) -> Array:
+    """Power [W] that friction takes at each face:  N mu(|u|) |u|,  of bristles what their actual force takes."""
+    return jnp.zeros_like(one.touch.normal) if one.touch.rubbed is None else one.touch.rubbed
+
+
 def rubbed(scene: Joint, c: Constants, y: Array) -> dict[str, Array]:
     """Power [W] that friction takes by contact, all members', in one flat state; their sum is ``Power.friction``."""
-    touches = system.by_name(scene, system.contact_forces(scene, c, system.view(scene, c, y)))
-    taken = {name: jnp.zeros(()) if x.rubbed is None else jnp.sum(x.rubbed) for name, x in touches.items()}
-    return {contact.name: taken[contact.name] for contact in scene.contacts}
+    found: dict[str, Array] = {}
+    for one in _acting(scene, c, system.view(scene, c, y)):
+        faces = jnp.sum(_friction(one), -1)
+        # Of pilots each is one; of balls all are.
+        found |= dict(zip(one.part.names, jnp.sum(faces, 0) if faces.ndim == 2 else faces, strict=True))
+    return {contact.name: found[contact.name] for contact in scene.contacts}
 
 
 def _damping(one: _Acting) -> Array:
@@ -132,7 +140,7 @@ def power(scene: Joint, c: Constants, t: Array, y: Array) -> Power:
         hold=sum((-loads.moment @ state.cage_spin for loads in on_cage), none),
         load=torque * state.head_spin,
         axial=axial * (state.head_velocity @ c.axes[1]),
-        friction=sum(rubbed(scene, c, y).values(), none),
+        friction=sum((jnp.sum(_friction(one)) for one in found), none),
         damping=sum(map(_damping, found), c.drive_damping * (prescribed - state.seat_spin) ** 2),
         edge=sum(map(_edge, found), none),
     )
