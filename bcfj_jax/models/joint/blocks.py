@@ -29,11 +29,11 @@ from jax import Array
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import act
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import dot
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, dot
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import Part, cross_columns
 from bcfj_jax.xla.kept import kept
-from bcfj_jax.xla.small import block_diagonal
+from bcfj_jax.xla.small import block_diagonal, product
 
 
 class Bond(NamedTuple):
@@ -65,6 +65,35 @@ class Slopes(NamedTuple):
     bond: Bond | None = None
 
 
+class _Linear(NamedTuple):
+    """Laws by their tangents in one state: a tangent of ``act`` then takes few products, whatever the laws are."""
+
+    laws: ContactLaws
+    at: tuple[Array, Array, Array]
+    held: tuple[Array, Array, Array, Array, Array]
+
+    @property
+    def friction(self) -> Any:
+        return self.laws.friction
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        force, by_depth, by_rate = self.held[:3]
+        return force + by_depth * (penetration - self.at[0]) + by_rate * (rate - self.at[1])
+
+    def mobility(self, slip_squared: Array) -> Array:
+        mobility, slope = self.held[3:]
+        return mobility + slope * (slip_squared - self.at[2])
+
+
+def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
+    """``laws`` about what ``touch`` found."""
+    depth, rate, square = at = (touch.penetration, touch.rate, touch.slip * touch.slip)
+    one, none = jnp.ones_like(depth), jnp.zeros_like(depth)
+    force, by_depth = jax.jvp(laws.normal, (depth, rate), (one, none))
+    by_rate = jax.jvp(laws.normal, (depth, rate), (none, one))[1]
+    return _Linear(laws, at, kept(force, by_depth, by_rate, *jax.jvp(laws.mobility, (square,), (one,))))
+
+
 def slopes(part: Part) -> Slopes:
     """Derivatives of ``act`` for contacts by relative place and twist; k = 3 or 6.
 
@@ -72,31 +101,38 @@ def slopes(part: Part) -> Slopes:
     """
     laws, geometry, bristles = part.laws, part.geometry, part.bristles
     place, velocity, spin = part.motion
-    parts = (place, velocity) if spin is None else (place, velocity, spin)
+    twist = (velocity,) if spin is None else (velocity, spin)
+    at = geometry(place)
+    if bristles is None:
+        laws = _linear(laws, act(laws, at, velocity, spin))
 
-    def wrench(*parts: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
-        touch = act(laws, geometry(parts[0]), parts[1], parts[2] if len(parts) > 2 else None, bristles)
+    def wrench(at: Any, *twist: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
+        touch = act(laws, at, twist[0], twist[1] if len(twist) > 1 else None, bristles)
         force = touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
         return force, touch.bending
 
     def along(way: Array) -> Any:
-        tangents = tuple(jnp.broadcast_to(way[i], place.shape) for i in range(len(parts)))
-        return jax.jvp(wrench, parts, tangents)
+        return jax.jvp(lambda p: wrench(geometry(p), *twist), (place,), (jnp.broadcast_to(way, place.shape),))[1]
 
-    ways = jnp.eye(3 * len(parts)).reshape(-1, len(parts), 3)
-    (value, bending), (by, bent) = jax.vmap(along, out_axes=(None, -1))(ways)
+    def moving(way: Array) -> Any:
+        tangents = tuple(jnp.broadcast_to(x, place.shape) for x in way)
+        return jax.jvp(lambda *twist: wrench(at, *twist), twist, tangents)
+
+    # Apart, so that the geometry is differentiated by the place alone.
+    by_place, bent = jax.vmap(along, out_axes=-1)(jnp.eye(3))
+    ways = jnp.eye(3 * len(twist)).reshape(-1, len(twist), 3)
+    (value, bending), (by_twist, swung) = jax.vmap(moving, out_axes=(None, -1))(ways)
     if bending is None or bristles is None:
-        return Slopes(value, by[..., :3], by[..., 3:])
+        return Slopes(value, by_place, by_twist)
     shape = bristles.shape[-2:]
 
     def by_state(way: Array) -> Any:
-        return jax.jvp(lambda z: wrench(*parts, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
+        return jax.jvp(lambda z: wrench(at, *twist, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
 
     pull, felt = jax.vmap(by_state, out_axes=-1)(jnp.eye(shape[0] * shape[1]).reshape(-1, *shape))
     pull = jnp.moveaxis(pull.reshape(*pull.shape[:-1], *shape), -2, -3)
     decay = -jnp.stack([felt[..., i, 0, i * shape[1]] for i in range(shape[0])], -1)
-    bond = Bond(bristles, bending, pull, bent[..., :3], bent[..., 3:], decay)
-    return Slopes(value, by[..., :3], by[..., 3:], bond)
+    return Slopes(value, by_place, by_twist, Bond(bristles, bending, pull, bent, swung, decay))
 
 
 class Freed(NamedTuple):
@@ -212,14 +248,15 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
         value, by_place, by_twist = kept(*found[:3])
         back = jnp.swapaxes(maps.twist, -1, -2)
         at_inner, turned, _ = _seen(motion, spin, by_place, by_twist)
-        # Outer spheres carry their material with the inner centres.
-        moved = back @ kept(at_inner) - jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
-        place = place + jnp.einsum("pbi,pic->bc", moved, maps.place)
-        rate = rate + jnp.sum(back @ by_twist @ maps.twist, 0)
+        displaced = product(at_inner, maps.place)
         if scene.banded and tilt is not None:
             carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
-            turned = turned + jnp.concatenate(carried, -2)
-            place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
+            displaced = displaced.at[..., tilt].add(turned + jnp.concatenate(carried, -2))
+        displaced, moved = kept(displaced, product(by_twist, maps.twist))
+        # Outer spheres carry their material with the inner centres.
+        lever = jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
+        place = place + jnp.sum(product(back, displaced) - product(lever, maps.place), 0)
+        rate = rate + jnp.sum(product(back, moved), 0)
         if freed is None:
             continue
         at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
