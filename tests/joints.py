@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import diffrax as dfx
 import jax
@@ -14,6 +15,7 @@ import bcfj_jax as bj
 from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.constants import constants as make_constants
+from bcfj_jax.models.joint.contacts import ContactForce
 from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scales import scales
 from bcfj_jax.models.joint.scene import PLAIN
@@ -41,6 +43,24 @@ GROOVES = ("seat_ball", "head_ball")
 # The smallest joint that runs, so that it compiles quickly; what is tested with it does not depend on its options.
 LITTLE = {"friction": False, "cage": "fixed", "contacts": GROOVES, "head": "fixed", "balls": 3}
 MANY = 60
+
+
+class Touches(NamedTuple):
+    """All contacts: grooves (balls, 2 races), windows and their ends (balls,), pilots (k,), as far as there are any."""
+
+    grooves: ContactForce
+    windows: ContactForce | None
+    pilots: ContactForce | None
+    ends: ContactForce | None
+
+
+def touches(scene, c, state):
+    """What the contacts of one state do."""
+    found = system.by_name(scene, system.contact_forces(scene, c, state))
+    pilots = [found[name] for name in scene.pilots]
+    grooves = jax.tree.map(lambda *x: jnp.stack(x, 1), *[found[name] for name in GROOVES])
+    guides = jax.tree.map(lambda *x: jnp.stack(x), *pilots) if pilots else None
+    return Touches(grooves, found.get("cage_ball"), guides, found.get("cage_window_end"))
 
 
 @functools.cache

@@ -7,6 +7,16 @@ import jax.numpy as jnp
 from jax import Array
 
 
+def product(a: Array, b: Array) -> Array:
+    """a @ b of (..., i, j) and (..., j, k), elementwise."""
+    return jnp.sum(a[..., None] * b[..., None, :, :], -2)
+
+
+def image(matrix: Array, vector: Array) -> Array:
+    """Matrix (..., i, j) times vector (..., j), elementwise."""
+    return jnp.sum(matrix * vector[..., None, :], -1)
+
+
 def inverse3(matrix: Array) -> Array:
     """Inverse of (..., 3, 3) by cross products."""
     a, b, c = matrix[..., 0, :], matrix[..., 1, :], matrix[..., 2, :]
@@ -18,10 +28,11 @@ def inverse6(matrix: Array) -> Array:
     """Inverse of (..., 6, 6) by its 3 x 3 blocks; the upper left one must be regular."""
     a, b, c, d = matrix[..., :3, :3], matrix[..., :3, 3:], matrix[..., 3:, :3], matrix[..., 3:, 3:]
     first = inverse3(a)
-    right, left = first @ b, c @ first
-    last = inverse3(d - c @ right)
-    top = jnp.concatenate([first + right @ last @ left, -right @ last], -1)
-    return jnp.concatenate([top, jnp.concatenate([-last @ left, last], -1)], -2)
+    right, left = product(first, b), product(c, first)
+    last = inverse3(d - product(c, right))
+    far = product(right, last)
+    top = jnp.concatenate([first + product(far, left), -far], -1)
+    return jnp.concatenate([top, jnp.concatenate([-product(last, left), last], -1)], -2)
 
 
 def inverse(matrix: Array) -> Array:

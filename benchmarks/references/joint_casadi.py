@@ -179,6 +179,7 @@ def random_states(scene: Joint, params: Mapping[str, Any], count: int, seed: int
 def check(scene: Joint, params: Mapping[str, Any], count: int = 20) -> dict[str, float]:
     """Greatest disagreement with ``system.field``, over the largest entry of each kind of rate, and of the loads."""
     import jax
+    import jax.numpy as jnp
 
     from bcfj_jax.models.joint import system
     from bcfj_jax.models.joint.constants import constants
@@ -192,7 +193,9 @@ def check(scene: Joint, params: Mapping[str, Any], count: int = 20) -> dict[str,
         view = system.view(scene, made, y)
         field = system.field(t, y, (scene, made))
         derivative = jax.jacfwd(system.field, argnums=1)(t, y, (scene, made))
-        return field, system.contact_forces(scene, made, view).grooves.normal, derivative
+        touches = system.by_name(scene, system.contact_forces(scene, made, view))
+        normal = jnp.stack([touches[name].normal for name in ("seat_ball", "head_ball")], 1)
+        return field, normal, derivative
 
     n, half = 3 * scene.balls, scene.states // 2
     after = half + n

@@ -151,7 +151,8 @@ def groove_forces(scene: Joint, params: Mapping[str, Any], states: np.ndarray) -
     made = constants(scene, dict(params))
 
     def one(y):
-        return system.contact_forces(scene, made, system.view(scene, made, y)).grooves.normal[..., 0]
+        found = system.by_name(scene, system.contact_forces(scene, made, system.view(scene, made, y)))
+        return jnp.stack([found[name].normal[..., 0] for name in ("seat_ball", "head_ball")], 1)
 
     return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(states)))
 

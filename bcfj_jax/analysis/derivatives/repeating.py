@@ -21,6 +21,7 @@ from jax import Array
 from bcfj_jax.analysis.derivatives.jacobian import Level
 from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params
+from bcfj_jax.mechanism.repeating import Folded, folded
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import timed
 from bcfj_jax.xla.programs import ask, program
@@ -35,36 +36,33 @@ _SHORTER = 2.0
 _FINER = 0.1
 # By how much a state may drift in all pitches that are left out, in units of its natural size.
 _DRIFT = 0.25
-# Instants that fall together are this far apart, as a share of the run, so that they still increase.
-_APART = 1e-12
 
 
 class Fold(NamedTuple):
-    """A short run that stands for a long one of T times.
+    """A short run that stands for a long one.
 
     Attributes:
-        times: (M,) increasing [s], M = T + 2 _PHASES: at which to solve.
-        index: (T,) which of them answers each time wanted; pitches (T,): how many pitches earlier.
-        before, last: the same phases of the last pitch but one and of the last.
+        run: its times, and which answers what.
         later: (C,) which channel did a pitch ago what each does now.
         end: of the short run [s].
     """
 
-    times: np.ndarray
-    index: np.ndarray
-    pitches: np.ndarray
-    before: np.ndarray
-    last: np.ndarray
+    run: Folded
     later: np.ndarray
     end: float
 
+    @property
+    def times(self) -> np.ndarray:
+        """At which to solve [s]."""
+        return self.run.times
+
     def unfolded(self, level: Level) -> Level:
         """A solve at ``times`` as one at the T times wanted; ``uneven`` says how well it repeats itself."""
-        force, slope = level.value.force, level.derivative.force
-        channel = np.stack([self._channels(k) for k in range(int(self.pitches.max(initial=0)) + 1)])[self.pitches]
+        force, slope, run = level.value.force, level.derivative.force, self.run
+        channel = np.stack([self._channels(k) for k in range(int(run.pitches.max(initial=0)) + 1)])[run.pitches]
 
         def read(values: np.ndarray, axis: int) -> np.ndarray:
-            taken = np.take(values, self.index, axis)
+            taken = np.take(values, run.index, axis)
             shape = [1] * taken.ndim
             shape[axis : axis + 2] = channel.shape
             return np.take_along_axis(taken, channel.reshape(shape), axis + 1)
@@ -72,11 +70,11 @@ class Fold(NamedTuple):
         value, derivative = (
             x._replace(
                 **{name: read(getattr(x, name), axis) for name in ("force", "penetration", "rate")},
-                state=np.take(x.state, self.index, axis),
+                state=np.take(x.state, run.index, axis),
             )
             for axis, x in ((0, level.value), (1, level.derivative))
         )
-        uneven = [_off(by[self.last], by[self.before][:, self._channels(1)]) for by in (force, *slope)]
+        uneven = [_off(by[run.last], by[run.before][:, self._channels(1)]) for by in (force, *slope)]
         return level._replace(value=value, derivative=derivative, uneven=np.array(uneven))
 
     def _channels(self, pitches: int) -> np.ndarray:
@@ -95,16 +93,8 @@ def _off(last: np.ndarray, before: np.ndarray) -> float:
 def fold(scene: AbstractModel, params: Params, times: np.ndarray, end: float) -> Fold:
     """The short run until ``end`` [s] that stands for one at (T,) times."""
     pitch = scene.period(params)[1]
-    late = np.maximum(0.0, np.ceil((times - end) / pitch))
-    phases = end - pitch * np.arange(_PHASES)[::-1] / _PHASES
-    every = np.concatenate([times - late * pitch, phases - pitch, phases])
-    order = np.argsort(every, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(order.size)
-    ranks = _APART * max(end, float(times[-1] - times[0])) * np.arange(order.size)
-    rising = np.maximum.accumulate(every[order] - ranks) + ranks
-    first, second = place[times.size : times.size + _PHASES], place[times.size + _PHASES :]
-    return Fold(rising, place[: times.size], late.astype(int), first, second, _later(scene, params), end)
+    back = pitch * np.arange(_PHASES)[::-1] / _PHASES
+    return Fold(folded(times, pitch, end, back), _later(scene, params), end)
 
 
 def _later(scene: AbstractModel, params: Params) -> np.ndarray:

@@ -23,7 +23,8 @@ from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.geometry import rate_by_axis, turning
 from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.xla.small import inverse, inverse3, inverse6
+from bcfj_jax.xla.kept import kept
+from bcfj_jax.xla.small import image, inverse, inverse3, inverse6, product
 
 
 class Heading(NamedTuple):
@@ -117,8 +118,8 @@ class Arrowhead(AbstractStructure):
                 by_axis, by_spin = rate_by_axis(state.cage_axis, state.cage_spin), turning(state.cage_axis)
                 heading = Heading(by_axis, by_spin, -jnp.cross(by_spin, state.cage_axis), None)
             turn = self._turn(state.cage_axis, state.cage_spin, scale, heading)
-            column_place = column_place.at[..., tilt].set(d.column_place[..., tilt] @ turn)
-            coupling_place = coupling_place.at[:, tilt].set(d.coupling_place[:, tilt] @ turn)
+            column_place = column_place.at[..., tilt].set(product(d.column_place[..., tilt], turn))
+            coupling_place = coupling_place.at[:, tilt].set(product(d.coupling_place[:, tilt], turn))
             if d.bristles is not None:
                 # The state has the axis b, whose change db is the rotation  b x db.
                 tilts = slice(3 * scene.balls + tilt.start, 3 * scene.balls + tilt.stop)
@@ -133,7 +134,7 @@ class Arrowhead(AbstractStructure):
         weight = c.coupling_inverse_mass[:, None]
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
         coupling = jnp.eye(scene.coupling) / scale - weight * (d.coupling_rate + coupling_place)
-        ball_inverse = inverse3(ball) if k == 3 else inverse6(ball)
+        ball_inverse = kept(inverse3(ball) if k == 3 else inverse6(kept(ball)))
         column = ball_inverse @ column
         schur = coupling - jnp.sum(row @ column, 0)
         return Factors(
@@ -173,8 +174,8 @@ class Arrowhead(AbstractStructure):
         rate = right[(3 + k) * n + b : (3 + k) * n + 2 * b]
         if d.bristles is not None:
             last = None if heading is None else -1
-            kept = right[(3 + k) * n + 2 * b : last].reshape(-1, d.bristles.inverse.shape[-1])
-            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, kept).ravel()
+            held = right[(3 + k) * n + 2 * b : last].reshape(-1, d.bristles.inverse.shape[-1])
+            own = jnp.einsum("fij,fj->fi", d.bristles.inverse, held).ravel()
             lifted = d.bristles.lift @ own
             twist = twist + factors.ball_inverse_mass * lifted[: n * k].reshape(n, k)
             rate = rate + factors.coupling_inverse_mass * lifted[n * k :]

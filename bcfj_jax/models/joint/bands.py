@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import contacts
-from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, LawPair, dot
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, dot
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -57,6 +57,10 @@ class Bands(NamedTuple):
     width: Array
     clearance: Array
     lever: Array
+
+    def some(self, at: slice) -> Bands:
+        """Of some pilots."""
+        return Bands(self.sine, self.cosine, self.width[at], self.clearance[at], self.lever[at])
 
 
 class Band(NamedTuple):
@@ -115,7 +119,7 @@ def _slide(at: Band, velocity: Array, spin: Array) -> tuple[Array, Array, Array,
 
 
 def act(
-    laws: ContactLaws | LawPair, at: Geometry | Band, velocity: Array, spin: Array | None, bristles: Array | None = None
+    laws: ContactLaws, at: Geometry | Band, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> ContactForce:
     """``contacts.act``, of bands too."""
     if not isinstance(at, Band):

@@ -24,17 +24,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import act
-from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import dot
+from bcfj_jax.models.joint.constants import Constants
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, dot
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import Part, cross_columns
 from bcfj_jax.xla.kept import kept
-from bcfj_jax.xla.small import block_diagonal
+from bcfj_jax.xla.small import block_diagonal, product
 
 
 class Bond(NamedTuple):
@@ -66,6 +65,35 @@ class Slopes(NamedTuple):
     bond: Bond | None = None
 
 
+class _Linear(NamedTuple):
+    """Laws by their tangents in one state: a tangent of ``act`` then takes few products, whatever the laws are."""
+
+    laws: ContactLaws
+    at: tuple[Array, Array, Array]
+    held: tuple[Array, Array, Array, Array, Array]
+
+    @property
+    def friction(self) -> Any:
+        return self.laws.friction
+
+    def normal(self, penetration: Array, rate: Array) -> Array:
+        force, by_depth, by_rate = self.held[:3]
+        return force + by_depth * (penetration - self.at[0]) + by_rate * (rate - self.at[1])
+
+    def mobility(self, slip_squared: Array) -> Array:
+        mobility, slope = self.held[3:]
+        return mobility + slope * (slip_squared - self.at[2])
+
+
+def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
+    """``laws`` about what ``touch`` found."""
+    depth, rate, square = at = (touch.penetration, touch.rate, touch.slip * touch.slip)
+    one, none = jnp.ones_like(depth), jnp.zeros_like(depth)
+    force, by_depth = jax.jvp(laws.normal, (depth, rate), (one, none))
+    by_rate = jax.jvp(laws.normal, (depth, rate), (none, one))[1]
+    return _Linear(laws, at, kept(force, by_depth, by_rate, *jax.jvp(laws.mobility, (square,), (one,))))
+
+
 def slopes(part: Part) -> Slopes:
     """Derivatives of ``act`` for contacts by relative place and twist; k = 3 or 6.
 
@@ -73,31 +101,38 @@ def slopes(part: Part) -> Slopes:
     """
     laws, geometry, bristles = part.laws, part.geometry, part.bristles
     place, velocity, spin = part.motion
-    parts = (place, velocity) if spin is None else (place, velocity, spin)
+    twist = (velocity,) if spin is None else (velocity, spin)
+    at = geometry(place)
+    if bristles is None:
+        laws = _linear(laws, act(laws, at, velocity, spin))
 
-    def wrench(*parts: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
-        touch = act(laws, geometry(parts[0]), parts[1], parts[2] if len(parts) > 2 else None, bristles)
+    def wrench(at: Any, *twist: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
+        touch = act(laws, at, twist[0], twist[1] if len(twist) > 1 else None, bristles)
         force = touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
         return force, touch.bending
 
     def along(way: Array) -> Any:
-        tangents = tuple(jnp.broadcast_to(way[i], place.shape) for i in range(len(parts)))
-        return jax.jvp(wrench, parts, tangents)
+        return jax.jvp(lambda p: wrench(geometry(p), *twist), (place,), (jnp.broadcast_to(way, place.shape),))[1]
 
-    ways = jnp.eye(3 * len(parts)).reshape(-1, len(parts), 3)
-    (value, bending), (by, bent) = jax.vmap(along, out_axes=(None, -1))(ways)
+    def moving(way: Array) -> Any:
+        tangents = tuple(jnp.broadcast_to(x, place.shape) for x in way)
+        return jax.jvp(lambda *twist: wrench(at, *twist), twist, tangents)
+
+    # Apart, so that the geometry is differentiated by the place alone.
+    by_place, bent = jax.vmap(along, out_axes=-1)(jnp.eye(3))
+    ways = jnp.eye(3 * len(twist)).reshape(-1, len(twist), 3)
+    (value, bending), (by_twist, swung) = jax.vmap(moving, out_axes=(None, -1))(ways)
     if bending is None or bristles is None:
-        return Slopes(value, by[..., :3], by[..., 3:])
+        return Slopes(value, by_place, by_twist)
     shape = bristles.shape[-2:]
 
     def by_state(way: Array) -> Any:
-        return jax.jvp(lambda z: wrench(*parts, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
+        return jax.jvp(lambda z: wrench(at, *twist, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
 
     pull, felt = jax.vmap(by_state, out_axes=-1)(jnp.eye(shape[0] * shape[1]).reshape(-1, *shape))
     pull = jnp.moveaxis(pull.reshape(*pull.shape[:-1], *shape), -2, -3)
     decay = -jnp.stack([felt[..., i, 0, i * shape[1]] for i in range(shape[0])], -1)
-    bond = Bond(bristles, bending, pull, bent[..., :3], bent[..., 3:], decay)
-    return Slopes(value, by[..., :3], by[..., 3:], bond)
+    return Slopes(value, by_place, by_twist, Bond(bristles, bending, pull, bent, swung, decay))
 
 
 class Freed(NamedTuple):
@@ -199,38 +234,42 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     """
     b = scene.coupling
     place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
-    if c.pilot_laws is not None:
-        part, spin = system.piloted(scene, c, state), system.guided(scene, c, state)[1]
-        motion, found = part.motion, slopes(part)
-        freed = None
+    pilots, tilt = system.piloted(scene, c, state), scene.slices["cage_turn"]
+    whole, spins = system.guided(scene, c, state) if pilots else (None, jnp.zeros((0, 3)))
+    every = None if whole is None else system.guide_maps(scene, c, whole.arm)
+    first = 0
+    for part in pilots:
+        at = slice(first, first + len(part.names))
+        first, maps, spin = at.stop, jax.tree.map(lambda x, at=at: x[at], every), spins[at]
+        motion, found, freed = part.motion, slopes(part), None
         if found.bond is not None:
             freed = free(found.bond, spin, scale)
             found, _, by_spin = effective(found, freed)
         value, by_place, by_twist = kept(*found[:3])
-        maps = system.guide_maps(scene, c, motion.arm)
         back = jnp.swapaxes(maps.twist, -1, -2)
         at_inner, turned, _ = _seen(motion, spin, by_place, by_twist)
-        # Outer spheres carry their material with the inner centres.
-        moved = back @ kept(at_inner) - jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
-        place = jnp.einsum("pbi,pic->bc", moved, maps.place)
-        rate = jnp.sum(back @ by_twist @ maps.twist, 0)
-        tilt = scene.slices["cage_turn"]
+        displaced = product(at_inner, maps.place)
         if scene.banded and tilt is not None:
             carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
-            turned = turned + jnp.concatenate(carried, -2)
-            place = place.at[:, tilt].add(jnp.sum(back @ turned, 0))
-        if freed is not None:
-            at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
-            by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
-            if scene.width == 3:
-                # An outer sphere's spin turns its bristles.
-                rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
-                by_rate = by_rate + freed.spin[:, 0] @ maps.turning
-            if scene.banded and tilt is not None:
-                by_place = by_place.at[..., tilt].add(turned)
-            for i, name in enumerate(scene.pilots):
-                if name in scene.bristles:
-                    rows.append((freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]))
+            displaced = displaced.at[..., tilt].add(turned + jnp.concatenate(carried, -2))
+        displaced, moved = kept(displaced, product(by_twist, maps.twist))
+        # Outer spheres carry their material with the inner centres.
+        lever = jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
+        place = place + jnp.sum(product(back, displaced) - product(lever, maps.place), 0)
+        rate = rate + jnp.sum(product(back, moved), 0)
+        if freed is None:
+            continue
+        at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
+        by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
+        if scene.width == 3:
+            # An outer sphere's spin turns its bristles.
+            rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
+            by_rate = by_rate + freed.spin[:, 0] @ maps.turning
+        if scene.banded and tilt is not None:
+            by_place = by_place.at[..., tilt].add(turned)
+        rows += [
+            (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]) for i in range(first - at.start)
+        ]
     if scene.drive == "flexible":
         seat = scene.slices["seat_turn"]
         assert seat is not None
@@ -295,25 +334,18 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
     return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
 
 
-def _freed(
-    scene: Joint, c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any
-) -> tuple:
+def _freed(c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any) -> tuple:
     """Slopes with the bristles eliminated, their ``_rows``, and ``effective``'s turn and spin of all bodies."""
     slants, rows, turns, spins, first = [], [], [], [], 0
     for one in found:
-        count, turn, spin = one.value.shape[1], *[jnp.zeros(one.by_place.shape)] * 2
+        at = slice(first, first + one.value.shape[1])
+        first, turn, spin = at.stop, *[jnp.zeros(one.by_place.shape)] * 2
         if one.bond is not None:
-            freed = free(one.bond, relative_motions.spins[first : first + count], scale)
+            freed = free(one.bond, relative_motions.spins[at], scale)
             one, turn, spin = effective(one, freed)
-            stated = [i for i, name in enumerate(BALLS[first : first + count]) if name in scene.bristles]
-            if len(stated) == count:
-                rows.append(_rows(c, relative_motions, freed, slice(first, first + count)))
-            else:
-                some, bodies = np.array(stated), first + np.array(stated)
-                rows.append(_rows(c, relative_motions, Freed(*(x[:, some] for x in freed)), bodies))
+            rows.append(_rows(c, relative_motions, freed, at))
         for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
             held.append(x)
-        first += count
     return slants, rows, jnp.concatenate(turns, 1), jnp.concatenate(spins, 1)
 
 
@@ -324,10 +356,10 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """
     state = system.view(scene, c, y)
     relative_motions = system.relative_motions(scene, c, state)
-    found = [slopes(part) for part in relative_motions.parts()]
+    found = [slopes(part) for part in relative_motions.parts]
     bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
     if any(one.bond is not None for one in found):
-        found, bent, by_turn, by_spin = _freed(scene, c, relative_motions, found, scale)
+        found, bent, by_turn, by_spin = _freed(c, relative_motions, found, scale)
     value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
     motion, eye = relative_motions.motion, jnp.eye(3)
     # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.

@@ -266,7 +266,7 @@ def _largest(check: Callable[..., Fault | None], values: Sequence[float]) -> flo
     return math.floor(low * 1e4) / 1e4
 
 
-def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> None:
+def check_joint(scene: Joint, params: Params, where: str = "") -> None:
     """Refuse a joint that does not assemble, or that its fidelity has no answer for.
 
     Parameters that are batched or traced are not looked at, nor NaN: its run fails and says so.
@@ -274,6 +274,7 @@ def check_joint(scene: Joint, params: Params, where: str = "scene 'joint'") -> N
     Raises:
         InputError: which begins with ``where`` and names the key, its value and what would be right.
     """
+    where = where or "scene 'joint'"
     for contact in scene.contacts:
         for name in contact.own:
             # Of a law of the user's own: every other coefficient has a default.

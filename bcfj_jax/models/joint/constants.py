@@ -23,9 +23,11 @@ Single balls' sizes (``Joint.clearance``) do not enter: 10 um of a radius of 8 m
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -33,9 +35,9 @@ from bcfj_jax.contact import stiffness as hertz
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.bands import LEAST, WIDTH, Bands
-from bcfj_jax.models.joint.contacts import ContactLaws, Groove, LawPair
+from bcfj_jax.models.joint.contacts import ContactLaws, Groove
 from bcfj_jax.models.joint.defaults import DEFAULTS
-from bcfj_jax.models.joint.scene import BODIES, FLAT, GROOVES, PILOTS, Joint
+from bcfj_jax.models.joint.scene import BODIES, FLAT, GROOVES, PILOTS, Joint, JointContact
 
 # What the balls touch, in the order of every array over bodies, which has as many as the scene. The cage stands twice:
 # for the faces and for the ends of its windows.
@@ -46,10 +48,8 @@ class Constants(eqx.Module):
     """Numbers of one run, in the shapes in which they are used.
 
     Attributes:
-        ball_laws: one for all contacts of a ball (m, 1), where laws and numbers of faces agree: quicker than two.
-        window_clearance: a scalar; (balls, 1, 1) of unequal balls.
-        cage_laws, cage_clearance: of faces and ends of windows side by side (2, 1), where there are ends; clearances of
-            unequal balls (balls, 2, 1).
+        ball_laws, pilot_laws: of each of the ``groups`` of contacts; coefficients side by side (m, 1).
+        window_clearance: of faces, and of ends where there are any (m, 1); of unequal balls (balls, m, 1).
         body_maps: of ``body_maps``.
         axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
         bisector: normal of the bisecting plane.
@@ -60,13 +60,9 @@ class Constants(eqx.Module):
     """
 
     groove: Groove
-    groove_laws: ContactLaws | LawPair
-    window_laws: ContactLaws | None
-    ball_laws: ContactLaws | None
+    ball_laws: tuple[ContactLaws, ...]
     window_clearance: Array
-    cage_laws: ContactLaws | LawPair | None
-    cage_clearance: Array
-    pilot_laws: ContactLaws | LawPair | None
+    pilot_laws: tuple[ContactLaws, ...]
     pilot_clearance: Array
     pilot_hollow: Array
     bands: Bands | None
@@ -161,20 +157,23 @@ def laws_of(scene: Joint, params: Params, name: str) -> ContactLaws:
     return ContactLaws(contact.law, contact.friction, coefficients(scene, params, name), smoothing)
 
 
-def _as_one(several: list[ContactLaws]) -> ContactLaws | None:
-    """Laws of one kind with their coefficients side by side (m, 1); None where they differ in law."""
-    first = several[0]
-    if any((laws.law, laws.friction) != (first.law, first.friction) for laws in several):
-        return None
-    together = {key: jnp.stack([laws.coefficients[key] for laws in several])[:, None] for key in first.coefficients}
-    widths = [laws.smoothing for laws in several if laws.smoothing is not None]
-    return ContactLaws(first.law, first.friction, together, jnp.stack(widths)[:, None] if widths else None)
+def groups(scene: Joint, names: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Neighbours among contacts of the scene that are computed together: of one law, friction law and number of faces."""
+
+    def kind(contact: JointContact) -> tuple[Any, ...]:
+        return contact.law, contact.friction, contact.name in GROOVES and scene.track != "gothic"
+
+    there = [scene.contact(name) for name in names if scene.has(name)]
+    return [tuple(contact.name for contact in some) for _, some in itertools.groupby(there, kind)]
 
 
-def _side_by_side(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws | LawPair:
-    """The laws of one contact or two; coefficients of two along axis -2 of (..., contact, face)."""
+def laws_together(scene: Joint, params: Params, names: tuple[str, ...]) -> ContactLaws:
+    """Laws of contacts of one kind with their coefficients side by side (m, 1)."""
     several = [laws_of(scene, params, name) for name in names]
-    return several[0] if len(several) == 1 else _as_one(several) or LawPair(*several)
+    coefficients, smoothing = jax.tree.map(
+        lambda *x: jnp.stack(x)[:, None], *((dict(laws.coefficients), laws.smoothing) for laws in several)
+    )
+    return ContactLaws(several[0].law, several[0].friction, coefficients, smoothing)
 
 
 def body_maps(scene: Joint, axes: Array) -> Array:
@@ -210,25 +209,16 @@ def _groove(scene: Joint, p: Params) -> Groove:
 
 def _of_balls(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and clearances of the balls' contacts."""
-    found: dict[str, Any] = {"groove_laws": _side_by_side(scene, p, GROOVES)}
-    found |= dict.fromkeys(("window_laws", "ball_laws", "cage_laws"))
-    found |= dict.fromkeys(("window_clearance", "cage_clearance"), jnp.zeros(()))
-    if scene.has("cage_ball"):
-        window = scene.clearance(p, "cage_ball")
-        found["window_laws"] = laws_of(scene, p, "cage_ball")
-        found["window_clearance"] = window[:, None, None] if scene.unequal else window
-        if scene.track == "gothic":
-            found["ball_laws"] = _as_one([laws_of(scene, p, name) for name in BALLS if scene.has(name)])
-    if scene.window_ends:
-        found["cage_laws"] = _side_by_side(scene, p, BALLS[2:])
-        found["cage_clearance"] = jnp.stack([scene.clearance(p, name) for name in BALLS[2:]], -1)[..., None]
-    return found
+    flat = [scene.clearance(p, name) for name in FLAT if scene.has(name)]
+    clearance = jnp.stack(flat, -1)[..., None] if flat else jnp.zeros(0)
+    laws = tuple(laws_together(scene, p, names) for names in groups(scene, BALLS))
+    return {"ball_laws": laws, "window_clearance": clearance}
 
 
 def _of_pilots(scene: Joint, p: Params) -> dict[str, Any]:
     """Laws and sizes of the pilots."""
     if not scene.pilots:
-        return {"pilot_laws": None, "pilot_clearance": jnp.zeros(0), "pilot_hollow": jnp.zeros(0), "bands": None}
+        return {"pilot_laws": (), "pilot_clearance": jnp.zeros(0), "pilot_hollow": jnp.zeros(0), "bands": None}
     each = {name: p[f"clearance_{name}"] for name in scene.pilots}
     clearance, bands = jnp.stack(list(each.values())), None
     hollow = {"seat_cage": p["seat_radius"], "head_cage": p["head_radius"] + each.get("head_cage", 0.0)}
@@ -237,7 +227,7 @@ def _of_pilots(scene: Joint, p: Params) -> dict[str, Any]:
         band, levers = p["pilot_band"], jnp.stack([lever[name] for name in scene.pilots])
         bands = Bands(jnp.sin(band), jnp.cos(band), WIDTH * clearance + LEAST, clearance, levers)
     return {
-        "pilot_laws": _side_by_side(scene, p, scene.pilots), "pilot_clearance": clearance,
+        "pilot_laws": tuple(laws_together(scene, p, names) for names in groups(scene, PILOTS)), "pilot_clearance": clearance,
         "pilot_hollow": jnp.stack([hollow[name] for name in scene.pilots]), "bands": bands,
     }  # fmt: skip
 

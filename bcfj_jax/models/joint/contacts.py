@@ -18,9 +18,8 @@ unless the ball spins (w given): a ball without spin is a particle, so that forc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partialmethod
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,34 +73,15 @@ class ContactLaws(eqx.Module):
         """``contact.wrench.separated``."""
         return separated(penetration, {} if self.smoothing is None else {"smoothing": self.smoothing})
 
+    def first(self, count: int) -> ContactLaws:
+        """The first of contacts side by side."""
+        coefficients, smoothing = jax.tree.map(lambda x: x[:count], (dict(self.coefficients), self.smoothing))
+        return ContactLaws(self.law, self.friction, coefficients, smoothing)
+
     def energy(self, penetration: Array) -> Array:
         """Elastic energy E(d) [J]: integral of the law's force at rest from 0 to r(d), the regularised penetration."""
         still = jnp.zeros_like(penetration)
         return regularised_energy(self.law, penetration, still, self.coefficients, {}, self.smoothing)[0]
-
-
-class LawPair(NamedTuple):
-    """Two unlike ``ContactLaws``, which answer together: the first for index 0 of axis -2, the second for index 1."""
-
-    first: ContactLaws
-    second: ContactLaws
-
-    @property
-    def friction(self) -> AbstractFriction | None:
-        """A friction law where either has one."""
-        return self.first.friction or self.second.friction
-
-    def _each(self, answer: Callable[..., Any], *given: Array) -> Any:
-        halves = [[jnp.take(x, jnp.array([i]), -2) for x in given] for i in (0, 1)]
-        parts = [answer(laws, *half) for laws, half in zip(self, halves, strict=True)]
-        return jax.tree.map(lambda *x: jnp.concatenate(x, -2), *parts)
-
-    normal = partialmethod(_each, ContactLaws.normal)
-    mobility = partialmethod(_each, ContactLaws.mobility)
-    bond = partialmethod(_each, ContactLaws.bond)
-    lag = partialmethod(_each, ContactLaws.lag)
-    apart = partialmethod(_each, ContactLaws.apart)
-    energy = partialmethod(_each, ContactLaws.energy)
 
 
 class Geometry(NamedTuple):
@@ -166,6 +146,10 @@ class Groove(NamedTuple):
     ball: Array
     gothic: Array
 
+    def races(self, at: slice) -> Groove:
+        """Of some of both races."""
+        return self._replace(offset=self.offset[at], side=self.side[at], clearance=self.clearance[..., at])
+
 
 def dot(a: Array, b: Array) -> Array:
     """Inner product along the last axis."""
@@ -222,7 +206,7 @@ def join(first: Geometry, second: Geometry) -> Geometry:
 
 
 def act(
-    laws: ContactLaws | LawPair, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
+    laws: ContactLaws, at: Geometry, velocity: Array, spin: Array | None, bristles: Array | None = None
 ) -> ContactForce:
     """Forces of contacts (module docstring), of relative twist (``velocity``, ``spin``); a particle has no spin.
 

@@ -32,8 +32,9 @@ _NOTES = (
 _NO_AZIMUTH = "The model's cage has no azimuth: its windows are drawn where the balls are."
 
 
-def drawing(scene: Joint, params: Params) -> Drawing:
-    """``AbstractModel.drawing`` of a joint."""
+def drawing(scene: Joint, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
+    """``AbstractModel.drawing`` of a joint, which has sizes of its own."""
+    del size, travel
     p = {name: float(value) for name, value in params.items()}
     ball, pitch = p["ball_radius"], p["pitch_radius"]
     seat, head = p.get("seat_radius", pitch + 0.55 * ball), p.get("head_radius", pitch - 0.55 * ball)

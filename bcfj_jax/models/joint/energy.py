@@ -89,10 +89,8 @@ class _Acting(NamedTuple):
 
 
 def _acting(scene: Joint, c: Constants, state: system.State) -> list[_Acting]:
-    parts = system.relative_motions(scene, c, state).parts()
-    parts += [system.piloted(scene, c, state)] if c.pilot_laws is not None else []
     found = []
-    for part in parts:
+    for part in [*system.relative_motions(scene, c, state).parts, *system.piloted(scene, c, state)]:
         at = part.geometry(part.motion.arm)
         touch = act(part.laws, at, part.motion.velocity, part.motion.spin, part.bristles)
         found.append(_Acting(part, at, touch, jnp.ones(()) if at.gate is None else at.gate))

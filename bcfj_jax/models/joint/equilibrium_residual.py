@@ -16,9 +16,9 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint import bands, contacts, system
-from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import ContactLaws, LawPair
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.constants import BALLS, Constants, groups
+from bcfj_jax.models.joint.contacts import ContactLaws
+from bcfj_jax.models.joint.scene import PILOTS, Joint
 
 
 class Problem(NamedTuple):
@@ -77,7 +77,7 @@ def tilted_axis(c: Constants, tilt: Array) -> tuple[Array, Array]:
     return axis, (ways - axis[:, None] * (axis @ ways)) / size
 
 
-def _push(laws: ContactLaws | LawPair, penetration: Array) -> Array:
+def _push(laws: ContactLaws, penetration: Array) -> Array:
     """Normal forces at rest."""
     return laws.normal(penetration, jnp.zeros_like(penetration))
 
@@ -90,15 +90,18 @@ def _by_balls(scene: Joint, p: Problem, arm: Array, angles: Array) -> Array:
     """
     c = p.c
     across = system.track_normals(scene, c, angles[:2, 0] / p.lever)
-    at = contacts.grooves(c.groove, arm[:, :2] - c.groove.offset[:, None] * c.axes, across)
-    found, ways = [(c.groove_laws, at)], c.axes[:, None] * jnp.array([1.0, 0.0])[:, None]
-    if c.window_laws is not None:
+    axis, ways = c.bisector, c.axes[:, None] * jnp.array([1.0, 0.0])[:, None]
+    if arm.shape[1] > 2:
         axis, tilts = tilted_axis(c, angles[2] / p.lever)
-        found.append((c.window_laws, contacts.windows(c.window_clearance, c.groove.ball, arm[:, 2:], axis)))
         ways = jnp.concatenate([ways, jnp.cross(axis, tilts.T)[None]])
-    pushes = [_push(laws, x.penetration) * (1.0 if x.gate is None else x.gate) for laws, x in found]
-    parts = [jnp.sum(push[..., None] * x.normal, -2) for push, (_, x) in zip(pushes, found, strict=True)]
-    force = jnp.concatenate(parts, 1)
+    forces, first = [], 0
+    for names, laws in zip(groups(scene, BALLS[:3]), c.ball_laws, strict=False):
+        at = slice(first, first + len(names))
+        touch = system.around_balls(c, across, axis[None], at, arm[:, at])
+        push = _push(laws.first(len(names)), touch.penetration) * (1.0 if touch.gate is None else touch.gate)
+        forces.append(jnp.sum(push[..., None] * touch.normal, -2))
+        first = at.stop
+    force = jnp.concatenate(forces, 1)
     torque = jnp.cross(arm, force)
     return jnp.concatenate([force, -jnp.sum(torque[..., None, :] * ways, -1) / p.lever], -1)
 
@@ -120,7 +123,7 @@ def _apart(scene: Joint, p: Problem, coupling: Array) -> Array:
     loads = {"turn": p.torque[None] / p.lever, "head": c.programmes["axial_load"] * c.axes[1]}
     size = {name: piece.stop - piece.start for name, piece in slices.items()}
     found = p.spring * coupling + jnp.concatenate([loads.get(name, jnp.zeros(n)) for name, n in size.items()])
-    if c.pilot_laws is None:
+    if not scene.pilots:
         return found
     on_head = jnp.array([[name == "head_cage"] for name in scene.pilots])
 
@@ -132,13 +135,16 @@ def _apart(scene: Joint, p: Problem, coupling: Array) -> Array:
         axis = tilted_axis(c, x[slices["tilt"]] / p.lever)[0] if "tilt" in slices else c.bisector
         return bands.band(c.bands, place, axis).penetration[:, 0]
 
-    # ``pilot_laws`` has the contacts along the last axis but one.
-    return found + _push(c.pilot_laws, depths(coupling)[:, None])[:, 0] @ jax.jacfwd(depths)(coupling)
+    pushes, first = [], 0
+    for names, laws in zip(groups(scene, PILOTS), c.pilot_laws, strict=True):
+        pushes.append(_push(laws, depths(coupling)[first : first + len(names), None])[:, 0])
+        first += len(names)
+    return found + jnp.concatenate(pushes) @ jax.jacfwd(depths)(coupling)
 
 
 def balance(scene: Joint, problem: Problem, at: Places) -> tuple[Places, Matrix]:
     """Unbalanced generalised forces (those that resist, as a gradient; 0 in equilibrium) and their derivative."""
-    bodies = 2 if problem.c.window_laws is None else 3
+    bodies = 3 if scene.has("cage_ball") else 2
     moves = _moves(scene)[:bodies]
 
     def one(ball: Array, seat: Array, torque: Array, moved: Array, coupling: Array) -> tuple[Places, Matrix]:

@@ -52,6 +52,11 @@ def resolved(scene: Joint, fidelity: str) -> Joint:
     return dataclasses.replace(scene, fidelity="dynamic" if fidelity == "periodic" else fidelity)
 
 
+def of_run(scene: Joint, run: Any) -> Joint:
+    """The joint at the level that a run has."""
+    return resolved(scene, run.choice.fidelity) if run.choice else scene
+
+
 def _spread(times: np.ndarray) -> np.ndarray:
     """Instants out of the times that see every phase: steps of the golden section alias with no period."""
     golden = 0.5 * (np.sqrt(5.0) - 1.0)

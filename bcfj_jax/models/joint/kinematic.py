@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.core.numerics import positive, smooth_rise
+from bcfj_jax.core.numerics import bisected, positive, smooth_rise
 from bcfj_jax.mechanism.model import Params, Reading
 from bcfj_jax.models.joint import geometry
 from bcfj_jax.models.joint.constants import laws_of
@@ -114,15 +114,8 @@ def penetration(laws: ContactLaws, force: Array) -> Array:
         return laws.normal(depth, jnp.zeros_like(depth))
 
     still, target, width = jax.lax.stop_gradient((laws, safe, width))
-
-    def halve(_, ends):
-        low, high = ends
-        middle = 0.5 * (low + high)
-        enough = law(still, middle) >= target
-        return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
-
-    ends = (jnp.zeros_like(target) - width, jnp.full_like(target, 10.0))
-    depth = jax.lax.fori_loop(0, _HALVINGS, halve, ends)[1]
+    bracket = (jnp.zeros_like(target) - width, jnp.full_like(target, 10.0))
+    depth = bisected(lambda depth: law(still, depth) >= target, bracket, _HALVINGS)[1]
     slope = jax.jvp(lambda d: law(still, d), (depth,), (jnp.ones_like(depth),))[1]
     # No slope is left of a force too small for the law's arithmetic.
     depth = depth - jnp.where(slope > 0, (law(laws, depth) - safe) / jnp.where(slope > 0, slope, 1.0), 0.0)

@@ -3,12 +3,13 @@
 ``joint`` makes one from options.
 """
 
+# Methods that other modules define call their first argument ``scene`` and not ``self``.
+# pyright: reportAssignmentType=false
 from __future__ import annotations
 
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,7 +19,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core.errors import InputError, quoted
-from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK, UNBALANCED
 from bcfj_jax.mechanism.model import (
     AbstractModel,
@@ -27,22 +27,20 @@ from bcfj_jax.mechanism.model import (
     Coarser,
     Flows,
     ModelTraits,
-    Orbit,
     Params,
     Reading,
     Scenery,
     Solution,
-    Variant,
 )
 from bcfj_jax.mechanism.structure import AbstractStructure
-from bcfj_jax.models.joint import drawing, engineering, summary, system, variants
+from bcfj_jax.models.joint import checks, engineering, fidelity, periodic, scales, summary, system
+from bcfj_jax.models.joint import drawing as shapes
+from bcfj_jax.models.joint import variants as others
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.batched_newton import origin
 from bcfj_jax.models.joint.build import structure
-from bcfj_jax.models.joint.checks import check_joint, suspects
 from bcfj_jax.models.joint.constants import constants, patch
 from bcfj_jax.models.joint.energy import power, stored
-from bcfj_jax.models.joint.fidelity import adaptive, resolved
 from bcfj_jax.models.joint.kinematic import kinematic_readings, kinematic_states, nominal
 from bcfj_jax.models.joint.observe import BODIES, motions, observe, observe_at_rest
 from bcfj_jax.models.joint.options import (
@@ -57,9 +55,7 @@ from bcfj_jax.models.joint.options import (
     keyed,
     with_keys,
 )
-from bcfj_jax.models.joint.periodic import pitch_before, risen, ways
 from bcfj_jax.models.joint.quasistatic import quasistatic
-from bcfj_jax.models.joint.scales import envelope_place, scales, tolerance
 from bcfj_jax.models.joint.scene import AUTO, FIDELITIES, OF_A_BALL, Joint
 
 # What the levels without inertia leave out.
@@ -71,7 +67,7 @@ _PHYSICS = {
 
 
 class JointModel(Joint):
-    """The ball-cage flexible joint as a model; made by ``joint``."""
+    """The ball-cage flexible joint as a model; made by ``joint``. Methods that other modules define are named here."""
 
     # What it is.
 
@@ -142,18 +138,13 @@ class JointModel(Joint):
         """Balls one by one, then the rest."""
         return Arrowhead()
 
-    def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """``scales.scales``."""
-        return scales(self, params, jnp.asarray(end))
+    error_scale = scales.scales
+    tolerance = scales.tolerance
 
     def first_step(self, params: Params, scales: Array) -> ArrayLike:
         """A microsecond."""
         del params, scales
         return 1e-6
-
-    def tolerance(self, force_error: float) -> float:
-        """``scales.tolerance``."""
-        return tolerance(self, force_error)
 
     def origin(self, count: int) -> Any:
         """``batched_newton.origin``."""
@@ -191,38 +182,24 @@ class JointModel(Joint):
         given = {name: flow.pop(name) for name in ("drive", "hold")}
         return Flows(given, flow, stored(self, prepared, t, y)._asdict())
 
-    def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
-        """The joint has sizes of its own."""
-        del size, travel
-        return drawing.drawing(self, params)
-
-    def carriers(self) -> dict[str, str]:
-        """``drawing.carriers``."""
-        return drawing.carriers(self)
+    drawing = shapes.drawing
+    carriers = shapes.carriers
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """``drawing.scenery``."""
-        return drawing.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
+        return shapes.scenery(self, self.observe(t, y, self.prepare(params)), y, params)
 
     # What is refused, and what is known beside.
 
-    def check(self, params: Params, where: str = "") -> None:
-        """``checks.check_joint``."""
-        check_joint(self, params, where or "scene 'joint'")
-
-    def suspects(self, params: Params) -> np.ndarray:
-        """``checks.suspects``."""
-        return suspects(self, params)
+    check = checks.check_joint
+    suspects = checks.suspects
+    warnings = engineering.warnings
 
     def envelope(self, params: Params, times: np.ndarray) -> tuple[dict[str, float], list[str]]:
         """``scales.envelope_place``; and whether anything but the defaults was tried."""
         del times
         tried = dataclasses.replace(self, fidelity="dynamic") == joint()
-        return envelope_place(self, params), [] if tried else ["options other than the defaults"]
-
-    def warnings(self, params: Params, run: Any) -> list[str]:
-        """``engineering.warnings``."""
-        return engineering.warnings(self, params, run)
+        return scales.envelope_place(self, params), [] if tried else ["options other than the defaults"]
 
     def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
         """By its own radii and modulus (``constants.patch``)."""
@@ -256,13 +233,8 @@ class JointModel(Joint):
         """The time in which the seat turns by one ball's pitch; by a whole turn with unequal balls."""
         return 2.0 * jnp.pi * self.pitches / (self.balls * jnp.abs(params["drive_speed"]))
 
-    def pitch_before(self, params: Params, state: Array) -> Array:
-        """``periodic.pitch_before``."""
-        return pitch_before(self, params, state)
-
-    def turned(self, params: Params) -> int:
-        """Ball j does what ball j + 1 did, or j - 1 where the seat turns the other way; of unequal balls what it did."""
-        return ways(self, params)
+    pitch_before = periodic.pitch_before
+    turned = periodic.ways
 
     def neutral(self, state: Array, tangent: Array) -> Array:
         """Without the phase of a prescribed drive and the length of the cage's axis."""
@@ -280,7 +252,7 @@ class JointModel(Joint):
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen and a ball's pitch has passed."""
-        return risen(self, params, 1)
+        return periodic.risen(self, params, 1)
 
     @property
     def settled_when(self) -> str:
@@ -289,13 +261,13 @@ class JointModel(Joint):
 
     # Its levels.
 
-    def level(self, fidelity: str) -> AbstractModel:
-        """``fidelity.resolved``."""
-        return resolved(self, fidelity)
+    level = fidelity.resolved
+    choose = fidelity.adaptive
+    variants = others.variants
 
     def full(self) -> AbstractModel:
         """Its motion."""
-        return resolved(self, "dynamic")
+        return fidelity.resolved(self, "dynamic")
 
     def choice_options(self) -> dict[str, Any]:
         """Fidelity "auto", where drive and loads are the usual ones."""
@@ -308,20 +280,10 @@ class JointModel(Joint):
         count = len(FIDELITIES) if self.fidelity == AUTO else FIDELITIES.index(self.fidelity)
         return tuple(Coarser(name, {"fidelity": name}, _PHYSICS[name]) for name in FIDELITIES[:count])
 
-    def variants(self, params: Params) -> tuple[Variant, ...]:
-        """``variants.variants``."""
-        return variants.variants(self, params)
-
     @property
     def model_form(self) -> str:
         """What was measured of the default joint; of a joint without a motion what it leaves out."""
-        return variants.model_form() if self.in_motion else "this level has neither friction nor inertia"
-
-    def choose(
-        self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
-    ) -> Any:
-        """``fidelity.adaptive``."""
-        return adaptive(self, params, times, budget, run)
+        return others.model_form() if self.in_motion else "this level has neither friction nor inertia"
 
     # A run as a whole.
 
@@ -330,13 +292,8 @@ class JointModel(Joint):
         """Resultants and moments, of a joint that moves."""
         return (summary.RESULTANTS, summary.MOMENTS) if self.in_motion else ()
 
-    def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
-        """Pressure, patch and power of contacts; of motion transmission, energy, the cage's equilibrium, resultants."""
-        return summary.of_the_run(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
-
-    def orbits(self, params: Params, run: Any) -> dict[str, Orbit]:
-        """The cage in the seat, across the seat's axis, and the head in the cage, across the head's; of motion only."""
-        return summary.orbits(resolved(self, run.choice.fidelity) if run.choice else self, params, run)
+    whole = summary.of_the_run
+    orbits = summary.orbits
 
 
 def joint(

@@ -21,7 +21,7 @@ from jax import Array
 from bcfj_jax.mechanism.model import BodyMotion, Reading
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import ContactForce, dot
-from bcfj_jax.models.joint.scene import FLAT, GROOVES, PILOTS, Joint
+from bcfj_jax.models.joint.scene import FLAT, GROOVES, GUIDES, PILOTS, Joint
 from bcfj_jax.models.joint.system import (
     State,
     by_name,
@@ -29,7 +29,6 @@ from bcfj_jax.models.joint.system import (
     contact_forces,
     drive_torque,
     field,
-    on_inner,
     relative_motions,
     shaft_frames,
     view,
@@ -61,10 +60,12 @@ def _read(touch: ContactForce, normal: Array, axial: Array) -> Reading:
 def observe(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """Every contact's reading in one flat state; of a contact a ball (balls, 3) and (balls,), else (3,) and ()."""
     state = view(scene, c, y)
-    found = contact_forces(scene, c, state)
-    if found.pilots is not None:
-        found = found._replace(pilots=on_inner(scene, found.pilots))
-    touches, along, outward = by_name(scene, found), _along(scene, c, state), state.ball_place - state.cage_place
+    touches = by_name(scene, contact_forces(scene, c, state))
+    for name, pair in zip(scene.pilots, scene.pairs, strict=True):
+        # Of bands, too, the forces on the inner spheres; moments are those that the contacts have.
+        if pair != GUIDES[name]:
+            touches[name] = touches[name]._replace(force=-touches[name].force, drag=-touches[name].drag)
+    along, outward = _along(scene, c, state), state.ball_place - state.cage_place
     axial = dict.fromkeys(PILOTS, state.cage_axis) | dict.fromkeys(FLAT, outward)
     axial |= {name: along[:, i] for i, name in enumerate(GROOVES)}
     # Of windows the sense counts: faces push against each other.

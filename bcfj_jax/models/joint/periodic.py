@@ -10,44 +10,23 @@ the long run's arrays. NumPy, on the host, but for ``pitch_before``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from bcfj_jax.mechanism.model import Params
+from bcfj_jax.mechanism.repeating import Folded, folded
 from bcfj_jax.models.joint.scene import OF_A_BALL, WINDOW_END, Joint
 
 # Instants at which two pitches are compared: in the second half alone. A start that dies away is then larger in what is
 # compared than anywhere in the pitch that is repeated, as that comes later.
 _PHASES = 48
-# Instants that fall together are this far apart [s], so that they still increase.
-_APART = 1e-12
-
-
-class Folded(NamedTuple):
-    """A run of T times as one of M = T + 2 C, whatever is folded: one program serves both.
-
-    Attributes:
-        times: (M,) increasing [s], at which to solve.
-        index: (T,) which of them answers each time wanted; ``pitches`` (T,): how many pitches earlier it is.
-        before, last: (C,) the same phases of the last pitch but one and the last.
-    """
-
-    times: np.ndarray
-    index: np.ndarray
-    pitches: np.ndarray
-    before: np.ndarray
-    last: np.ndarray
-
-
-def repeat(scene: Joint, params: Params) -> float:
-    """Time in which a steady motion repeats itself [s]: a pitch; a whole turn of unequal balls; infinite of a seat at rest."""
-    return scene.pitches * _pitch(scene, params)
 
 
 def _pitch(scene: Joint, params: Params) -> float:
+    """Of a ball [s]; infinite of a seat at rest."""
     speed = abs(float(params["drive_speed"]))
     return 2.0 * np.pi / (scene.balls * speed) if speed > 0.0 else np.inf
 
@@ -62,18 +41,8 @@ def fold(scene: Joint, params: Params, times: np.ndarray, end: float, whole: boo
 
     ``end`` of the short run [s] is a pitch and a half or more after the load has risen; ``whole`` leaves all times in place.
     """
-    period = repeat(scene, params)
-    late = np.zeros(times.size) if whole else np.maximum(0.0, np.ceil((times - end) / period))
-    phases = end - 0.5 * period * np.arange(_PHASES)[::-1] / _PHASES
-    every = np.concatenate([times - late * period, phases - period, phases])
-    order = np.argsort(every, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(order.size)
-    # Each at least a little after the one before it.
-    rising = np.maximum.accumulate(every[order] - _APART * np.arange(order.size)) + _APART * np.arange(order.size)
-    count = times.size
-    first, second = place[count : count + _PHASES], place[count + _PHASES :]
-    return Folded(rising, place[:count], late.astype(int), first, second)
+    period = scene.pitches * _pitch(scene, params)
+    return folded(times, period, end, 0.5 * period * np.arange(_PHASES)[::-1] / _PHASES, whole)
 
 
 def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.ndarray, axis: int = 1) -> np.ndarray:
@@ -82,14 +51,12 @@ def _renumbered(scene: Joint, params: Params, values: np.ndarray, pitches: np.nd
     return np.take_along_axis(values, which.reshape(*which.shape, *[1] * (values.ndim - 2)), axis)
 
 
-def unfolded(
-    scene: Joint, params: Params, folded: Folded, histories: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def unfolded(scene: Joint, params: Params, short: Folded, histories: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Histories by contact, (M, ...), of the long run, (T, ...)."""
     found = {}
     for name, values in histories.items():
-        wanted = values[folded.index]
-        found[name] = _renumbered(scene, params, wanted, folded.pitches) if name in OF_A_BALL else wanted
+        wanted = values[short.index]
+        found[name] = _renumbered(scene, params, wanted, short.pitches) if name in OF_A_BALL else wanted
     return found
 
 
@@ -104,11 +71,11 @@ def _orders(scene: Joint) -> np.ndarray:
     return orders
 
 
-def unfolded_states(scene: Joint, params: Params, folded: Folded, states: np.ndarray) -> np.ndarray:
+def unfolded_states(scene: Joint, params: Params, short: Folded, states: np.ndarray) -> np.ndarray:
     """Flat states (M, n) of the long run, (T, n): balls renumbered, head and seat turned on."""
-    which = ways(scene, params) * folded.pitches % scene.balls
-    wanted = np.take_along_axis(states[folded.index], _orders(scene)[which], 1)
-    wanted[:, _turning(scene)] += (_angle(scene, params) * folded.pitches)[:, None]
+    which = ways(scene, params) * short.pitches % scene.balls
+    wanted = np.take_along_axis(states[short.index], _orders(scene)[which], 1)
+    wanted[:, _turning(scene)] += (_angle(scene, params) * short.pitches)[:, None]
     return wanted
 
 
@@ -139,27 +106,27 @@ def _turning(scene: Joint) -> list[int]:
 
 
 def mismatch(
-    scene: Joint, params: Params, folded: Folded, force: Mapping[str, Any], states: np.ndarray | None = None
+    scene: Joint, params: Params, short: Folded, force: Mapping[str, Any], states: np.ndarray | None = None
 ) -> dict[str, float]:
     """How far the last pitch is from repeating the one before.
 
     Of each contact the rms over its second half of the difference of normal forces, its worst member's, as a fraction
     of the largest in the short run; 0 for one that never touches. A cage that drifts between the ends of its windows
     repeats its forces until it is at one: while these bear nothing, it is the way that the cage drifts in the pitches left
-    out, as a fraction of the clearance. Forces and states are of the times of ``folded``.
+    out, as a fraction of the clearance. Forces and states are of the times of ``short``.
     """
     found = {}
     one = np.ones(_PHASES, int)
     for name, values in force.items():
         normal = np.asarray(values)[..., 0]
-        first, second = normal[folded.before], normal[folded.last]
+        first, second = normal[short.before], normal[short.last]
         if name in OF_A_BALL:
             first = _renumbered(scene, params, first, one)
         off, top = np.sqrt(np.mean(np.square(second - first), axis=0)).max(), np.abs(normal).max()
         found[name] = float(off / top) if top != 0.0 else 0.0
         if name == WINDOW_END and not (np.any(first) or np.any(second)):
             assert states is not None
-            turned = np.median(states[folded.last, scene.azimuth] - states[folded.before, scene.azimuth])
-            way = abs(turned - _angle(scene, params)) * float(params["pitch_radius"]) * folded.pitches.max()
+            turned = np.median(states[short.last, scene.azimuth] - states[short.before, scene.azimuth])
+            way = abs(turned - _angle(scene, params)) * float(params["pitch_radius"]) * short.pitches.max()
             found[name] = float(way / params[f"clearance_{WINDOW_END}"])
     return found

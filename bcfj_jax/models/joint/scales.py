@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from bcfj_jax.core.numerics import smooth_ramp
 from bcfj_jax.mechanism.model import Params
@@ -18,7 +19,7 @@ LEAST = 1e-2
 _TOLD = 1e-4
 
 
-def scales(scene: Joint, params: Params, end: Array | float = jnp.inf) -> Array:
+def scales(scene: Joint, params: Params, end: ArrayLike = jnp.inf) -> Array:
     """Size of each state: a place by the penetration of a ball that carries its share of the load, a velocity by
     friction's transition speed; turns, the cage's azimuth among them, by these over the pitch radius, a ball's spin by that
     over its own; a friction's state by ``AbstractFriction.reach``.

@@ -13,6 +13,7 @@ from jax import Array
 from bcfj_jax.mechanism.model import Orbit, Params
 from bcfj_jax.models.joint import energy, engineering
 from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.fidelity import of_run
 from bcfj_jax.models.joint.moments import NOTE, Moments, moments, quantities, table
 from bcfj_jax.models.joint.observe import resultants
 from bcfj_jax.models.joint.scene import GUIDES, Joint
@@ -119,7 +120,10 @@ def of_the_whole(times: np.ndarray, whole: Whole) -> dict[str, Any]:
 
 
 def of_the_run(scene: Joint, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
-    """``AbstractModel.whole`` of the joint at the level that the run has."""
+    """``AbstractModel.whole``, at the level that the run has: pressure, patch and power of contacts; of motion transmission,
+    energy, the cage's equilibrium, resultants.
+    """
+    scene = of_run(scene, run)
     if not scene.in_motion:
         return {"engineering": engineering.of_the_contacts(scene, params, run)}, {}
     found = whole(scene, params, run.times, run.trajectory)
@@ -136,7 +140,11 @@ def of_the_run(scene: Joint, params: Params, run: Any) -> tuple[dict[str, Any], 
 
 
 def orbits(scene: Joint, params: Params, run: Any) -> dict[str, Orbit]:
-    """``AbstractModel.orbits``. The joint's plane holds both axes."""
+    """``AbstractModel.orbits``: the cage in the seat, across the seat's axis, the head in the cage, across the head's.
+
+    Of motion only. The joint's plane holds both axes.
+    """
+    scene = of_run(scene, run)
     if not scene.in_motion or run.trajectory is None:
         return {}
     coupling = run.trajectory[:, 3 * scene.balls :][:, : scene.coupling]

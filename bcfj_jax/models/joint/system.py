@@ -24,11 +24,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint.bands import Band, act, band
-from bcfj_jax.models.joint.constants import BALLS, Constants
-from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, LawPair, grooves, join, pilots, windows
+from bcfj_jax.models.joint.constants import BALLS, Constants, groups
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, grooves, join, pilots, windows
 from bcfj_jax.models.joint.geometry import azimuth_rate, cage_axes, windows_around
 from bcfj_jax.models.joint.programmes import axial_at, drive_at, torque_at
-from bcfj_jax.models.joint.scene import BODIES, GROOVES, GUIDES, OUTER, WINDOW_END, Flat, Joint, beside, flat, split
+from bcfj_jax.models.joint.scene import BODIES, OUTER, PILOTS, Flat, Joint, beside, flat, split
 from bcfj_jax.xla.kept import kept
 
 
@@ -53,12 +53,10 @@ class State(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """All contacts: grooves (balls, 2 races), windows and their ends (balls,), pilots (k,), as far as the scene has them."""
+    """All contacts, as they are computed together (``constants.groups``): of balls (balls, m), pilots (k,)."""
 
-    grooves: ContactForce
-    windows: ContactForce | None
-    pilots: ContactForce | None
-    ends: ContactForce | None = None
+    balls: tuple[ContactForce, ...]
+    pilots: tuple[ContactForce, ...]
 
 
 def view(scene: Joint, c: Constants, y: Array) -> State:
@@ -106,10 +104,23 @@ class Part(NamedTuple):
     """Contacts that are evaluated together: names, laws, geometry by relative place, relative motion, bristles."""
 
     names: tuple[str, ...]
-    laws: ContactLaws | LawPair
+    laws: ContactLaws
     geometry: Callable[[Array], Any]
     motion: Motion
     bristles: Array | None
+
+
+def parts(
+    names: list[tuple[str, ...]], laws: tuple[ContactLaws, ...], geometry: Any, motion: Motion, state: State
+) -> list[Part]:
+    """The parts of contacts side by side along the last axis but one; ``geometry`` of a slice of them is a part's."""
+    found, first = [], 0
+    for some, law in zip(names, laws, strict=True):
+        at = slice(first, first + len(some))
+        moving = jax.tree.map(lambda x, at=at: x[..., at, :], motion)
+        found.append(Part(some, law, partial(geometry, at), moving, beside(state.bristles, some)))
+        first = at.stop
+    return found
 
 
 class RelativeMotions(NamedTuple):
@@ -118,26 +129,13 @@ class RelativeMotions(NamedTuple):
     Attributes:
         motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
         across: normals of the track planes (balls, 2, 3).
-        contacts: laws and geometries, of all bodies together (balls, m, f) or one after the other.
-        bristles: by contact.
+        parts: contacts that are evaluated together.
     """
 
     motion: Motion
     spins: Array
     across: Array
-    contacts: tuple[tuple[ContactLaws | LawPair, Any, int], ...]
-    bristles: dict[str, Array]
-
-    def parts(self) -> list[Part]:
-        """Contacts that are evaluated together."""
-        found, first = [], 0
-        for laws, at, count in self.contacts:
-            last = first + count
-            motion = jax.tree.map(lambda x, i=first, j=last: x[:, i:j], self.motion)
-            names = BALLS[first:last]
-            found.append(Part(names, laws, at, motion, beside(self.bristles, names)))
-            first = last
-        return found
+    parts: list[Part]
 
 
 def shaft_axes(c: Constants, turns: Array) -> tuple[Array, Array]:
@@ -164,54 +162,50 @@ def track_normals(scene: Joint, c: Constants, turns: Array) -> Array:
     return jnp.cos(angle) * tangent - jnp.sin(angle) * radial
 
 
+def around_balls(c: Constants, across: Array, axes: Array, at: slice, arm: Array) -> Geometry:
+    """Contacts of balls at ``arm`` (balls, m, 3) from some of the bodies around them.
+
+    ``across``: normals of the track planes; ``axes``: of windows, and of their ends where there are any (..., 2, 3).
+    """
+    races, flat = slice(at.start, min(at.stop, 2)), slice(max(at.start, 2) - 2, at.stop - 2)
+    found, many = [], max(races.stop - races.start, 0)
+    if many:
+        shape = c.groove.races(races)
+        found.append(grooves(shape, arm[:, :many] - shape.offset[:, None] * c.axes[races], across[:, races]))
+    if at.stop > 2:
+        clearance = c.window_clearance[..., flat, :]
+        found.append(windows(clearance, c.groove.ball, arm[:, many:], axes[..., flat, :]))
+    return found[0] if len(found) == 1 else join(*found)
+
+
 def relative_motions(scene: Joint, c: Constants, state: State) -> RelativeMotions:
     """Where the balls are, and how they move, relative to the bodies that they touch."""
-    zero, planes = jnp.zeros(3), 0 if c.window_laws is None else 1 if c.cage_laws is None else 2
+    names = groups(scene, BALLS)
+    zero, planes = jnp.zeros(3), sum(map(len, names)) - 2
     place = jnp.stack([zero, state.head_place, *[state.cage_place] * planes])
     velocity = jnp.stack([zero, state.head_velocity, *[state.cage_velocity] * planes])
     spins = jnp.stack([state.seat_spin * c.axes[0], state.head_spin * c.axes[1], *[state.cage_spin] * planes])
     motion = relative(state, place, velocity, spins)
     across = track_normals(scene, c, jnp.stack([state.seat_turn, state.head_turn]))
-    laws, clearance, axis = c.window_laws, c.window_clearance, state.cage_axis
-    if c.cage_laws is not None:
-        around = windows_around(axis, state.cage_azimuth + scene.azimuths)
-        laws, clearance = c.cage_laws, c.cage_clearance
-        axis = jnp.stack([jnp.broadcast_to(axis, around.shape), around], 1)
-
-    def in_grooves(arm: Array) -> Geometry:
-        return grooves(c.groove, arm - c.groove.offset[:, None] * c.axes, across)
-
-    def in_windows(arm: Array) -> Geometry:
-        return windows(clearance, c.groove.ball, arm, axis)
-
-    def both(arm: Array) -> Geometry:
-        return join(in_grooves(arm[:, :2]), in_windows(arm[:, 2:]))
-
-    contacts: tuple[Any, ...] = ((c.groove_laws, in_grooves, 2), (laws, in_windows, planes))[: 2 if planes else 1]
-    if c.ball_laws is not None:
-        contacts = ((c.ball_laws, both, 2 + planes),)
-    return RelativeMotions(motion, spins, across, contacts, state.bristles)
+    axes = state.cage_axis[None]
+    if scene.window_ends:
+        around = windows_around(state.cage_axis, state.cage_azimuth + scene.azimuths)
+        axes = jnp.stack([jnp.broadcast_to(state.cage_axis, around.shape), around], 1)
+    geometry = partial(around_balls, c, across, axes)
+    return RelativeMotions(motion, spins, across, parts(names, c.ball_laws, geometry, motion, state))
 
 
-def _acted(part: Part) -> ContactForce:
-    motion = part.motion
-    return act(part.laws, part.geometry(motion.arm), motion.velocity, motion.spin, part.bristles)
+def _acted(several: list[Part]) -> tuple[ContactForce, ...]:
+    return tuple(
+        act(part.laws, part.geometry(part.motion.arm), part.motion.velocity, part.motion.spin, part.bristles)
+        for part in several
+    )
 
 
 @partial(jax.jit, static_argnums=0, inline=True)  # solver and observation both trace it
 def contact_forces(scene: Joint, c: Constants, state: State) -> ContactForces:
     """Every contact of the scene in one state."""
-    parts = relative_motions(scene, c, state).parts()
-    acted = [_acted(part) for part in parts]
-    groove = jax.tree.map(lambda x: x[:, :2], acted[0])
-    pilot = window = end = None
-    if c.cage_laws is not None:
-        window, end = (jax.tree.map(lambda x, i=i: x[:, i], acted[-1]) for i in (-2, -1))
-    elif c.window_laws is not None:
-        window = jax.tree.map(lambda x: x[:, -1], acted[-1])
-    if c.pilot_laws is not None:
-        pilot = _acted(piloted(scene, c, state))
-    return ContactForces(groove, window, pilot, end)
+    return ContactForces(_acted(relative_motions(scene, c, state).parts), _acted(piloted(scene, c, state)))
 
 
 def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
@@ -229,27 +223,17 @@ def guided(scene: Joint, c: Constants, state: State) -> tuple[Motion, Array]:
     return Motion(arm, inner[1] - outer[1] - jnp.cross(spin, arm), inner[2] - spin), spin
 
 
-def piloted(scene: Joint, c: Constants, state: State) -> Part:
-    """The pilots, of a scene that has them."""
-    assert c.pilot_laws is not None
+def piloted(scene: Joint, c: Constants, state: State) -> list[Part]:
+    """The pilots, as far as the scene has them."""
+    if not scene.pilots:
+        return []
 
-    def geometry(arm: Array) -> Geometry | Band:
+    def geometry(at: slice, arm: Array) -> Geometry | Band:
         if c.bands is not None:
-            return band(c.bands, arm, state.cage_axis)
-        return pilots(c.pilot_clearance, c.pilot_hollow, arm)
+            return band(c.bands.some(at), arm, state.cage_axis)
+        return pilots(c.pilot_clearance[at], c.pilot_hollow[at], arm)
 
-    motion = guided(scene, c, state)[0]
-    return Part(scene.pilots, c.pilot_laws, geometry, motion, beside(state.bristles, scene.pilots))
-
-
-def on_inner(scene: Joint, pilots: ContactForce) -> ContactForce:
-    """Pilots' forces on the inner spheres (``GUIDES``), of bands too; moments are those that the contacts have."""
-    if not scene.banded:
-        return pilots
-    sign = jnp.array(
-        [1.0 if GUIDES[name] == pair else -1.0 for name, pair in zip(scene.pilots, scene.pairs, strict=True)]
-    )
-    return pilots._replace(force=sign[:, None] * pilots.force, drag=sign[:, None] * pilots.drag)
+    return parts(groups(scene, PILOTS), c.pilot_laws, geometry, guided(scene, c, state)[0], state)
 
 
 class GuideMaps(NamedTuple):
@@ -319,11 +303,8 @@ def wrench(touch: ContactForce) -> Array:
 
 def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) -> tuple[Array, Array]:
     """Contact wrenches on the balls (balls, twist) and generalised forces on the coupling coordinates (coupling,)."""
-    wrenches, places = wrench(found.grooves), [jnp.zeros(3), state.head_place]
-    for touch in (found.windows, found.ends):
-        if touch is not None:
-            wrenches = jnp.concatenate([wrenches, wrench(touch)[:, None]], 1)
-            places.append(state.cage_place)
+    wrenches = jnp.concatenate([wrench(touch) for touch in found.balls], 1)
+    places = [jnp.zeros(3), state.head_place, state.cage_place, state.cage_place][: wrenches.shape[1]]
     force = wrenches[..., :3]
     torque = jnp.cross(state.ball_place[:, None] - jnp.stack(places), force)
     if scene.spin:
@@ -333,9 +314,10 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
     cage = jnp.sum(push[2:], 0), jnp.sum(twist[2:], 0)
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
     coupling = scene.coupled(parts)
-    if found.pilots is not None:
+    if found.pilots:
         maps = guide_maps(scene, c, guided(scene, c, state)[0].arm).twist
-        coupling = coupling + jnp.sum(maps * wrench(found.pilots)[..., None], (0, 1))
+        guiding = jnp.concatenate([wrench(touch) for touch in found.pilots])
+        coupling = coupling + jnp.sum(maps * guiding[..., None], (0, 1))
     return jnp.sum(wrenches, 1), coupling
 
 
@@ -348,10 +330,15 @@ class Loads(NamedTuple):
 
 def by_name(scene: Joint, found: ContactForces) -> dict[str, ContactForce]:
     """By contact what it does: of all balls, or of one pilot."""
-    each: list[tuple[str, Any, Any]] = [(name, found.grooves, (slice(None), i)) for i, name in enumerate(GROOVES)]
-    each += [("cage_ball", found.windows, slice(None)), (WINDOW_END, found.ends, slice(None))]
-    each += [(name, found.pilots, i) for i, name in enumerate(scene.pilots)]
-    return {name: jax.tree.map(lambda x, at=at: x[at], touch) for name, touch, at in each if touch is not None}
+    each = [
+        *zip(groups(scene, BALLS), found.balls, strict=True),
+        *zip(groups(scene, PILOTS), found.pilots, strict=True),
+    ]
+    return {
+        name: jax.tree.map(lambda x, at=(i if name in PILOTS else (slice(None), i)): x[at], touch)
+        for names, touch in each
+        for i, name in enumerate(names)
+    }
 
 
 def on_parts(scene: Joint, c: Constants, state: State) -> dict[str, dict[str, Loads]]:

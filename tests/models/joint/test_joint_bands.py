@@ -80,7 +80,7 @@ def test_friction_that_lags_takes_the_power_of_its_actual_force():
 
     @jax.jit
     def look(place, velocity, spin, late):
-        return bands.act(c.pilot_laws, bands.band(c.bands, place, jnp.asarray(AXIS)), velocity, spin, late[:, None])
+        return bands.act(c.pilot_laws[0], bands.band(c.bands, place, jnp.asarray(AXIS)), velocity, spin, late[:, None])
 
     pressed = 0
     for k in range(40):
@@ -102,7 +102,7 @@ def test_friction_of_an_edge_is_that_of_its_points(shift):
     place = np.tile(1.3e-4 * AXIS + shift * x, (2, 1))
     rng = np.random.default_rng(3)
     velocity, spin = 0.02 * rng.normal(size=(2, 3)), 2.0 * rng.normal(size=(2, 3))
-    found = bands.act(c.pilot_laws, bands.band(c.bands, jnp.asarray(place), jnp.asarray(AXIS)), velocity, spin)
+    found = bands.act(c.pilot_laws[0], bands.band(c.bands, jnp.asarray(place), jnp.asarray(AXIS)), velocity, spin)
     turn = 2.0 * np.pi * np.arange(720) / 720 if shift == 0.0 else np.zeros(1)
     ring = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * np.cross(AXIS, x)
     points = np.cos(LATITUDE) * ring + np.sin(LATITUDE) * AXIS
@@ -112,7 +112,7 @@ def test_friction_of_an_edge_is_that_of_its_points(shift):
         slip = np.sqrt(np.mean(np.sum(slide**2, 1)))
         assert float(found.slip[k, 0]) == within(slip, 1e-9)
         # One mobility for all points: that of their mean square sliding.
-        hold = float(found.normal[k, 0]) * float(c.pilot_laws.mobility(jnp.full((2, 1), slip**2))[k, 0])
+        hold = float(found.normal[k, 0]) * float(c.pilot_laws[0].mobility(jnp.full((2, 1), slip**2))[k, 0])
         drag, moment = -hold * slide.mean(0), -hold * lever * np.cross(points, slide).mean(0)
         assert np.allclose(found.drag[k], drag, rtol=0, atol=1e-9 * np.abs(drag).max())
         assert np.allclose(found.moment[k], moment, rtol=0, atol=1e-9 * np.abs(moment).max())
@@ -131,7 +131,7 @@ def test_an_axial_load_needs_twice_as_much_normal_force():
     width = np.asarray(c.bands.width)
     place = (clearance + deep - 0.5 * width * np.cos(LATITUDE) ** 2) / np.sin(LATITUDE)
     at = bands.band(c.bands, jnp.asarray(place[:, None] * AXIS), jnp.asarray(AXIS))
-    found = bands.act(c.pilot_laws, at, jnp.zeros((2, 3)), jnp.zeros((2, 3)))
+    found = bands.act(c.pilot_laws[0], at, jnp.zeros((2, 3)), jnp.zeros((2, 3)))
     assert np.asarray(found.normal)[:, 0] == pytest.approx(14.4e3, rel=1e-9)
     assert np.asarray(found.force) == pytest.approx(np.tile(-7.2e3 * AXIS, (2, 1)), abs=1e-6)
     # Nothing turns a smooth sphere.
@@ -224,5 +224,5 @@ def test_friction_of_bands_is_compiled_with_bands_alone():
     scene, params, c = made()
     assert c.bands is None
     state = system.view(scene, c, scene.initial_state(params))
-    part = system.piloted(scene, c, state)
+    (part,) = system.piloted(scene, c, state)
     assert not isinstance(part.geometry(part.motion.arm), bands.Band)

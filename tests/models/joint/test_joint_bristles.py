@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 import bcfj_jax as bj
 from bcfj_jax.analysis import energy_balance
 from bcfj_jax.models.joint import energy, system
+from bcfj_jax.models.joint.constants import laws_of
 from bcfj_jax.models.joint.contacts import RELAX, act, windows
 from bcfj_jax.models.joint.scene import flat, split
 
@@ -26,17 +27,20 @@ PLACE, AXIS = np.array([0.03, 0.0, 4e-5]), np.array([0.0, 0.0, 1.0])
 def touching(friction: str):
     """The upper face's force, its normal force and its bristle's rate, by (height, velocity, deflection)."""
     scene = plain_joint(friction=friction)
-    c = constants(scene, scene.parameters({"smoothing": 1e-6}))
+    params = scene.parameters({"smoothing": 1e-6})
+    laws = laws_of(scene, params, "cage_ball")
 
     @jax.jit
     def look(height, velocity, bristle):
-        at = windows(c.window_clearance, c.groove.ball, jnp.asarray(PLACE) + height * AXIS, jnp.asarray(AXIS))
+        at = windows(
+            params["clearance_cage_ball"], params["ball_radius"], jnp.asarray(PLACE) + height * AXIS, jnp.asarray(AXIS)
+        )
         bent = jnp.stack([bristle, jnp.zeros(3)]) if friction == "lugre" else None
-        touch = act(c.window_laws, at, velocity, None, bent)
+        touch = act(laws, at, velocity, None, bent)
         bending = jnp.zeros(3) if touch.bending is None else touch.bending[0]
         return touch.drag, touch.normal[0], bending
 
-    return look, c.window_laws
+    return look, laws
 
 
 def settled(laws, slip: np.ndarray) -> np.ndarray:

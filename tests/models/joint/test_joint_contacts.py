@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import MANY, in_grooves, made, unit
+from joints import GROOVES, MANY, in_grooves, made, touches, unit
 from oracles import within
 from scipy.optimize import minimize
 
 from bcfj_jax.models.joint import contacts, system
-from bcfj_jax.models.joint.constants import constants
+from bcfj_jax.models.joint.constants import constants, laws_of, laws_together
 from bcfj_jax.models.joint.contacts import Geometry, act
 from bcfj_jax.models.joint.kinematic import nominal
 
@@ -52,7 +52,7 @@ def test_gaps_of_the_sheet(track):
     params = scene.parameters(values)
     c, y = constants(scene, params), disturbed(scene, params, 4)
     state = system.view(scene, c, y)
-    found = jax.jit(lambda y: system.contact_forces(scene, c, system.view(scene, c, y)))(y)
+    found = jax.jit(lambda y: touches(scene, c, system.view(scene, c, y)))(y)
 
     ball, cage, head = (np.asarray(x) for x in (state.ball_place, state.cage_place, state.head_place))
     beta, e, r = values["joint_angle"], values["offset"], values["ball_radius"]
@@ -171,7 +171,7 @@ def test_normals_are_gradients_of_the_gap():
 
 
 def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
-    _, _, c = made(smoothing=False)
+    scene, params, c = made(smoothing=False)
     g = c.groove._replace(clearance=jnp.zeros(2))
     across = np.array([[0.0, 1.0, 0.0], [0.0, 0.6, 0.8]])
     radial = np.array([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0]])
@@ -186,7 +186,7 @@ def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
     # Pressed into the groove, outwards in the seat and inwards in the head, both flanks push back alike.
     depth = 20e-6 * np.array([[1.0], [-1.0]]) * radial
     at = grooves(g, jnp.asarray(float(g.radius) * radial + depth), jnp.asarray(across))
-    touch = acted(c.groove_laws, at, jnp.zeros((2, 3)), None)
+    touch = acted(laws_together(scene, params, GROOVES), at, jnp.zeros((2, 3)), None)
     assert np.allclose(touch.normal[:, 0], touch.normal[:, 1], rtol=1e-10) and np.all(np.asarray(touch.normal) > 100)
     pressed = np.asarray(touch.force)
     assert np.allclose(np.cross(pressed, -depth), 0.0, rtol=0, atol=1e-9 * abs(pressed).max() * 2e-5)
@@ -198,7 +198,7 @@ def test_ball_without_clearance_touches_both_flanks_at_the_contact_angle():
 
 def test_sector_gate():
     # A ball beyond the middle of a flank's circle is not that flank's any more.
-    _, _, c = made()
+    scene, params, c = made()
     g = c.groove
     across, radial = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     reach = float(g.flank) * np.sin(np.radians(40.0))
@@ -213,7 +213,7 @@ def test_sector_gate():
     gate = np.asarray(at.gate[:, 0])
     assert np.all(gate[shares < -1, 0] == 0.0) and np.all(gate[shares > 1, 1] == 0.0)
     assert np.all(gate[abs(shares) < 0.8] == 1.0)
-    normal = np.asarray(acted(c.groove_laws, at, jnp.zeros((61, 2, 3)), None).normal[:, 0])
+    normal = np.asarray(acted(laws_together(scene, params, GROOVES), at, jnp.zeros((61, 2, 3)), None).normal[:, 0])
     assert np.all(normal[shares < -1, 0] == 0.0) and np.all(normal[shares > 0.9, 0] > 0.0)
     # Its slope, where it is between 0 and 1.
     # (Its second derivative jumps at either end: samples whose step straddles one are left out.)
@@ -233,11 +233,12 @@ def test_sector_gate():
 
 def test_forces_of_a_window():
     # Normal: K d^n (1 + a d'). Friction: N mu(u)/u u, against the slip, at the ball's surface where it spins.
-    _, _, c = made(spin=True)
+    scene, params, c = made(spin=True)
+    laws = laws_of(scene, params, "cage_ball")
     axis, depth, v, w = np.array([0.0, 0.0, 1.0]), 20e-6, np.array([0.3, -0.1, 0.05]), np.array([30.0, 10.0, 5.0])
     place = np.array([0.03, 0.01, 1e-5 + depth])
-    at = windows(c.window_clearance, c.groove.ball, jnp.asarray(place), jnp.asarray(axis))
-    touch = acted(c.window_laws, at, jnp.asarray(v), jnp.asarray(w))
+    at = windows(params["clearance_cage_ball"], c.groove.ball, jnp.asarray(place), jnp.asarray(axis))
+    touch = acted(laws, at, jnp.asarray(v), jnp.asarray(w))
     normal = 1.3476e10 * depth**1.5 * (1.0 + 0.111 * v[2])
     assert float(touch.normal[0]) == within(normal, 1e-12) and float(touch.normal[1]) == 0.0
     slip = v - v[2] * axis + np.cross(w, 8e-3 * axis)
@@ -249,19 +250,20 @@ def test_forces_of_a_window():
     assert np.allclose(touch.moment, np.cross(8e-3 * axis, drag), rtol=1e-12, atol=1e-15)
     assert float(touch.slip[0]) == within(np.linalg.norm(slip), 1e-12)
     # A ball that rolls does not slip; without spin it is a particle, and slides.
-    rolling = acted(c.window_laws, at, jnp.asarray(-np.cross(w, 8e-3 * axis)), jnp.asarray(w))
+    rolling = acted(laws, at, jnp.asarray(-np.cross(w, 8e-3 * axis)), jnp.asarray(w))
     assert np.allclose(rolling.drag, 0.0, atol=1e-12 * normal)
 
 
 @pytest.mark.parametrize("spin", [False, True], ids=["particle", "spin"])
 def test_contacts_take_power_and_do_not_give_any(spin):
     # Frame-indifferent, so power is that on the relative twist: elastic part aside, it is lost.
-    _, _, c = made(spin=spin, law="hertz")
+    scene, params, c = made(spin=spin, law="hertz")
     rng = np.random.default_rng(7)
     place, across = in_grooves(rng, float(c.groove.radius))
     velocity, twist = 0.2 * rng.normal(size=place.shape), 20.0 * rng.normal(size=place.shape) if spin else None
     at = grooves(c.groove, jnp.asarray(place), jnp.asarray(across))
-    touch = acted(c.groove_laws, at, jnp.asarray(velocity), twist if twist is None else jnp.asarray(twist))
+    laws = laws_together(scene, params, GROOVES)
+    touch = acted(laws, at, jnp.asarray(velocity), twist if twist is None else jnp.asarray(twist))
     power = np.sum(np.asarray(touch.drag) * velocity, -1)
     if twist is not None:
         power = power + np.sum(np.asarray(touch.moment) * twist, -1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joints import JOINT, QUICK, SEEDS, constants, flows, noisy, plain_joint, view
+from joints import JOINT, QUICK, SEEDS, constants, flows, noisy, plain_joint, touches, view
 from oracles import within
 
 from bcfj_jax.analysis import energy_balance
@@ -99,7 +99,7 @@ def sharp():
     @functools.partial(jax.jit, compiler_options=QUICK)
     def look(params, y):
         c = constants(scene, params)
-        found = system.contact_forces(scene, c, system.view(scene, c, y))
+        found = touches(scene, c, system.view(scene, c, y))
         depths = [x.penetration for x in (found.grooves, found.windows, found.pilots)]
         return depths, energy.stored(scene, c, 0.0, y).elastic
 

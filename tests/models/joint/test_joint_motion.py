@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, solved
+from joints import JOINT, QUICK, SEEDS, constants, noisy, plain_joint, solved, touches
 from oracles import within
 
 from bcfj_jax.models.joint import energy, system
@@ -97,8 +97,8 @@ def wrenches(scene):
     @functools.partial(jax.jit, compiler_options=QUICK)
     def read(y):
         state = system.view(scene, c, y)
-        found = system.contact_forces(scene, c, state)
-        ball, coupling = system.on_bodies(scene, c, state, found)
+        found = touches(scene, c, state)
+        ball, coupling = system.on_bodies(scene, c, state, system.contact_forces(scene, c, state))
         total = {body: jnp.zeros((2, 3)) for body in ("seat", "head", "cage")}
 
         def add(body, force, point, moment=0.0):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from joints import QUICK
+from joints import QUICK, touches
 from oracles import within
 from scipy.optimize import root
 
@@ -54,7 +54,7 @@ def touching(scene, params, states):
     """Contacts at rest."""
     c = constants(scene, params)
     still = states.at[:, 3 * scene.balls + scene.coupling :].set(0.0)
-    return jax.vmap(lambda y: system.contact_forces(scene, c, system.view(scene, c, y)))(still)
+    return jax.vmap(lambda y: touches(scene, c, system.view(scene, c, y)))(still)
 
 
 def solved(scene, params, times):
