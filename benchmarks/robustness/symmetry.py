@@ -263,12 +263,8 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
         return half * np.sign(way) + (SIZES["radius"] - depth) * way
     if name == "sphere_on_wedge":
         out, aside = np.sin(SIZES["half_angle"]), np.cos(SIZES["half_angle"])
-        along = np.array([aside, -out, 0.0]) * abs(p[0])
-        return (
-            along * [np.tan(SIZES["half_angle"]), 1.0, 1.0]
-            + (SIZES["radius"] - depth) * np.array([aside, out, 0.0])
-            + [0, 0, p[2]]
-        )
+        along, normal = np.array([out, -aside, 0.0]), np.array([aside, out, 0.0])
+        return abs(p[0]) * along + (SIZES["radius"] - depth) * normal + np.array([0.0, 0.0, p[2]])
     if name == "slider_in_guide":
         # So small a block that it meets one wall, however it is turned.
         long, wide = SIZES["half_length"], SIZES["half_width"]

@@ -35,7 +35,10 @@ from benchmarks.robustness.symmetry import (
 M = np.array(MIRROR)
 
 
-def machines(ci=range(len(structures()))):
+WHOLE = range(len(structures()))
+
+
+def machines(ci=WHOLE):
     """Every gap with every friction law; of the machines in ``ci`` one law each in CI's tier."""
 
     def tier(k, roll):

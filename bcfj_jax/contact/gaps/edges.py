@@ -123,11 +123,12 @@ class CapsuleOnCapsule(AbstractGap):
 
     r leads between the nearest points of both segments, s from a's marker along a's z axis and t from b's along b's:
 
-        r = p + t z_b - s z_a,    |s| <= half_length_a,    |t| <= half_length_b,    r . r + e (s^2 + t^2) least
+        r = p + t z_b - s z_a,   |s| <= half_length_a,   |t| <= half_length_b,   r . r + e ((s - s_0)^2 + (t - t_0)^2) least
 
-    (two segments: Ericson, Real-Time Collision Detection, 2005, 5.1.9), with e = 1e-10, so that capsules parallel to 1e-5 rad
+    (two segments: Ericson, Real-Time Collision Detection, 2005, 5.1.9), with s_0 and t_0 the middle of what either segment has
+    beside the other if they are parallel, and e = 1e-10, so that capsules parallel to 1e-5 rad
     touch in the middle of where they lie beside each other; one that rocks on the other bears at an end from there on. The
-    error of |r| is e s^2/(2 |r|). The point of contact is midway between the surfaces. A half length of 0 is a sphere. Of two
+    error of |r| is e (s - s_0)^2/(2 |r|) or so. The point of contact is midway between the surfaces. A half length of 0 is a sphere. Of two
     cylinders it is where their sides touch; their flat ends are not in it.
     Bristles turn with the mean of both angular velocities. Neither body differs from the other: a and b may be exchanged.
 
@@ -139,10 +140,10 @@ class CapsuleOnCapsule(AbstractGap):
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         first, second, apart = a.axes[2], b.axes[2], subtract(b.place, a.place)
-        s, t = _nearest((dot(first, second), dot(first, apart), dot(second, apart)), cross(first, second), c)
+        s, t, beside = _nearest((dot(first, second), dot(first, apart), dot(second, apart)), cross(first, second), c)
         arm = scale(t, second)
         way = subtract(add(apart, arm), scale(s, first))
-        distance = jnp.sqrt(dot(way, way) + _PARALLEL * (s * s + t * t) + ROUND**2)
+        distance = jnp.sqrt(dot(way, way) + beside + ROUND**2)
         normal = scale(-1.0 / length(way, ROUND), way)
         middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
@@ -252,12 +253,20 @@ def _capsule(radius: float, half: float) -> shapes.Mesh:
     return shapes.revolved(np.stack([radius * np.cos(angle), height], axis=1))
 
 
-def _nearest(dots: tuple[Number, Number, Number], across: Vector, c: Coefficients) -> tuple[Number, Number]:
-    """s and t of ``CapsuleOnCapsule``, from z_a . z_b, z_a . p, z_b . p and z_a x z_b."""
+def _nearest(dots: tuple[Number, Number, Number], across: Vector, c: Coefficients) -> tuple[Number, Number, Number]:
+    """s, t and e ((s - s_0)^2 + (t - t_0)^2) of ``CapsuleOnCapsule``, from z_a . z_b, z_a . p, z_b . p and z_a x z_b."""
     (both, u, w), one = dots, 1.0 + _PARALLEL
     ours, theirs = c["half_length_a"], c["half_length_b"]
+
+    def middle(at: Number, own: Number, other: Number) -> Number:
+        """Of what a segment has beside the other, whose middle is beside ``at``."""
+        return 0.5 * (jnp.maximum(-own, at - other) + jnp.minimum(own, at + other))
+
+    s_0, t_0 = middle(u, ours, theirs), middle(-w, theirs, ours)
+    u, w = u + _PARALLEL * s_0, w - _PARALLEL * t_0
     # The determinant one^2 - both^2, without its cancellation.
     s = jnp.clip((one * u - both * w) / (dot(across, across) + one * one - 1.0), -ours, ours)
     free = (both * s - w) / one
     t = jnp.clip(free, -theirs, theirs)
-    return jnp.where(free == t, s, jnp.clip((both * t + u) / one, -ours, ours)), t
+    s = jnp.where(free == t, s, jnp.clip((both * t + u) / one, -ours, ours))
+    return s, t, _PARALLEL * (jnp.square(s - s_0) + jnp.square(t - t_0))

@@ -212,7 +212,7 @@ class PinInBearing(AbstractGap):
     def bends(self, c: Coefficients) -> Bends:
         return Bends(np.inf if self.pads else c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
-    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any]:
+    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any] | None:
         """R = r (r + clearance)/clearance, r the pin's; none of pads."""
         if self.pads:
             return None
