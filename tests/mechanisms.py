@@ -33,7 +33,14 @@ GAPS: dict[str, Any] = {
     "pin_in_pads": gaps.PinInBearing(pads=4),
 }
 # Whose second body has directions.
-_LONG = ("pin_with_ends", "slider_in_guide", "box_on_plane", "capsule_on_plane", "cylinder_on_plane", "capsule_on_capsule")
+_LONG = (
+    "pin_with_ends",
+    "slider_in_guide",
+    "box_on_plane",
+    "capsule_on_plane",
+    "cylinder_on_plane",
+    "capsule_on_capsule",
+)
 _SIZES = {
     "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "half_height": 0.025,
     "clearance": 0.01, "half_length_a": 0.05, "half_length_b": 0.03, "half_angle": 0.6,

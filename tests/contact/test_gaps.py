@@ -159,7 +159,9 @@ SEARCHED = {
     "wedge-edge": functools.partial(_wedge, out=(-1, 0, 0)),
 }
 # Searched to the square root of rounding; capsules also miss what keeps parallel ones apart.
-LOOSE = {"capsules": 2e-9, "capsules-end": 2e-9} | dict.fromkeys(("on-face", "on-edge", "on-corner", "wedge", "wedge-edge"), 1e-9)
+LOOSE = {"capsules": 2e-9, "capsules-end": 2e-9} | dict.fromkeys(
+    ("on-face", "on-edge", "on-corner", "wedge", "wedge-edge"), 1e-9
+)
 
 
 @pytest.mark.parametrize("key", SEARCHED)

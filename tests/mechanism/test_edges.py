@@ -25,7 +25,9 @@ NUMBERS = {
 def scene(gap, start, loads=(), law="kelvin_voigt", friction: str | None = "coulomb", **more):
     """A cylinder along its z axis, whose attitude turns that into the world's y where the plane is z."""
     body = Body("log", "free", mass=M, inertia=(ACROSS, ACROSS, ROUND), start=start)
-    made = Mechanism("log", [body], [Contact("floor", (GROUND, "log"), gap, law, friction)], [Gravity("-z"), *loads], **more)
+    made = Mechanism(
+        "log", [body], [Contact("floor", (GROUND, "log"), gap, law, friction)], [Gravity("-z"), *loads], **more
+    )
     return made, made.parameters({key: x for key, x in NUMBERS.items() if key in made.quantities})
 
 
@@ -42,11 +44,15 @@ def test_a_cylinder_rolls_down_a_slope(gap):
     sunk = R - M * G * np.cos(slope) / (2.0 * K)
     start = {**LYING, "x": up[0] * sunk, "z": up[2] * sunk}
     body = Body("log", "free", mass=M, inertia=(ACROSS, ACROSS, ROUND), start=start)
-    made = Mechanism("log", [body], [Contact("floor", (GROUND, "log"), gap(up), "kelvin_voigt", "coulomb")], [Gravity("-z")])
+    made = Mechanism(
+        "log", [body], [Contact("floor", (GROUND, "log"), gap(up), "kelvin_voigt", "coulomb")], [Gravity("-z")]
+    )
     times = np.linspace(0.0, end, 5)
     run = bj.simulate(made, made.parameters({k: x for k, x in NUMBERS.items() if k in made.quantities}), times,
                       read=["log.place.x", "log.place.z", "log.spin.y"], accuracy=1e-4)  # fmt: skip
-    gone = (run.readings["log.place.x"] - start["x"]) * np.cos(slope) + (run.readings["log.place.z"] - start["z"]) * np.sin(slope)
+    gone = (run.readings["log.place.x"] - start["x"]) * np.cos(slope) + (
+        run.readings["log.place.z"] - start["z"]
+    ) * np.sin(slope)
     down = G * np.sin(slope) / 1.5
     # Coulomb's friction creeps at friction_speed N_t/(mu N).
     np.testing.assert_allclose(-gone, 0.5 * down * times**2, atol=2e-4)
@@ -95,7 +101,10 @@ def test_a_standing_cylinder_tips_over_its_rim():
 
 def two(start, law="hertz", **more):
     """Capsules a, still, along z, and b, free."""
-    bodies = [Body("b", "free", mass=M, inertia=(0.01, 0.01, 0.002), start=start), Body("a", "free", mass=3.0, inertia=0.02)]
+    bodies = [
+        Body("b", "free", mass=M, inertia=(0.01, 0.01, 0.002), start=start),
+        Body("a", "free", mass=3.0, inertia=0.02),
+    ]
     made = Mechanism("two", bodies, [Contact("c", ("a", "b"), gaps.CapsuleOnCapsule(), law, **more)])
     given = {"radius_a": 0.03, "radius_b": 0.02, "half_length_a": 0.1, "half_length_b": 0.06, "stiffness": 1e8, "exponent": 1.5,
              "smoothing": 0.0, "friction_dynamic": 0.3, "friction_static": 0.3, "friction_speed": 0.1}  # fmt: skip
@@ -147,7 +156,10 @@ def test_capsules_that_collide_keep_momentum_and_energy():
             for name, (mass, inertia) in own.items():
                 axes, one = moved[name].axes, moved[name]
                 turn = axes @ (inertia * (axes.T @ one.spin))
-                push, energy = push + mass * one.velocity, energy + 0.5 * (mass * one.velocity @ one.velocity + one.spin @ turn)
+                push, energy = (
+                    push + mass * one.velocity,
+                    energy + 0.5 * (mass * one.velocity @ one.velocity + one.spin @ turn),
+                )
                 spun = spun + turn + mass * jnp.cross(one.place, one.velocity)
             return jnp.concatenate([push, spun, energy[None]])
 
@@ -179,7 +191,9 @@ def test_a_sphere_on_the_edge_of_a_box_and_of_a_wedge_is_pushed_along_the_normal
 def test_a_ball_rolls_off_a_table():
     """On the table it stays, beyond the edge it falls; without friction its energy stays what it was."""
     ball = Body("ball", "sphere", mass=M, inertia=1e-3, start={"x": 0.15, "z": 0.02 + R - M * G / K, "vx": 1.0})
-    made = Mechanism("table", [ball], [Contact("c", (GROUND, "ball"), gaps.SphereOnBox(), "kelvin_voigt")], [Gravity("-z")])
+    made = Mechanism(
+        "table", [ball], [Contact("c", (GROUND, "ball"), gaps.SphereOnBox(), "kelvin_voigt")], [Gravity("-z")]
+    )
     given = {**NUMBERS, "half_length": 0.2, "half_width": 0.2, "half_height": 0.02}
     p = made.parameters({key: x for key, x in given.items() if key in made.quantities})
     times = np.linspace(0.0, 0.3, 31)
