@@ -363,6 +363,7 @@ class Part(NamedTuple):
         velocity, spin: of the origin [m/s]; angular [rad/s].
         partials: by index of a velocity, (w_j, v_j of the origin).
         drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
+        turn: angle of the body's own joint, of all its turns [rad]; of two hinges the second's, 0 without.
         of: of one body in a row (``rows``) its place, and how many there are: its partials are that of the row's velocities.
     """
 
@@ -373,6 +374,7 @@ class Part(NamedTuple):
     partials: dict[int, tuple[Vector, Vector]]
     drift: Vector
     swirl: Vector
+    turn: Number = 0.0
     of: tuple[int, int] | None = None
 
     def velocity_at(self, arm: Vector) -> Vector:
@@ -414,7 +416,7 @@ class _Along(NamedTuple):
 
 def carried(body: Body, at: Vector, parent: Part, own: Own, t: Array, p: Params) -> Part:
     """A body from the one that it hangs on, ``at`` a point of that one's axes, at a time [s]."""
-    part = parent.shifted(turned(parent.axes, at))
+    part = parent.shifted(turned(parent.axes, at))._replace(turn=0.0)
     if body.tilt is not None:
         angle = sizes.length(body.tilt[1], body.name, "tilt", p)
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
@@ -456,7 +458,8 @@ def _hinged(part: Part, way: Vector, axis: Vector, along: _Along) -> Part:
     swirl = add(part.swirl, cross(part.spin, turning), scale(along.jerk, way))
     partials = part.partials | {along.index: (way, ZERO)}
     axes = rotated(part.axes, axis, along.position)
-    return part._replace(axes=axes, spin=add(part.spin, turning), partials=partials, swirl=swirl)
+    spin = add(part.spin, turning)
+    return part._replace(axes=axes, spin=spin, partials=partials, swirl=swirl, turn=along.position)
 
 
 def rotated(axes: Axes, k: Vector, angle: Number) -> Axes:
