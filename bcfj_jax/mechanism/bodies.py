@@ -284,6 +284,11 @@ class Body(eqx.Module):
         return tuple(name for part in parts for name in part)
 
     @property
+    def massless(self) -> bool:
+        """Whether its mass is written as 0: what hangs on it gives its joint inertia."""
+        return sizes.nothing(self.mass)
+
+    @property
     def turns(self) -> bool:
         """Whether it turns by its own joint."""
         return any(kind != "slide" for _, kind, _ in JOINTS[self.joint])
@@ -302,8 +307,10 @@ class Body(eqx.Module):
     def parameters(self, turning: bool) -> Parameters:
         """Its own parameters with their defaults; ``turning``: whether anything turns it."""
         name = self.name
-        found = sizes.own(self.mass, name, "mass", "kg", f"mass of {name}")
-        if turning and isinstance(self.inertia, tuple):
+        found = sizes.stated(self.mass, name, "mass", "kg", f"mass of {name}")
+        if self.massless and (self.inertia is None or sizes.nothing(self.inertia)):
+            pass
+        elif turning and isinstance(self.inertia, tuple):
             for key, size in zip(INERTIAS, self.inertia, strict=False):
                 meaning = f"inertia of {name} about its {key} axis through its centre of mass"
                 if len(key) == 2:
