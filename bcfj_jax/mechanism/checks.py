@@ -89,7 +89,9 @@ def _check_tree(scene: Dynamics, where: str) -> None:
     for b in scene.bodies:
         if b.name not in heavy and b.drive is None and b.rates:
             remedy = "give it a mass, hang a body with a mass on it, or drive it"
-            raise InputError(f"{where} body '{b.name}' mass", "has no mass, and nothing that has one hangs on it", remedy)
+            raise InputError(
+                f"{where} body '{b.name}' mass", "has no mass, and nothing that has one hangs on it", remedy
+            )
 
 
 def _check_contacts(scene: Dynamics, where: str) -> None:
@@ -122,8 +124,8 @@ def _check_loads(scene: Dynamics, where: str) -> None:
             moves = any(b is not None and b.drive is None for b in bodies)
             for name, b in zip(load.coordinates, bodies, strict=True):
                 free = 0 if b is None else len(b.rates)
-                # Of two joints one may be driven.
-                if free != 1 and not (moves and b is not None and b.drive is not None):
+                # Of two joints one may be driven; friction of a joint that is driven costs its drive a force.
+                if free != 1 and not ((moves or load.dry) and b is not None and b.drive is not None):
                     found = f"'{name}' has {free} free coordinates"
                     remedy = "give a body that slides or hinges freely"
                     raise InputError(f"{where} load '{load.name}' body", found, remedy)
@@ -245,7 +247,7 @@ def suspects(scene: Dynamics, params: Params) -> np.ndarray:
 
 
 def _check_start(scene: Dynamics, params: dict[str, Array], where: str) -> None:
-    if any(b.massless for b in scene.bodies):
+    if any(b.massless and b.rates and not b.members for b in scene.bodies):
         _check_masses(scene, params, where)
     _check_regularisation(scene, params, where)
     depths, expected, speed = asked(_at_start, scene, params)

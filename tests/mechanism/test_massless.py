@@ -18,7 +18,11 @@ PUSH = [Gravity(), Force("push", "shaft", (0.3, 1.0, -0.2), 2.0, (0.2, 0.0, 0.1)
 def test_a_cross_without_mass_is_a_universal_joint():
     """Two hinges through it against the joint of two hinges: accelerations, their derivatives, and both reactions."""
     cross = Body("cross", "hinge", axis="x", mass=0, start={"angle": 0.3, "speed": -0.7})
-    two = Mechanism("two", [cross, Body("shaft", "hinge", "cross", axis="y", start={"angle": 0.5, "speed": 1.1}, **SHAFT)], loads=PUSH)
+    two = Mechanism(
+        "two",
+        [cross, Body("shaft", "hinge", "cross", axis="y", start={"angle": 0.5, "speed": 1.1}, **SHAFT)],
+        loads=PUSH,
+    )
     start = {"first": 0.3, "second": 0.5, "first_speed": -0.7, "second_speed": 1.1}
     one = Mechanism("one", [Body("shaft", "universal", axis="z", start=start, **SHAFT)], loads=PUSH)
     assert "cross.mass" not in two.quantities and "cross.inertia" not in two.quantities

@@ -126,10 +126,10 @@ class CapsuleOnCapsule(AbstractGap):
         r = p + t z_b - s z_a,   |s| <= half_length_a,   |t| <= half_length_b,   r . r + e ((s - s_0)^2 + (t - t_0)^2) least
 
     (two segments: Ericson, Real-Time Collision Detection, 2005, 5.1.9), with s_0 and t_0 the middle of what either segment has
-    beside the other if they are parallel, and e = 1e-10, so that capsules parallel to 1e-5 rad
-    touch in the middle of where they lie beside each other; one that rocks on the other bears at an end from there on. The
-    error of |r| is e (s - s_0)^2/(2 |r|) or so. The point of contact is midway between the surfaces. A half length of 0 is a sphere. Of two
-    cylinders it is where their sides touch; their flat ends are not in it.
+    beside the other if they are parallel, and e = 1e-10: capsules parallel to 1e-5 rad touch in the middle of where they lie
+    beside each other, and one that rocks on the other bears at an end from there on. The error of |r| is e (s - s_0)^2/(2 |r|) or
+    so. The point of contact is midway between the surfaces. A half length of 0 is a sphere. Of two cylinders it is where their
+    sides touch; their flat ends are not in it.
     Bristles turn with the mean of both angular velocities. Neither body differs from the other: a and b may be exchanged.
 
     Directions: normal is along r, from b to a. Axial is a's z axis less its part along the normal; tangential is across both.
