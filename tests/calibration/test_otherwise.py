@@ -76,7 +76,7 @@ def brake(path, sign, by):
 
 @pytest.mark.parametrize(("sign", "by"), [(1.0, "place"), (-1.0, "place"), (1.0, "speed"), (-1.0, "speed")])
 def test_a_brake_is_proposed_as_friction_of_a_driven_body(sign, by, tmp_path):
-    """The sign of its column is that of the scene's friction, which takes power, whichever way displacement and force are read."""
+    """The sign of its column is that of the scene's friction, whichever way displacement and force are read."""
     init.run(brake(tmp_path / "brake.csv", sign, by), tmp_path / "brake.toml", init.Said(), lambda line: None)
     found = load(tmp_path / "brake.toml")
     ((channel,),) = (one.channels for one in found.experiments)
