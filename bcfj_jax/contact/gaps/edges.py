@@ -165,7 +165,7 @@ class SphereOnBox(AbstractGap):
     a's axes and h the half lengths, r = p less p between -h and h, so that faces, edges and corners join smoothly. Inside
     of the box |r| is less the way to the nearest face. The point of contact is on the sphere, ``radius`` along n. Exact.
 
-    Directions: normal is into the box. Axial is along a's z axis (its x axis where the box is nearer to the normal along z);
+    Directions: normal is into the box. Axial is along a's z axis (its x axis where the normal is nearer than 45 degrees to z);
     tangential is across both.
     Coefficients: ``radius`` of the sphere, ``half_length``, ``half_width``, ``half_height`` of the box, along x, y, z [m].
     """
