@@ -433,7 +433,8 @@ def _law_of(problem: Problem, at: Optimum) -> tuple[Answer, list[fit_tests.Test]
         held_out, records, test = hold_out(problem, at)
         tests.append(test)
     missed, loud = answers.missed(at.series, residuals), answers.louder(at.series, residuals)
-    return answers.law(tests, missed, held_out, problem.adequate, loud), tests, held_out, records
+    what = answers.MODEL if all(s.touching.all() for s in at.series) else answers.LAW
+    return answers.law(tests, missed, held_out, problem.adequate, loud, what), tests, held_out, records
 
 
 class _Asked(NamedTuple):

@@ -104,10 +104,8 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
         if said.scene:
             raise
         return tosses.draft(moved, record, said, path, file)
-    if not said.scene:
-        slow_tests.refuse_pulling(found.records[0], str(record))
-        if slow_tests.is_slow(found.records[0]):
-            return slow_tests.draft(found, said, path, file)
+    if not said.scene and (slow_tests.pulls(found.records[0], str(record)) or slow_tests.is_slow(found.records[0])):
+        return slow_tests.draft(found, said, path, file)
     kind = said.scene or _kind(found)
     if kind not in SCENES:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))

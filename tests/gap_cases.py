@@ -18,6 +18,8 @@ R, C = 8e-3, 4e-5  # a ball and a clearance [m]
 BALL = {"clearance": 13e-6, "ball_radius": R, "pitch_radius": 0.0355, "offset": 4.5e-3}
 GOTHIC = {**BALL, "contact_angle": np.radians(40.0), "conformity": 0.52}
 BOX = {"half_length": 0.05, "half_width": 0.03, "half_height": 0.02}
+CAPSULE = {"radius": R, "half_length": 0.03}
+CAPSULES = {"radius_a": 9e-3, "radius_b": R, "half_length_a": 0.05, "half_length_b": 0.03}
 BLOCK = {"clearance": 1e-3, "half_length": 0.05, "half_width": 0.025}
 
 
@@ -81,6 +83,24 @@ CASES = {
     "stops": Case("two_sided_stop", {"axis": "x"}, {"clearance": C}, ZERO, C),
     "window": Case("ball_between_planes", {}, {"clearance": C, "ball_radius": R}, (0.03, 0.01, 0), C),
     **dict(_grooves()),
+    "pads": Case("pin_in_bearing", {"pads": 5}, {"clearance": -C, "radius": 9.5e-3}, (0, 0, 0.01), C),
+    "pads-ends": Case(
+        "pin_in_bearing", {"pads": 4, "ends": True}, {"clearance": -C, "radius": 9.5e-3, "half_length": 0.02}, ZERO, C
+    ),
+    "socket-pads": Case("sphere_in_socket", {"pads": True}, {"clearance": -C, "radius": 0.04}, ZERO, C),
+    "capsule": Case("capsule_on_plane", {}, CAPSULE, (0.1, 0.2, 0.02), 1e-2),
+    "capsule-above": Case(
+        "capsule_on_plane", {"axis": "-y", "clearance": True}, {**CAPSULE, "clearance": C}, ZERO, 1e-2
+    ),
+    "cylinder": Case("cylinder_on_plane", {}, CAPSULE, (0.1, 0.2, 0.02), 1e-2),
+    "cylinder-points": Case("cylinder_on_plane", {"axis": (0.6, 0.0, 0.8), "points": 5}, CAPSULE, ZERO, 1e-2),
+    "capsules": Case("capsule_on_capsule", {}, CAPSULES, (0.01, 0.025, -0.02), 1e-3),
+    "capsules-end": Case("capsule_on_capsule", {}, CAPSULES, (0.03, 0.0, 0.1), 1e-3),
+    "on-face": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.02, 0.01, 0.027), 1e-3),
+    "on-edge": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.055, 0.01, 0.024), 1e-3),
+    "on-corner": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.054, 0.034, 0.024), 1e-3),
+    "wedge": Case("sphere_on_wedge", {}, {"half_angle": 0.6, "radius": R}, (0.02, -0.02, 0.1), 1e-3),
+    "wedge-edge": Case("sphere_on_wedge", {"axis": "-x"}, {"half_angle": 0.6, "radius": R}, (-7e-3, 1e-3, 0.1), 1e-3),
 }
 
 

@@ -25,10 +25,25 @@ GAPS: dict[str, Any] = {
     "pin_in_slot": gaps.PinInSlot("y"),
     "slider_in_guide": gaps.SliderInGuide("x"),
     "two_sided_stop": gaps.TwoSidedStop("x"),
+    "capsule_on_plane": gaps.CapsuleOnPlane("-y", clearance=True),
+    "cylinder_on_plane": gaps.CylinderOnPlane("-y", clearance=True),
+    "capsule_on_capsule": gaps.CapsuleOnCapsule(),
+    "sphere_on_box": gaps.SphereOnBox(),
+    "sphere_on_wedge": gaps.SphereOnWedge(),
+    "pin_in_pads": gaps.PinInBearing(pads=4),
 }
+# Whose second body has directions.
+_LONG = (
+    "pin_with_ends",
+    "slider_in_guide",
+    "box_on_plane",
+    "capsule_on_plane",
+    "cylinder_on_plane",
+    "capsule_on_capsule",
+)
 _SIZES = {
     "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "half_height": 0.025,
-    "clearance": 0.01,
+    "clearance": 0.01, "half_length_a": 0.05, "half_length_b": 0.03, "half_angle": 0.6,
 }  # fmt: skip
 SHARED = {
     "stiffness": 1e4, "exponent": 1.5, "damping": 0.3, "restitution": 0.7, "dashpot": 5.0, "smoothing": 1e-3,
@@ -106,7 +121,18 @@ def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) 
     if gap in ("sphere_on_sphere", "sphere_in_socket"):
         reach = play if gap == "sphere_in_socket" else _SIZES["radius_a"] + _SIZES["radius_b"] - depth
         return reach * way / np.linalg.norm(way)
-    if gap in ("pin_in_bearing", "pin_with_ends"):
+    if gap in ("capsule_on_plane", "cylinder_on_plane"):
+        long, wide = abs(turned[1, 2]), np.sqrt(1.0 - turned[1, 2] ** 2) if gap == "cylinder_on_plane" else 1.0
+        return np.array([p[0], play - _SIZES["half_length"] * long - _SIZES["radius"] * wide, p[2]])
+    if gap == "capsule_on_capsule":
+        side = np.cross([0.0, 0.0, 1.0], turned[:, 2])
+        return (_SIZES["radius_a"] + _SIZES["radius_b"] - depth) * side / np.linalg.norm(side) + [0.0, 0.0, 0.01]
+    if gap == "sphere_on_box":
+        half = np.array([_SIZES[f"half_{k}"] for k in ("length", "width", "height")])
+        return half * np.sign(way) + (_SIZES["radius"] - depth) * way / np.linalg.norm(way)
+    if gap == "sphere_on_wedge":
+        return np.array([0.01, _SIZES["radius"] - depth, p[2]])
+    if gap in ("pin_in_bearing", "pin_with_ends", "pin_in_pads"):
         return np.array([*(play * way[:2] / np.linalg.norm(way[:2])), p[2]])
     if gap == "box_on_plane":
         reach = np.abs(turned[1]) @ [_SIZES[f"half_{k}"] for k in ("length", "width", "height")]
@@ -123,7 +149,7 @@ def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Gen
     round_ = [b.name for b in bodies if b.joint == "sphere"]
     names = [GROUND, *(b.name for b in bodies if b.name not in round_)]
     # A sphere's marker is its centre; what has directions is on the other body.
-    others = [*names[1:], *(round_ if gap not in ("pin_with_ends", "slider_in_guide", "box_on_plane") else [])]
+    others = [*names[1:], *(round_ if gap not in _LONG else [])]
     if not others:
         return None
     second = str(rng.choice(others))

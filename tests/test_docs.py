@@ -266,6 +266,7 @@ WRITES = {
     "init calibration examples/chung_ooi_test1_curve.csv": ("chung_ooi_test1_curve.toml",),
     "simulate examples/chung_ooi_test1.toml": ("forces.csv", "contacts.csv", "summary.json"),
     "simulate joint": ("forces.csv", "contacts.csv", "summary.json"),
+    "animate slider_crank": ("slider_crank.html",),
     "calibrate examples/chung_ooi_fit.toml": ("fit.json", "fitted_scene.toml"),
     "sensitivity impact --wrt stiffness,damping": ("sensitivity.csv", "certificate.json"),
     "study run clearance": ("results.parquet", "study.json"),
@@ -290,7 +291,7 @@ def test_commands_run(command, folder):
     done = bcfj(*command.split())
     assert done.exit_code == 0, done.stderr
     written = {path.name for path in (folder / "out").iterdir()}
-    common = set() if command.startswith("init") else {"run.toml", "environment.json", "report.html"}
+    common = set() if command.startswith(("init", "animate")) else {"run.toml", "environment.json", "report.html"}
     assert {*common, *WRITES[command]} <= written
 
 

@@ -1,13 +1,14 @@
-"""Verbs that run a scene: simulate, sensitivity, tradeoff, reproduce."""
+"""Verbs that run a scene: simulate, animate, sensitivity, tradeoff, reproduce."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from bcfj_jax.cli.base import app, ready, say, verb
+from bcfj_jax.cli.base import app, ready, result, say, verb
 from bcfj_jax.cli.options import Code, Dry, Out, Scene, of_scene, split
 
 Animate = Annotated[
@@ -44,6 +45,28 @@ def simulate(
     begin = time.perf_counter()
     good = command.run(scene, command.Wanted(measure_error, movies, split(frames)), out, say, typer.echo)
     return plan.ended("simulate", scene, begin, good)
+
+
+@verb(app, example="bcfj animate slider_crank --to gif\nbcfj animate joint --end '0.1 s'", changed=of_scene)
+def animate(
+    scene: Scene,
+    to: Annotated[str, typer.Option(help="html (interactive, one file, opens offline), gltf, mp4 or gif.")] = "html",
+    code: Code = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the file, by default this one.")] = None,
+    dry_run: Dry = False,
+) -> int:
+    """Run a scene and write it in motion: SCENE.html, .glb, .mp4 or .gif. No file is replaced."""
+    ready(code, scene)
+    from bcfj_jax.analysis.simulation import command
+    from bcfj_jax.cli import plan
+
+    if dry_run:
+        return plan.of_scene("animate", scene, None, [["file", str(command.movie(scene, to, out))]])
+    begin = time.perf_counter()
+    path, good = command.animated(scene, to, out, say)
+    result({"file": str(path)})
+    typer.echo(f"wrote {path}")
+    return plan.ended("animate", scene, begin, good)
 
 
 @verb(

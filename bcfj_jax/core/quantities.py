@@ -102,7 +102,12 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("clearance", "m", "clearance between the surfaces of centred bodies"),
         _positive("radius_a", "m", "radius of the first body's sphere"),
         _positive("radius_b", "m", "radius of the second body's sphere"),
-        _positive("half_length", "m", "half of the length of the block along its guide, or of the pin"),
+        _positive(
+            "half_length", "m", "half of the length of the block along its guide, of the pin, capsule or cylinder"
+        ),
+        _not_negative("half_length_a", "m", "half of the length of the first body's capsule, without its ends"),
+        _not_negative("half_length_b", "m", "half of the length of the second body's capsule, without its ends"),
+        Quantity("half_angle", "rad", "angle of a wedge's face from its middle plane", 0.0, 1.5707, True),
         _positive("half_width", "m", "half of the width of the block across its guide"),
         _positive("half_height", "m", "half of the height of the box, along its z axis"),
         # bodies, motion, loads

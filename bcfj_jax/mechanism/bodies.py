@@ -284,6 +284,11 @@ class Body(eqx.Module):
         return tuple(name for part in parts for name in part)
 
     @property
+    def massless(self) -> bool:
+        """Whether its mass is written as 0: what hangs on it gives its joint inertia."""
+        return sizes.nothing(self.mass)
+
+    @property
     def turns(self) -> bool:
         """Whether it turns by its own joint."""
         return any(kind != "slide" for _, kind, _ in JOINTS[self.joint])
@@ -302,8 +307,10 @@ class Body(eqx.Module):
     def parameters(self, turning: bool) -> Parameters:
         """Its own parameters with their defaults; ``turning``: whether anything turns it."""
         name = self.name
-        found = sizes.own(self.mass, name, "mass", "kg", f"mass of {name}")
-        if turning and isinstance(self.inertia, tuple):
+        found = sizes.stated(self.mass, name, "mass", "kg", f"mass of {name}")
+        if self.massless and (self.inertia is None or sizes.nothing(self.inertia)):
+            pass
+        elif turning and isinstance(self.inertia, tuple):
             for key, size in zip(INERTIAS, self.inertia, strict=False):
                 meaning = f"inertia of {name} about its {key} axis through its centre of mass"
                 if len(key) == 2:
@@ -363,6 +370,7 @@ class Part(NamedTuple):
         velocity, spin: of the origin [m/s]; angular [rad/s].
         partials: by index of a velocity, (w_j, v_j of the origin).
         drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
+        turn: angle of the body's own joint, of all its turns [rad]; of two hinges the second's, 0 without.
         of: of one body in a row (``rows``) its place, and how many there are: its partials are that of the row's velocities.
     """
 
@@ -373,6 +381,7 @@ class Part(NamedTuple):
     partials: dict[int, tuple[Vector, Vector]]
     drift: Vector
     swirl: Vector
+    turn: Number = 0.0
     of: tuple[int, int] | None = None
 
     def velocity_at(self, arm: Vector) -> Vector:
@@ -414,7 +423,7 @@ class _Along(NamedTuple):
 
 def carried(body: Body, at: Vector, parent: Part, own: Own, t: Array, p: Params) -> Part:
     """A body from the one that it hangs on, ``at`` a point of that one's axes, at a time [s]."""
-    part = parent.shifted(turned(parent.axes, at))
+    part = parent.shifted(turned(parent.axes, at))._replace(turn=0.0)
     if body.tilt is not None:
         angle = sizes.length(body.tilt[1], body.name, "tilt", p)
         part = part._replace(axes=rotated(part.axes, sizes.axis(body.tilt[0], body.name), angle))
@@ -456,7 +465,8 @@ def _hinged(part: Part, way: Vector, axis: Vector, along: _Along) -> Part:
     swirl = add(part.swirl, cross(part.spin, turning), scale(along.jerk, way))
     partials = part.partials | {along.index: (way, ZERO)}
     axes = rotated(part.axes, axis, along.position)
-    return part._replace(axes=axes, spin=add(part.spin, turning), partials=partials, swirl=swirl)
+    spin = add(part.spin, turning)
+    return part._replace(axes=axes, spin=spin, partials=partials, swirl=swirl, turn=along.position)
 
 
 def rotated(axes: Axes, k: Vector, angle: Number) -> Axes:

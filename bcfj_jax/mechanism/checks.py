@@ -27,6 +27,8 @@ from bcfj_jax.xla import programs
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
 # there; an overlap below the second [m] is rounding.
 _DEEP, _TOUCH = 20.0, 1e-9
+# Least eigenvalue of a mass matrix whose diagonal is 1.
+_REGULAR = 1e-12
 # Of joint "sphere".
 _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free', or put this part on the other body"
 
@@ -83,6 +85,13 @@ def _check_tree(scene: Dynamics, where: str) -> None:
                 raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = parents[at]
+    heavy = {one.name for b in scene.bodies if not b.massless for one in scene.ancestry(b.name)}
+    for b in scene.bodies:
+        if b.name not in heavy and b.drive is None and b.rates:
+            remedy = "give it a mass, hang a body with a mass on it, or drive it"
+            raise InputError(
+                f"{where} body '{b.name}' mass", "has no mass, and nothing that has one hangs on it", remedy
+            )
 
 
 def _check_contacts(scene: Dynamics, where: str) -> None:
@@ -115,8 +124,8 @@ def _check_loads(scene: Dynamics, where: str) -> None:
             moves = any(b is not None and b.drive is None for b in bodies)
             for name, b in zip(load.coordinates, bodies, strict=True):
                 free = 0 if b is None else len(b.rates)
-                # Of two joints one may be driven.
-                if free != 1 and not (moves and b is not None and b.drive is not None):
+                # Of two joints one may be driven; friction of a joint that is driven costs its drive a force.
+                if free != 1 and not ((moves or load.dry) and b is not None and b.drive is not None):
                     found = f"'{name}' has {free} free coordinates"
                     remedy = "give a body that slides or hinges freely"
                     raise InputError(f"{where} load '{load.name}' body", found, remedy)
@@ -238,6 +247,8 @@ def suspects(scene: Dynamics, params: Params) -> np.ndarray:
 
 
 def _check_start(scene: Dynamics, params: dict[str, Array], where: str) -> None:
+    if any(b.massless and b.rates and not b.members for b in scene.bodies):
+        _check_masses(scene, params, where)
     _check_regularisation(scene, params, where)
     depths, expected, speed = asked(_at_start, scene, params)
     deep = []
@@ -260,6 +271,29 @@ def _check_start(scene: Dynamics, params: dict[str, Array], where: str) -> None:
                 f"move them apart, or reduce the penetration to what their load causes (about {float(expected):.2g} m)"
             )
             raise InputError(f"{where} contact '{name}'", found, remedy)
+
+
+def _check_masses(scene: Dynamics, params: dict[str, Array], where: str) -> None:
+    """Refuse a start in which a joint of a body without mass moves nothing that has inertia."""
+    least, way = (np.asarray(x) for x in asked(_lightest, scene, params))
+    if not least > _REGULAR:
+        names = [name for name, _, k in scene._velocities if not k]
+        share = {name: abs(x) for x, name in zip(way, names, strict=True) if scene.body(name).massless}
+        found = "it has no mass, and at the start its joint moves nothing that has inertia"
+        remedy = "give it a mass and an inertia, or an inertia to what hangs on it"
+        raise InputError(f"{where} body '{max(share, key=lambda name: share[name])}' mass", found, remedy)
+
+
+def _lightest(scene: Dynamics, params: dict[str, Array]) -> tuple[Array, Array]:
+    """Least eigenvalue of the mass matrix at the start, its diagonal being 1, and its motion; of bodies without members."""
+    t, y = jnp.zeros(()), scene.initial_state(params)
+    found = scene.assembled(t, scene.instant(t, y, params, laws=False), params, pressing=False)
+    own = [j for j, (*_, k) in enumerate(scene._velocities) if not k]
+    matrix = jnp.stack([jnp.stack([jnp.asarray(found.entry(j, k), float) for k in own]) for j in own])
+    size = jnp.sqrt(jnp.diagonal(matrix))
+    size = jnp.where(size > 0.0, size, 1.0)
+    values, ways = jnp.linalg.eigh(matrix / size[:, None] / size)
+    return values[0], ways[:, 0]
 
 
 def _check_regularisation(scene: Dynamics, params: dict[str, Array], where: str) -> None:

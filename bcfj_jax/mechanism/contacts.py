@@ -227,7 +227,8 @@ class Contact(eqx.Module):
     def frames(self, parts: Mapping[str, Part], p: Params) -> tuple[Frame, Frame]:
         """Frames of both markers, of bodies in motion."""
         first, second = self.parts(parts)
-        return Frame(self.place(0, first, p), first.axes), Frame(self.place(1, second, p), second.axes)
+        places = self.place(0, first, p), self.place(1, second, p)
+        return Frame(places[0], first.axes, first.turn), Frame(places[1], second.axes, second.turn)
 
     @property
     def faces(self) -> int:

@@ -301,7 +301,7 @@ class Dynamics(AbstractModel):
             part = carried(b, hung, parts[b.parent], own, t, p)
             at, first, driven = at + n, first + m, driven + (b.drive is not None)
             parts[row.name] = part
-            mass[row.name] = row.numbers(lambda b: sizes.value(b.mass, b.name, "mass", p))
+            mass[row.name] = row.numbers(lambda b: sizes.length(b.mass, b.name, "mass", p))
             center[row.name] = turned(part.axes, row.numbers(lambda b: sizes.point(b.center, b.name, "center", p)))
         if len(self.rows) == len(self.bodies):
             return Moving(parts, mass, center)
@@ -313,8 +313,8 @@ class Dynamics(AbstractModel):
         return row.numbers(lambda b: self.inertia(b, p))
 
     def inertia(self, body: Body, p: Params) -> Any:
-        """About the centre of mass; None of a body that nothing turns."""
-        if not self.turning(body.name):
+        """About the centre of mass; None of a body that nothing turns, and of one without."""
+        if not self.turning(body.name) or (body.massless and (body.inertia is None or sizes.nothing(body.inertia))):
             return None
         if isinstance(body.inertia, tuple):
             pairs = zip(INERTIAS, body.inertia, strict=False)

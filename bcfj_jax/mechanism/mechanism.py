@@ -239,7 +239,7 @@ class Mechanism(Dynamics):
         read = found.coefficients(params)
         c = {name: float(np.min(np.asarray(read[name]))) for name in found.gap.needs}
         # A driven body's mass has no bearing on its motion and may be anything.
-        bodies = [b for b in self.bodies if b.name in found.between and b.drive is None]
+        bodies = [b for b in self.bodies if b.name in found.between and b.drive is None and not b.massless]
         mass = max((float(np.min(sizes.value(b.mass, b.name, "mass", params))) for b in bodies), default=None)
         return Bodies(found.gap.size(c), found.gap.radius(c), found.gap.misread(c, deepest), mass)
 

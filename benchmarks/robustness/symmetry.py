@@ -35,7 +35,7 @@ LIMIT = 1e-9
 SIZES = {
     "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.004, "half_width": 0.003, "half_height": 0.002,
     "clearance": 0.01, "ball_radius": 0.008, "pitch_radius": 0.0355, "offset": 0.0045, "contact_angle": 0.7, "conformity": 0.53,
-    "cam_radius": 0.03, "throw": 0.005,
+    "cam_radius": 0.03, "throw": 0.005, "half_length_a": 0.03, "half_length_b": 0.02, "half_angle": 0.6,
 }  # fmt: skip
 SHARED = {
     "stiffness": 1e7, "exponent": 1.5, "damping": 0.05, "restitution": 0.7, "smoothing": 1e-5, "friction_static": 0.3,
@@ -73,6 +73,11 @@ GAPS: dict[str, AbstractGap] = {
     "ball_in_round_groove": gaps.BallInGroove(side="inner", section="circular"),
     "from_depth": gaps.from_depth(cam, ("cam_radius", "throw")),
     "box_on_plane": gaps.BoxOnPlane("-y", clearance=True),
+    "capsule_on_plane": gaps.CapsuleOnPlane("-y", clearance=True),
+    "cylinder_on_plane": gaps.CylinderOnPlane("-y", clearance=True),
+    "capsule_on_capsule": gaps.CapsuleOnCapsule(),
+    "sphere_on_box": gaps.SphereOnBox(),
+    "sphere_on_wedge": gaps.SphereOnWedge(),
 }
 # Where each member is in the mirror: corners at the back are at the front.
 FACING = {"slider_in_guide": [1, 0, 3, 2], "box_on_plane": [4, 5, 6, 7, 0, 1, 2, 3]}
@@ -245,6 +250,21 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
     if name == "box_on_plane":
         reach = np.abs(turned[1]) @ [SIZES[f"half_{k}"] for k in ("length", "width", "height")]
         return np.array([p[0], play - reach, p[2]])
+    if name in ("capsule_on_plane", "cylinder_on_plane"):
+        tall, long = turned[1, 2], SIZES["half_length"] * abs(turned[1, 2])
+        wide = SIZES["radius"] * (np.sqrt(1.0 - tall**2) if name == "cylinder_on_plane" else 1.0)
+        return np.array([p[0], play - long - wide, p[2]])
+    if name == "capsule_on_capsule":
+        # Between points of their segments, across both, or off their ends.
+        side, reach = np.cross([0.0, 0.0, 1.0], turned[:, 2]), SIZES["radius_a"] + SIZES["radius_b"] - depth
+        return np.array([0.0, 0.0, 0.01]) - 0.005 * turned[:, 2] + reach * side / np.linalg.norm(side)
+    if name == "sphere_on_box":
+        half = np.array([SIZES[f"half_{k}"] for k in ("length", "width", "height")])
+        return half * np.sign(way) + (SIZES["radius"] - depth) * way
+    if name == "sphere_on_wedge":
+        out, aside = np.sin(SIZES["half_angle"]), np.cos(SIZES["half_angle"])
+        along, normal = np.array([out, -aside, 0.0]), np.array([aside, out, 0.0])
+        return abs(p[0]) * along + (SIZES["radius"] - depth) * normal + np.array([0.0, 0.0, p[2]])
     if name == "slider_in_guide":
         # So small a block that it meets one wall, however it is turned.
         long, wide = SIZES["half_length"], SIZES["half_width"]

@@ -19,7 +19,7 @@ from calibration.diagnostics.fit_tests import Test
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.model import Model
-from calibration.forward.runs import Contact
+from calibration.forward.runs import Contact, gap_of, of_contacts
 from calibration.noise.scatter import scatter
 
 # Held-out runs may be missed by so much more: they differ from the fitted ones, too.
@@ -30,9 +30,9 @@ _RESTING, _LOUDER = 8, 1.5
 # Below so many deviations a reading may be noise.
 _HIGH, _LOW, _MOST_UNMET, _NOISY = 0.2, 0.02, 0.1, 3.5
 
-# Parameters that mean a gap without being called so, with the contact that closes it.
-_GAPS = {"drop_height": "contact"}
-_PREFIX = "clearance_"
+
+# What misses in a fit of contacts, and where the whole record counts.
+LAW, MODEL = "in contact the law", "the model"
 
 
 class Answer(NamedTuple):
@@ -63,17 +63,18 @@ def law(
     held_out: Mapping[str, Mapping[str, float]] | None,
     threshold: float,
     loud: float = 0.0,
+    what: str = LAW,
 ) -> Answer:
     """``consistent``, ``adequate`` or ``inadequate``: by ``miss`` of the worst channel (``missed``) against the ``threshold``
     up to which a law is adequate, shares of the peak; ``loud``: residuals in contact over the noise before it
-    (``louder``).
+    (``louder``); ``what`` misses.
     """
     failed = [t.reason for t in tests if not t.passed]
     if not failed:
         return Answer("consistent", [])
     predicted = max((e["rms_error_of_peak"] for e in (held_out or {}).values()), default=0.0)
     good = miss <= threshold and predicted <= _HELD_OUT * threshold
-    size = f"in contact the law misses by {100 * miss:.2g} % of the peak (rms)"
+    size = f"{what} misses by {100 * miss:.2g} % of the peak (rms)"
     size += f", and held-out records by {100 * predicted:.2g} %" if held_out else ""
     limit = f"; up to {100 * threshold:.2g} % is called adequate"
     heard = f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"
@@ -131,11 +132,6 @@ def contacts_met(records: Sequence[Record]) -> Test:
     return Test("contacts met", worst, _MOST_UNMET, worst <= _MOST_UNMET, reason)
 
 
-def gap_of(name: str) -> str | None:
-    """The contact whose gap a parameter is; None for one that is no clearance."""
-    return name.removeprefix(_PREFIX) if name.startswith(_PREFIX) else _GAPS.get(name)
-
-
 def clearance_tests(model: Model, seen: list[Contact]) -> list[Test]:
     """A test for each clearance that is searched: whether a record shows it being crossed, at the fitted values."""
     tests = []
@@ -162,10 +158,10 @@ def _missing(name: str, contact: str, mine: list[Contact]) -> str:
 
 
 def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) -> list[Test]:
-    """Whether the data hold a contact from its start past its peak (``peaks_inside``), for scenes whose records are of
-    impacts: those that nothing turns.
+    """Whether the data hold a contact from its start past its peak (``peaks_inside``), for fits of contacts (``of_contacts``)
+    whose records are of impacts: those that nothing turns.
     """
-    if model.scene.traits.turning or not model.channels:
+    if model.scene.traits.turning or not model.channels or not of_contacts(model):
         return []
     touched = any(c.touching.any() for c in seen)
     reason = (

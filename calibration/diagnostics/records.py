@@ -12,7 +12,7 @@ from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward import integration
 from calibration.forward.model import Model, build, predictions, residuals_and_jacobian
-from calibration.forward.runs import Contact, together
+from calibration.forward.runs import Contact, of_contacts, together
 from calibration.noise.noise_model import OUTLYING, Estimate
 from calibration.problem import Experiment, Problem, size, units_of
 from calibration.search.refinement import trust_region
@@ -128,10 +128,12 @@ def records_of(model: Model, experiments: tuple[Experiment, ...], point: np.ndar
 def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: float) -> list[Series]:
     """Residuals by record and channel: their places, and whether the model's contact touches at each of them.
 
+    Of a fit that is not of contacts every sample counts as one in contact.
+
     Args:
         errors: (N,) the integrator's part in the residuals.
     """
-    model, noise, residuals = at.model, at.noise, at.end.residuals
+    model, noise, residuals, everywhere = at.model, at.noise, at.end.residuals, not of_contacts(at.model)
     weights, values, shape = np.asarray(model.data.weights), np.asarray(model.data.values), model.data.weights.shape
     series = []
     for i, experiment in enumerate(at.experiments):
@@ -142,7 +144,9 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
             touching, durations = np.zeros(own.size, dtype=bool), np.zeros(0)
             own_contacts = [c for c in seen if c.experiment == i]
             # A body feels every contact.
-            if felt := [c for c in own_contacts if c.name == contact] or own_contacts:
+            if everywhere:
+                touching, durations = np.ones(own.size, dtype=bool), _half_a_wave(experiment.times, channel.values)
+            elif felt := [c for c in own_contacts if c.name == contact] or own_contacts:
                 mine = together(felt)
                 clock = np.asarray(model.data.times)[i, own] - mine.offset
                 touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
@@ -168,6 +172,16 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
                 )
             )
     return series
+
+
+def _half_a_wave(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What takes the place of a contact's duration where none has a part: pi rms(f)/rms(f'), half the period of a wave (1,)."""
+    seen = np.isfinite(values)
+    if np.count_nonzero(seen) < 3:
+        return np.zeros(0)
+    steep = float(np.sqrt(np.mean(np.gradient(values[seen], times[seen]) ** 2)))
+    wave = np.pi * float(np.sqrt(np.mean(values[seen] ** 2))) / steep if steep > 0.0 else np.inf
+    return np.array([min(wave, float(np.ptp(times[seen])))])
 
 
 def features_of(

@@ -35,9 +35,11 @@ class Series(NamedTuple):
     """White residuals of one record and channel in time order.
 
     Attributes:
-        rows, touching: (n,) places among all residuals of the fit, and whether each sample is in contact.
+        rows, touching: (n,) places among all residuals of the fit, and whether each sample is in contact; of a fit that is
+            not of contacts (``runs.of_contacts``) all are.
         share: what one deviation is as a share of the record's peak.
-        longest: duration of the longest contact [s], infinite where there is none; memory: correlation time of the noise [s].
+        longest: duration of the longest contact [s], infinite where there is none, half a wave of a fit that is not of contacts.
+        memory: correlation time of the noise [s].
         declared, estimated: whether the noise was said to be correlated, and its deviation comes from these residuals.
         integrator: whether they are no larger than the integrator's error: their order then says nothing.
         clock, values, weights: (n,) times [s], readings and their inverse deviations, SI.
@@ -84,10 +86,16 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
         return tests
     heard = [s for s in series if not s.integrator and not overstated(s, residuals)]
     kept = [s._replace(rows=s.rows[inside[s.rows]], touching=s.touching[inside[s.rows]]) for s in heard]
-    for place, touching in (("in contact", True), ("apart", False)):
+    inside_only = all(s.touching.all() for s in series)
+    for place, touching in (("in contact", True), ("apart", False))[: 1 if inside_only else 2]:
         parts = [s.rows[s.touching == touching] for s in kept]
         tests.append(_runs_test(place, parts, kept, residuals))
         tests.append(_correlation_test(place, touching, kept, residuals, basis))
+    if inside_only:
+        tests = [
+            t._replace(name=t.name.removesuffix(" in contact"), reason=t.reason.removeprefix("in contact, "))
+            for t in tests
+        ]
     if any(s.declared for s in heard):
         tests.append(_memory_test(heard))
     if robust:

@@ -23,6 +23,9 @@ from calibration.forward.model import Model
 SAMPLES = 2001
 # Of them at the record's own times.
 _OWN = 1000
+# Parameters that mean a gap without being called so, with the contact that closes it.
+_GAPS = {"drop_height": "contact"}
+_PREFIX = "clearance_"
 _NOT_DIFFERENTIABLE = "the simulation ends well, but its derivative is not finite"
 
 
@@ -57,6 +60,22 @@ def stretches(inside: np.ndarray) -> list[tuple[int, int]]:
 def together(contacts: list[Contact]) -> Contact:
     """Several channels of one experiment as one, which touches where any of them does."""
     return contacts[0]._replace(touching=np.any([c.touching for c in contacts], axis=0))
+
+
+def of_contacts(model: Model) -> bool:
+    """Whether a fit is of contacts: a coefficient of one is searched, or one is read."""
+    scene = model.scene
+    shared = {n for c in scene.contacts for part in (c.law, c.friction) if part is not None for n in part.needs}
+    own = [axis.name.partition(".")[0] for axis in model.coordinates]
+    read = [name.partition(".")[0] for name in model.channels]
+    names = channel_names(scene.members)
+    searched = any(axis.name in shared or gap_of(axis.name) is not None for axis in model.coordinates)
+    return searched or not {*scene.members, *names}.isdisjoint([*own, *read])
+
+
+def gap_of(name: str) -> str | None:
+    """The contact whose gap a parameter is; None for one that is no clearance."""
+    return name.removeprefix(_PREFIX) if name.startswith(_PREFIX) else _GAPS.get(name)
 
 
 def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iterable[str] = ()) -> Run:

@@ -15,6 +15,8 @@ from calibration.impacts.proposal import Run, Understood
 _LONG, _LOST = 1.0, 0.1
 # A force that pulls: its ends are alike but for this share of its range, and this share of the samples is near each.
 _ALIKE, _PULLS = 0.33, 0.1
+# Friction takes at least this share of the power that goes to and fro; a spring none.
+_RUBS = 0.5
 # Of a loop the share of the work that comes back from which on nothing is lost.
 _ELASTIC = 0.96
 # Rows of a table of places, and samples up to a peak by which a speed is told.
@@ -25,19 +27,35 @@ _DRIVEN = (
 )
 
 
-def refuse_pulling(run: Run, where: str) -> None:
-    """Refuse a force that pulls about as it pushes."""
+def pulls(run: Run, where: str) -> bool:
+    """Whether a force pulls about as it pushes; refused where it is no friction by the motion read."""
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
     if force.size < _FEW:
-        return
+        return False
     # Of three readings the middle one: a wrong sample is no pull.
     middle = np.median([force[:-2], force[1:-1], force[2:]], axis=0)
     high, low = float(middle.max()), float(middle.min())
     shares = np.mean(middle > 0.5 * high), np.mean(middle < 0.5 * low)
-    if high > 0.0 > low and abs(high + low) < _ALIKE * (high - low) and min(shares) > _PULLS:
+    found = high > 0.0 > low and abs(high + low) < _ALIKE * (high - low) and min(shares) > _PULLS
+    if found and not abs(_taken(run)) > _RUBS:
         found = "the force pulls as it pushes, as friction and joints with two sides do, and a contact only pushes"
         raise InputError(where, found, f"{_DRIVEN}; to take it as impacts all the same give --scene impact")
+    return bool(found)
+
+
+def _speed(run: Run) -> np.ndarray:
+    """Measured, or of the measured places [m/s]; not a number where neither is."""
+    if "m/s" in run.readings:
+        return run.readings["m/s"]
+    return np.gradient(run.readings["m"], run.clock) if "m" in run.readings else np.full(run.clock.size, np.nan)
+
+
+def _taken(run: Run) -> float:
+    """Power of the force along the motion over its size, -1 to 1: its sign is that of a force along the motion; 0 of none."""
+    power = run.readings["N"] * _speed(run)
+    whole = float(np.nansum(np.abs(power)))
+    return float(np.nansum(power)) / whole if whole > 0.0 else 0.0
 
 
 def is_slow(run: Run) -> bool:
@@ -60,31 +78,75 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
     if found.runs[0]:
         many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
         raise InputError(str(found.path), many, f'choose one: --rows "{found.runs[0]} = 1"')
-    scene, free = _driven(found.records[0])
+    rubbed = pulls(found.records[0], str(found.path))
+    scene, free, reading = (_rubbed if rubbed else _driven)(found.records[0])
+    # Its sign may be turned already, and is turned back then.
+    column = ("-" * reading.startswith("-") + found.columns["N"]).removeprefix("--")
     lines = [
         f"# A slow test, {found.path.name}: the body is driven, its mass does not count. Next: bcfj calibrate {quote(path.name)}",
         *([f"# Read as {found.said}."] if found.said else []),
-        Line(f"scene = {toml(scene_of(path).name)}", "in which the body follows the measured displacement"),
+        Line(f"scene = {toml(scene_of(path).name)}", "in which the body follows the measured motion"),
         "[[experiment]]",
         *read_as(found, said, file),
-        f'observe = {{ "contact.normal" = {toml(found.columns["N"])} }}',
+        f'observe = {{ "{reading.removeprefix("-")}" = {toml(column)} }}',
         NOISE,
         "[free]",
         *free,
     ]
-    kind = "force and displacement are those of a slow test, no impact; --scene impact takes one all the same"
+    what = "a force that pulls as it pushes is taken for friction of a driven body" if rubbed else ""
+    kind = (
+        f"{what or 'force and displacement are those of a slow test'}, no impact; --scene impact takes one all the same"
+    )
     return with_scene(path, scene, lines, kind)
 
 
-def _driven(run: Run) -> tuple[str, list[Line]]:
-    """A scene in which a body follows the measured places, and what of its contact is searched."""
-    seen = np.flatnonzero(np.isfinite(run.readings["m"]))
+def _motion(run: Run) -> str:
+    """The drive that follows the measured places, or else speeds."""
+    unit = "m" if "m" in run.readings else "m/s"
+    seen = np.flatnonzero(np.isfinite(run.readings[unit]))
     rows = seen[np.unique(np.linspace(0, seen.size - 1, min(_ROWS, seen.size)).astype(int))]
-    clock, place = run.clock[rows], run.readings["m"][rows]
+    clock, values = run.clock[rows], run.readings[unit][rows]
+    values = values - values[0] if unit == "m" else values
+    table = ", ".join("[" + ", ".join(f"{x:.6g}" for x in row) + "]" for row in (clock, values))
+    return f'drive = {{ kind = "{"table" if unit == "m" else "speeds"}", table = [{table}] }}'
+
+
+def _rubbed(run: Run) -> tuple[str, list[Line], str]:
+    """A scene in which a body without mass follows the measured motion against dry friction; what is searched, and read."""
+    force, clock = run.readings["N"], run.clock
+    size, fast = float(np.nanmedian(np.abs(force))), float(np.nanmax(np.abs(_speed(run))))
+    scene = f"""# Friction: the body follows the measured motion, and no inertia counts; written by bcfj init calibration.
+[scene]
+kind = "mechanism"
+[[body]]
+name = "body"
+joint = "slide"
+axis = "x"
+mass = 0
+{_motion(run)}
+[[load]]
+kind = "joint_friction"
+name = "friction"
+body = "body"
+sliding = {size:.3g}
+speed = {0.03 * fast:.3g}
+[time]
+end = {clock[-1]:.6g}
+samples = {clock.size}
+"""
+    free = [
+        box('"friction.sliding"', (f"{size / 30:.1g}", f"{30 * size:.1g}"), "N"),
+        box('"friction.speed"', (f"{1e-4 * fast:.1g}", f"{fast:.1g}"), "m/s; friction fades below it"),
+    ]
+    return scene, free, f"{'-' if _taken(run) > 0.0 else ''}friction.drive"
+
+
+def _driven(run: Run) -> tuple[str, list[Line], str]:
+    """A scene in which a body follows the measured places, and what of its contact is searched."""
+    seen, clock = np.flatnonzero(np.isfinite(run.readings["m"])), run.clock
     force, event = run.readings["N"] - run.rest("N"), run.events[0]
     peak = event.first + int(np.nanargmax(force[event.first : event.last + 1]))
     places = np.interp(run.clock, run.clock[seen], run.readings["m"][seen])
-    place = place - places[0]
     touch, deep = (float(places[k] - places[0]) for k in (event.first, peak))
     depth = max(deep - touch, 1e-3 * deep)
     # A press that comes back shows what it lost.
@@ -92,7 +154,6 @@ def _driven(run: Run) -> tuple[str, list[Line]]:
     given = -float(np.trapezoid(np.nan_to_num(force[peak:]), places[peak:]))
     back = bool(places[-1] - places[0] < touch + 0.5 * depth) and given < _ELASTIC * taken
     ends = [float(force[peak]) / depth**n for n in ((1.0,) if back else (1.0, 2.5))]
-    table = ", ".join("[" + ", ".join(f"{x:.6g}" for x in row) + "]" for row in (clock, place))
     law = 'law = "walton_braun"\n' if back else ""
     values = "restitution = 0.7" if back else "exponent = 1.0\ndamping = 0.0"
     scene = f"""# A slow test: the body follows the measured places, and no inertia counts; written by bcfj init calibration.
@@ -103,7 +164,7 @@ name = "body"
 joint = "slide"
 axis = "x"
 mass = "1 kg"
-drive = {{ kind = "table", table = [{table}] }}
+{_motion(run)}
 [[contact]]
 name = "contact"
 between = ["ground", "body"]
@@ -117,8 +178,12 @@ end = {clock[-1]:.6g}
 samples = {clock.size}
 """
     shape = ("restitution", ("0.05", "1.0")) if back else ("exponent", ("1.0", "2.5"))
-    return scene, [
-        box("stiffness", (f"{min(ends) / 30:.1g}", f"{30 * max(ends):.1g}")),
-        box(*shape),
-        box('"contact.clearance"', ("0.0", f"{touch + 0.5 * depth:.3g}"), "m; where the body touches"),
-    ]
+    return (
+        scene,
+        [
+            box("stiffness", (f"{min(ends) / 30:.1g}", f"{30 * max(ends):.1g}")),
+            box(*shape),
+            box('"contact.clearance"', ("0.0", f"{touch + 0.5 * depth:.3g}"), "m; where the body touches"),
+        ],
+        "contact.normal",
+    )

@@ -1,4 +1,4 @@
-"""The eleven gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
+"""The sixteen gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
 
 from __future__ import annotations
 
@@ -252,10 +252,60 @@ def ball_between_planes() -> None:
     save(figure, "gap_ball_between_planes")
 
 
+def _long(axis: Any, middle: Any, angle: float, half: float, radius: float, fill: str, capsule: bool = True) -> None:
+    """A capsule or a cylinder from its side."""
+    way = np.array([np.cos(angle), np.sin(angle)])
+    across = radius * np.array([-way[1], way[0]])
+    corners = [middle + s * half * way + t * across for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    if capsule:
+        for s in (-1, 1):
+            axis.add_patch(Circle(middle + s * half * way, radius, fc=fill, ec=INK, lw=1.2))
+    axis.add_patch(Polygon(corners, fc=fill, ec=fill if capsule else INK, lw=1.2))
+    if capsule:
+        for k in (0, 2):
+            axis.plot(*np.array(corners[k : k + 2]).T, color=INK, lw=1.2)
+    ends = np.array([middle - half * way, middle + half * way])
+    axis.plot(*ends.T, color=GREY, lw=1.0, ls="-.")
+
+
+def edges() -> None:
+    """A capsule and a cylinder on a plane, two capsules, a sphere on a box, a sphere on a wedge."""
+    figure, axis = canvas(11.5, 2.6, (-1.4, 15.6), (-2.0, 1.8))
+    for left, fill in ((-1.2, FIRST), (2.2, FIRST)):
+        axis.add_patch(Rectangle((left, -1.6), 3.0, 0.7, fc=fill, ec=INK, lw=1.2))
+    _long(axis, np.array([0.3, 0.0]), 0.45, 0.85, 0.5, SECOND)
+    _long(axis, np.array([3.7, 0.05]), 0.45, 0.95, 0.5, SECOND, capsule=False)
+    low = np.array([0.3, 0.0]) - 0.85 * np.array([np.cos(0.45), np.sin(0.45)]) - [0.0, 0.5]
+    rim = (
+        np.array([3.7, 0.05])
+        - 0.95 * np.array([np.cos(0.45), np.sin(0.45)])
+        + 0.5 * np.array([np.sin(0.45), -np.cos(0.45)])
+    )
+    _long(axis, np.array([7.0, -0.5]), 0.1, 1.0, 0.45, FIRST)
+    _long(axis, np.array([7.3, 0.55]), -0.5, 0.8, 0.4, SECOND)
+    axis.add_patch(Rectangle((9.2, -1.6), 2.0, 1.5, fc=FIRST, ec=INK, lw=1.2))
+    corner, away = np.array([11.2, -0.1]), np.array([np.sin(0.7), np.cos(0.7)])
+    axis.add_patch(Circle(corner + 0.62 * away, 0.7, fc=SECOND, ec=INK, lw=1.2))
+    edge = np.array([13.9, -0.2])
+    axis.add_patch(Polygon([edge, edge + [-1.0, -1.4], edge + [1.0, -1.4]], fc=FIRST, ec=INK, lw=1.2))
+    face = np.array([1.4, 1.0]) / np.hypot(1.4, 1.0)
+    axis.add_patch(Circle(edge + 0.45 * np.array([1.0, -1.4]) / 1.72 + 0.62 * face, 0.7, fc=SECOND, ec=INK, lw=1.2))
+    for point, normal in (
+        (low, (0, -1)), (rim, (0, -1)), (np.array([7.75, 0.0]), (-0.15, -1)), (corner, -away),
+        (edge + 0.45 * np.array([1.0, -1.4]) / 1.72, -face),
+    ):  # fmt: skip
+        arrow(axis, point, point + 0.6 * np.array(normal) / np.linalg.norm(normal), NORMAL)
+        axis.plot(*point, marker="o", color=NORMAL, ms=4, zorder=9)
+    for x, text in ((0.3, "capsule"), (3.7, "cylinder"), (7.1, "capsules"), (10.6, "box"), (13.9, "wedge")):
+        axis.text(x, -1.9, text, ha="center", va="center")
+    axis.text(-1.2, 1.6, "n", color=NORMAL, weight="bold", ha="center", va="center")
+    save(figure, "gap_edges")
+
+
 def draw() -> None:
-    """All eleven."""
+    """All sixteen; those with edges in one."""
     for one in (
         point_on_plane, sphere_on_plane, box_on_plane, sphere_on_sphere, sphere_in_socket, pin_in_bearing, pin_in_slot,
-        slider_in_guide, two_sided_stop, ball_in_groove, ball_between_planes,
+        slider_in_guide, two_sided_stop, ball_in_groove, ball_between_planes, edges,
     ):  # fmt: skip
         one()

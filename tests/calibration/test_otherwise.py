@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bcfj_jax import InputError, reading_history, scenes
+from bcfj_jax import InputError, reading_history, scenes, simulate
 from bcfj_jax.data import clock
 from benchmarks.calibration import instruments
 from calibration import fit, init, load
@@ -63,9 +63,47 @@ def test_nothing_is_overwritten_and_nothing_half_written(tmp_path):
 
 
 TIMES = np.linspace(0.0, 3.0, 301)
+SPEED = 0.03 * np.cos(6 * TIMES)
+BRAKE = 20.0 * SPEED / np.hypot(SPEED, 1e-3)  # of 20 N, which fades below 1 mm/s (Coulomb)
+
+
+def brake(path, sign, by):
+    """A brake that is driven to and fro by a sine, its force read with either sign, its place or its speed beside."""
+    moved = {"displacement [mm]": 5.0 * np.sin(6 * TIMES)} if by == "place" else {"velocity [m/s]": SPEED}
+    force = sign * BRAKE + 0.2 * np.random.default_rng(1).standard_normal(TIMES.size)
+    return write(path, {"time [s]": TIMES, **moved, "force [N]": force})
+
+
+@pytest.mark.parametrize(("sign", "by"), [(1.0, "place"), (-1.0, "place"), (1.0, "speed"), (-1.0, "speed")])
+def test_a_brake_is_proposed_as_friction_of_a_driven_body(sign, by, tmp_path):
+    """The sign of its column is that of the scene's friction, whichever way displacement and force are read."""
+    init.run(brake(tmp_path / "brake.csv", sign, by), tmp_path / "brake.toml", init.Said(), lambda line: None)
+    found = load(tmp_path / "brake.toml")
+    ((channel,),) = (one.channels for one in found.experiments)
+    assert channel.observes == "friction.drive"
+    scene, (one,) = found.scene, found.experiments
+    run = simulate(scene, scene.parameters(), one.times, read=["friction.drive"])
+    assert np.corrcoef(channel.values, run.readings["friction.drive"])[0, 1] > 0.99
+    assert [f.name for f in found.free] == ["friction.sliding", "friction.speed"]
+
+
+@pytest.mark.full
+def test_a_brake_is_identified_as_proposed(tmp_path):
+    init.run(brake(tmp_path / "brake.csv", 1.0, "place"), tmp_path / "brake.toml", init.Said(), lambda line: None)
+    found = fit(load(tmp_path / "brake.toml"))
+    assert found.verdict == "identified", found.reasons
+    for name, true in (("friction.sliding", 20.0), ("friction.speed", 1e-3)):
+        low, high = found.parameters[name].ci95 or (np.nan, np.nan)
+        assert low < true < high and high - low < 0.3 * true, name
+
+
 OTHERS = {
     "brake": (
-        {"time [s]": TIMES, "displacement [mm]": 5 * np.sin(6 * TIMES), "force [N]": 20 * np.sign(np.cos(6 * TIMES))},
+        {"time [s]": TIMES, "force [N]": 20 * np.sign(np.cos(6 * TIMES))},
+        r"the force pulls as it pushes.*drive = .*--scene impact",
+    ),
+    "spring": (
+        {"time [s]": TIMES, "displacement [mm]": 5 * np.sin(6 * TIMES), "force [N]": 20 * np.sin(6 * TIMES)},
         r"the force pulls as it pushes.*drive = .*--scene impact",
     ),
     "curve": (

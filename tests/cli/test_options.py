@@ -221,7 +221,7 @@ def test_every_verb_has_an_example_and_the_shared_options(name, command):
     assert {"--json", "--quiet", "-q", "--verbose", "-v"} <= options
 
 
-SIMULATING = ("simulate", "sensitivity", "tradeoff", "design", "study run", "study resume")
+SIMULATING = ("simulate", "animate", "sensitivity", "tradeoff", "design", "study run", "study resume")
 DRAWING = ("calibrate", "design", "study run", "study resume", "study indices")
 
 

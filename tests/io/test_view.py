@@ -454,6 +454,26 @@ def test_a_missing_extra_is_said_before_the_run(tmp_path, monkeypatch):
     assert done.exit_code == 2 and "no format 'avi'" in done.stderr
 
 
+def test_a_scene_in_motion_by_its_own_command(tmp_path, monkeypatch):
+    """One file by the scene's name; refused before the run where it is there, for a format and a scene that are not known."""
+    from commands import bcfj
+
+    monkeypatch.chdir(tmp_path)
+    body = '[[body]]\nname = "ball"\njoint = "slide"\naxis = "y"\nmass = 1.0\n'
+    content = f'[scene]\nkind = "mechanism"\n{body}[[load]]\nkind = "gravity"\n[time]\nend = 0.1\nsamples = 50\n'
+    (tmp_path / "fall.toml").write_text(content)
+    done = bcfj("animate", "fall.toml", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["files"] == ["fall.html"] and "<canvas" in (tmp_path / "fall.html").read_text()
+    for words, code, said in (
+        (["fall.toml"], 2, "is there already"), (["impact", "--to", "avi"], 2, "no format 'avi'"), (["inpact"], 2, "impact"),
+        (["fall.toml", "--to", "gif", "--dry-run"], 0, ""),
+    ):  # fmt: skip
+        done = bcfj("animate", *words)
+        assert done.exit_code == code and said in done.stderr, done.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["fall.html", "fall.toml"]
+
+
 @pytest.mark.slow
 def test_the_command_writes_what_was_asked_for(tmp_path, monkeypatch):
     from typer.testing import CliRunner

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiers
 
-from bcfj_jax import Body, InputError, Mechanism
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, InputError, Mechanism
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.loads import Coupling, Force, Torque
@@ -139,3 +142,31 @@ def test_a_universal_joint_turns_about_one_pin_and_then_the_other():
     rate = np.asarray(jax.jvp(axes, (t,), (jnp.ones(()),))[1]) @ np.asarray(moved.axes).T
     np.testing.assert_allclose(moved.spin, [rate[2, 1], rate[0, 2], rate[1, 0]], atol=1e-12)
     np.testing.assert_allclose(moved.spin, 1.3 * np.eye(3)[0] - 0.4 * about_x[:, 1], atol=1e-12)
+
+
+def test_a_stop_after_three_turns_by_a_gap_of_ones_own(tmp_path):
+    """The page's gap: force K d of d = r (turn - c), its torque r F on the shaft, their derivatives; a load reads the turns."""
+    page = (Path(__file__).parents[2] / "docs" / "mechanisms.md").read_text(encoding="utf-8")
+    space: dict = {"bj": bj, "gaps": bj.gaps}
+    exec(page[page.index("class LeverStop") : page.index("```", page.index("class LeverStop"))], space)
+    turns, k, r = 6.2 * np.pi, 1e5, 0.03
+    shaft = hinge("shaft", start={"angle": turns, "speed": 2.0})
+    stop = Contact("stop", ("ground", "shaft"), space["LeverStop"](), "kelvin_voigt")
+    coil = bj.loads.Load("coil", lambda t, bodies, p: [
+        bj.loads.Action("shaft", torque=(0.0, 0.0, -0.1 * bodies.parts["shaft"].turn))], ("shaft",))  # fmt: skip
+    scene = Mechanism("shaft", [shaft], [stop], [coil])
+    given = {"stiffness": k, "dashpot": 10.0, "smoothing": 0.0, "radius": r, "stop_angle": 6.0 * np.pi}
+    params, t = scene.parameters(given), jnp.zeros(())
+    y = scene.initial_state(params)
+    depth, rate = r * 0.2 * np.pi, r * 2.0
+    read = scene.observe(t, y, params)["stop"]
+    assert float(read.penetration) == pytest.approx(depth, rel=1e-9) and float(read.rate) == pytest.approx(
+        rate, rel=1e-9
+    )
+    force = k * depth + 10.0 * rate
+    assert float(read.force[0]) == pytest.approx(force, rel=1e-9)
+    speeding = lambda p: 0.01 * scene.vector_field(t, y, p)[1]  # noqa: E731
+    assert float(speeding(params)) == pytest.approx(-r * force - 0.1 * turns, rel=1e-9)
+    slope = jax.grad(speeding)(params)
+    assert float(slope["stop_angle"]) == pytest.approx(k * r * r, rel=1e-9)
+    assert float(slope["radius"]) == pytest.approx(-2.0 * force, rel=1e-9)

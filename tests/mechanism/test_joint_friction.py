@@ -1,6 +1,7 @@
 """Dry friction in an ideal joint, against closed forms."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiers
@@ -8,6 +9,7 @@ import tiers
 import bcfj_jax as bj
 from bcfj_jax import Body, Mechanism
 from bcfj_jax.io import scenefile
+from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.solve.simulation import reading_history
 
 TORQUE, INERTIA, SPEED = 3.0, 0.2, 30.0
@@ -109,3 +111,24 @@ def test_a_file_has_it_too(tmp_path):
     run = bj.simulate(file.scene, file.params, file.times, read=["wheel.speed"])
     assert run.readings["wheel.speed"][1] == pytest.approx(30.0 - 15.0 * 0.5, rel=1e-4)
     assert file.scene.quantities["brake.sliding"].unit == "N m"
+
+
+def test_a_joint_that_is_driven_costs_its_drive_the_friction():
+    """F w/sqrt(w^2 + v^2) against the motion: the drive's torque, its power, and what friction takes, with derivatives."""
+    speed, fade = 4.0, 3.0
+    brake = bj.loads.JointFriction("brake", "wheel", sliding=TORQUE, speed=fade)
+    body = Body("wheel", "hinge", mass=0, drive=Drive("constant", speed=speed))
+    scene = Mechanism("wheel", [body], loads=[brake], end=1.0)
+    params, t, held = scene.parameters(), jnp.zeros(()), TORQUE * speed / np.hypot(speed, fade)
+    y = scene.initial_state(params)
+    motion = scene.motions(t, y, params)["wheel"]
+    assert float(motion.drive) == pytest.approx(held, rel=1e-12)
+    flows = scene.flows(t, y, params)
+    assert float(flows.given["wheel drive"]) == pytest.approx(held * speed, rel=1e-12)
+    assert float(flows.taken["friction"]) == pytest.approx(held * speed, rel=1e-12)
+    slope = jax.grad(lambda p: scene.efforts(t, y, p)["brake"].drive)(params)
+    assert float(slope["brake.sliding"]) == pytest.approx(-held / TORQUE, rel=1e-12)
+    assert float(slope["brake.speed"]) == pytest.approx(TORQUE * speed * fade / np.hypot(speed, fade) ** 3, rel=1e-12)
+    run = bj.simulate(scene, params, np.linspace(0.0, 1.0, 5), read=["wheel.torque", "brake.torque"])
+    np.testing.assert_allclose(run.readings["wheel.torque"], held, rtol=1e-12)
+    np.testing.assert_allclose(run.readings["brake.torque"], -held, rtol=1e-12)

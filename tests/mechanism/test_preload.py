@@ -38,6 +38,86 @@ def test_an_interference_fit():
                   given={**LINEAR, "radius": 0.01}).parameters({"pin_1.clearance": -1e-6})  # fmt: skip
 
 
+@pytest.mark.full
+def test_a_press_fit_on_pads():
+    """N pads hold as N k/2 in every direction, and against turning with N mu k i r; both follow the interference."""
+    n, k, i, r, mu = 8, 1e6, 10e-6, 0.01, 0.3
+    push = Force("push", "pin", (0.6, 0.8, 0.0), 12.0)
+    made = lambda **more: Mechanism(  # noqa: E731
+        "press", [Body("pin", "planar", mass=0.1, inertia=1e-5)], start="static", loads=[push], given={**LINEAR, "radius": r},
+        contacts=[Contact("fit", (GROUND, "pin"), gaps.PinInBearing(pads=n), "kelvin_voigt", **more)])  # fmt: skip
+    scene = made()
+    y, _, seen = at_rest(scene, **{"clearance_fit": -i})
+    np.testing.assert_allclose(y[:2], 12.0 / (0.5 * n * k) * np.array([0.6, 0.8]), rtol=1e-6)
+    bear = np.asarray(seen["fit"].force[:, 0])
+    assert np.mean(bear) == pytest.approx(k * i, rel=1e-9) and np.ptp(bear) > 5.0
+    given = {
+        **LINEAR,
+        "radius": r,
+        "friction_dynamic": mu,
+        "friction_static": mu,
+        "friction_speed": 1e-4,
+        "clearance_fit": -i,
+    }
+    shaft = Body("pin", "hinge", mass=0.1, inertia=1e-5, start={"speed": 300.0})
+    turns = Mechanism(
+        "press", [shaft], [Contact("fit", (GROUND, "pin"), gaps.PinInBearing(pads=n), "kelvin_voigt", "coulomb")]
+    )
+    params = turns.parameters({key: x for key, x in given.items() if key in turns.quantities})
+    slowed = lambda p: 1e-5 * turns.vector_field(jnp.zeros(()), turns.initial_state(p), p)[1]  # noqa: E731
+    assert float(slowed(params)) == pytest.approx(-n * mu * k * i * r, rel=1e-6)
+    assert float(jax.grad(slowed)(params)["clearance_fit"]) == pytest.approx(n * mu * k * r, rel=1e-6)
+
+
+@pytest.mark.full
+def test_a_ball_pressed_into_a_socket_of_pads():
+    """Six pads hold as 2 k in every direction."""
+    push, socket = Force("push", "ball", (2.0, -1.0, 2.0), 9.0), gaps.SphereInSocket(pads=True)
+    scene = Mechanism("press", [Body("ball", "particle", mass=0.1)], [Contact("fit", (GROUND, "ball"), socket, "kelvin_voigt")],
+                      [push], start="static", given={**LINEAR, "radius": 0.02})  # fmt: skip
+    y, _, _ = at_rest(scene, **{"clearance_fit": -10e-6})
+    np.testing.assert_allclose(y[:3], 9.0 / 2e6 * np.array([2.0, -1.0, 2.0]) / 3.0, rtol=1e-6)
+
+
+def test_flanks_that_are_pressed_push_the_ball_out_of_its_groove():
+    """2 k i cos(angle) along the section, 0 across it and along the track."""
+    sizes = {"ball_radius": 8e-3, "pitch_radius": 0.035, "offset": 0.0, "contact_angle": 0.7, "conformity": 0.52}
+    ball = Body("ball", "particle", mass=0.1, start={"x": 0.035})
+    scene = Mechanism("groove", [ball], [Contact("flanks", (GROUND, "ball"), gaps.BallInGroove(), "kelvin_voigt")])
+    params = scene.parameters({**LINEAR, **sizes, "clearance_flanks": -10e-6})
+    seen = scene.observe(jnp.zeros(()), scene.initial_state(params), params)["flanks"]
+    assert float(seen.force[0]) == pytest.approx(2.0 * 10.0, rel=1e-9)
+    np.testing.assert_allclose(seen.world, [-20.0 * np.cos(0.7), 0.0, 0.0], atol=1e-8)
+    other = Contact("round", (GROUND, "ball"), gaps.BallInGroove(section="circular"), "kelvin_voigt")
+    plain = Mechanism("groove", [ball], [other])
+    with pytest.raises(InputError, match="clearance"):
+        plain.parameters({**LINEAR, "clearance_round": -1e-6})
+
+
+@pytest.mark.slow
+def test_a_preloaded_bearing():
+    """N balls, each k/2 between the rings, pressed by k i: a ring that is pushed goes F/(N k/4) while all bear (Harris)."""
+    n, k, i, play, pitch = 6, 1e6, 5e-6, 2e-5, 0.03
+    angle = 2.0 * np.pi * np.arange(n) / n
+    balls = [Body(f"ball_{j + 1}", "slide", axis=(np.cos(a), 0.0, np.sin(a)), mass=0.01, start={"position": pitch})
+             for j, a in enumerate(angle)]  # fmt: skip
+    ring = Body("ring", "planar", axis="y", mass=0.2, inertia=1e-4)
+    races = [
+        Contact(f"{side}_{j + 1}", (of, f"ball_{j + 1}"), gaps.BallInGroove(side=side, section="circular"), "kelvin_voigt",
+                values={"pitch_radius": radius})
+        for j in range(n) for of, side, radius in ((GROUND, "outer", pitch - play - i), ("ring", "inner", pitch + play + i))
+    ]  # fmt: skip
+    given = {**LINEAR, "ball_radius": 8e-3, "offset": 0.0, **{f"clearance_{c.name}": play for c in races}}
+    scene = Mechanism(
+        "bearing", [*balls, ring], races, [Force("push", "ring", (0.8, 0.0, 0.6), 1.0)], start="static", given=given
+    )
+    for force in (1e-3, 6.0):
+        y, _, seen = at_rest(scene, **{"push.size": force})
+        moved = scene.motions(jnp.zeros(()), y, scene.parameters({"push.size": force}))["ring"].place
+        np.testing.assert_allclose(moved, force / (0.25 * n * k) * np.array([0.8, 0.0, 0.6]), rtol=2e-3, atol=1e-12)
+        assert float(np.mean([seen[f"outer_{j + 1}"].force[0] for j in range(n)])) == pytest.approx(k * i, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_a_pressed_pin_rings_at_twice_the_stiffness():
     """Struck with v it swings by v/w sin w t, w^2 = 2k/m, while v/w is below the interference."""

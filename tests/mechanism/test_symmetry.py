@@ -35,7 +35,10 @@ from benchmarks.robustness.symmetry import (
 M = np.array(MIRROR)
 
 
-def machines(ci=range(6)):
+WHOLE = range(len(structures()))
+
+
+def machines(ci=WHOLE):
     """Every gap with every friction law; of the machines in ``ci`` one law each in CI's tier."""
 
     def tier(k, roll):
@@ -184,6 +187,26 @@ def touches(name, p, a, b):
     if name == "box_on_plane":
         size = [s["half_length"], s["half_width"], s["half_height"]]
         return [(a[:, 1], b @ (np.array(k) * size)) for k in itertools.product((-1, 1), repeat=3)]
+    if name == "capsule_on_plane":
+        return [(a[:, 1], k * s["half_length"] * b[:, 2] + s["radius"] * a[:, 1]) for k in (1, -1)]
+    if name == "cylinder_on_plane":
+        low = a[:, 1] - b[:, 2] * (a[:, 1] @ b[:, 2])
+        low = s["radius"] * low / np.linalg.norm(low)
+        return [(a[:, 1], k * s["half_length"] * b[:, 2] + low) for k in (1, -1)]
+    if name == "capsule_on_capsule":
+        # Where both segments are crossed by what is across them.
+        along = np.linalg.solve(np.stack([a[:, 2], -b[:, 2], np.cross(a[:, 2], b[:, 2])], axis=1), p)
+        r = p + along[1] * b[:, 2] - along[0] * a[:, 2]
+        n, d = -r / np.linalg.norm(r), s["radius_a"] + s["radius_b"] - np.linalg.norm(r)
+        return [(n, along[1] * b[:, 2] + (s["radius_b"] - 0.5 * d) * n)]
+    if name == "sphere_on_box":
+        half = np.array([s["half_length"], s["half_width"], s["half_height"]])
+        out = local - np.clip(local, -half, half)
+        n = -a @ out / np.linalg.norm(out)
+        return [(n, s["radius"] * n)]
+    if name == "sphere_on_wedge":
+        n = -a @ [np.sign(local[0]) * np.cos(s["half_angle"]), np.sin(s["half_angle"]), 0.0]
+        return [(n, s["radius"] * n)]
     if name == "slider_in_guide":
         corners = [
             b @ [i * s["half_length"], j * s["half_width"], 0.0] for i, j in ((-1, 1), (1, 1), (-1, -1), (1, -1))

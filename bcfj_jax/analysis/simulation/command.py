@@ -1,4 +1,4 @@
-"""``bcfj simulate``: a run in a folder and in words."""
+"""``bcfj simulate``: a run in a folder and in words; ``bcfj animate``: a run in motion."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bcfj_jax.analysis.simulation import results
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import Claim, open_folder
@@ -24,6 +25,34 @@ def movies(words: Sequence[str]) -> tuple[str, ...]:
     from bcfj_jax.io.view import export
 
     return tuple(f"animation{export.checked(word)}" for word in dict.fromkeys(words))
+
+
+def movie(what: str, word: str, out: Path | None) -> Path:
+    """The file that ``animated`` writes: the scene's name, by the format; refused where it is there already."""
+    (name,) = movies([word])
+    path = (out or Path(".")) / f"{Path(what).stem}{Path(name).suffix}"
+    if path.exists():
+        raise InputError(f"animate {path}", "is there already", "give another folder by --out, or take it away")
+    return path
+
+
+def animated(what: str, word: str, out: Path | None, say: Callable[[str], None]) -> tuple[Path, bool]:
+    """Simulate a scene and write it in motion, as far as it came; the file, and whether the run reached its end."""
+    from bcfj_jax.io.view import export
+
+    path, given = movie(what, word, out), quickest(load(what))
+    say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
+    found = simulate(
+        given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
+        solver=given.solver, measure_error=False,
+    )  # fmt: skip
+    if found.status != "ok":
+        say(f"error: {results.verdict(found)}")
+    with stage("drawing"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        export.animate(given.scene, given.params, found, path, path.stem)
+    keep_asked()
+    return path, found.status == "ok"
 
 
 class Wanted(NamedTuple):

@@ -1,4 +1,4 @@
-"""Gaps by name: where two bodies touch (``base``), for spheres, guides and balls; or one of your own.
+"""Gaps by name: where two bodies touch (``base``), for spheres, guides, balls, parts with edges; or one of your own.
 
 In every gap a is the first body and b the second; sizes are coefficients of the contact by name. To add a gap:
 ``from_depth``, or a module with ``needs`` and ``faces`` (``AbstractGap``).
@@ -18,6 +18,11 @@ from bcfj_jax.contact.gaps.base import Frame as Frame
 from bcfj_jax.contact.gaps.base import FromDepth as FromDepth
 from bcfj_jax.contact.gaps.base import Look as Look
 from bcfj_jax.contact.gaps.base import from_depth as from_depth
+from bcfj_jax.contact.gaps.edges import CapsuleOnCapsule as CapsuleOnCapsule
+from bcfj_jax.contact.gaps.edges import CapsuleOnPlane as CapsuleOnPlane
+from bcfj_jax.contact.gaps.edges import CylinderOnPlane as CylinderOnPlane
+from bcfj_jax.contact.gaps.edges import SphereOnBox as SphereOnBox
+from bcfj_jax.contact.gaps.edges import SphereOnWedge as SphereOnWedge
 from bcfj_jax.contact.gaps.guides import PinInBearing as PinInBearing
 from bcfj_jax.contact.gaps.guides import PinInSlot as PinInSlot
 from bcfj_jax.contact.gaps.guides import SliderInGuide as SliderInGuide
@@ -42,6 +47,11 @@ GAPS: dict[str, type[AbstractGap] | AbstractGap] = {
     "two_sided_stop": TwoSidedStop,
     "ball_in_groove": BallInGroove,
     "ball_between_planes": BallBetweenPlanes,
+    "capsule_on_plane": CapsuleOnPlane,
+    "cylinder_on_plane": CylinderOnPlane,
+    "capsule_on_capsule": CapsuleOnCapsule,
+    "sphere_on_box": SphereOnBox,
+    "sphere_on_wedge": SphereOnWedge,
 }
 
 

@@ -93,6 +93,8 @@ class BallInGroove(AbstractGap):
     ball in the middle of a circular groove has no direction, and finite derivatives. The point of contact is on the ball,
     ``ball_radius`` along n. A gothic flank is there (gate 1) only on its own side of the groove's middle.
     Tracks have no ends. Valid while |T|, |A| << Rc and d << q. Source: physics sheet 5.2 and 5.3, rows 4 and 5.
+    The ``clearance`` of a gothic section may be negative: at T = A = 0 both flanks then press by so much, and push the ball out
+    of the groove, 2 F cos(angle) along A, against another race: a preloaded bearing.
 
     Directions: normal is the sum over both flanks. Axial is along the track; tangential is around the section.
     Coefficients: ``ball_radius``, ``pitch_radius``, ``offset`` [m]; ``clearance`` [m], normal to a flank; of a gothic
@@ -118,6 +120,11 @@ class BallInGroove(AbstractGap):
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         sizes = ("clearance", "ball_radius", "pitch_radius", "offset")
         return sizes if self.section == "circular" else (*sizes, "contact_angle", "conformity")
+
+    @property
+    def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of a gothic section: a circular one has no direction in its middle."""
+        return self.section == "gothic"
 
     @property
     def members(self) -> int:

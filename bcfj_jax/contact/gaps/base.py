@@ -40,10 +40,14 @@ _OF_BODIES = ("radius", "radius_a", "radius_b", "ball_radius", "half_length", "h
 
 
 class Frame(NamedTuple):
-    """A marker on a body: its place [m] and its body's axes, as columns, in world components."""
+    """A marker on a body: its place [m] and its body's axes, as columns, in world components.
+
+    ``turn`` is the angle of the body's own hinge, planar or bearing joint, of all its turns [rad]; 0 without.
+    """
 
     place: Vector
     axes: Axes
+    turn: Number = 0.0
 
 
 class Face(NamedTuple):

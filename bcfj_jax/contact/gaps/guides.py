@@ -18,6 +18,7 @@ from bcfj_jax.contact.gaps.base import (
     Face,
     Frame,
     Look,
+    counted,
     direction,
     yes_or_no,
 )
@@ -38,7 +39,7 @@ def between(a: Frame, b: Frame, normal: Vector, clearance: Number, reach: Number
     return first, Face(-height - clearance, back, scale(reach, back))
 
 
-def _travel(axis: Any) -> Direction:
+def travel(axis: Any) -> Direction:
     """A direction across a's z axis."""
     way = direction(axis)
     if way[2] != 0.0:
@@ -46,7 +47,7 @@ def _travel(axis: Any) -> Direction:
     return way
 
 
-def _across(way: Direction) -> Direction:
+def across_z(way: Direction) -> Direction:
     """z x way."""
     return (-way[1] if way[1] else 0.0, way[0], 0.0)
 
@@ -119,10 +120,10 @@ class PinInSlot(AbstractFlat):
     needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
     signed: ClassVar[bool] = True
     preloads: ClassVar[bool] = True
-    axis: Any = eqx.field(static=True, default="x", converter=_travel)
+    axis: Any = eqx.field(static=True, default="x", converter=travel)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        return between(a, b, turned(a.axes, _across(self.axis)), c["clearance"], c["radius"])
+        return between(a, b, turned(a.axes, across_z(self.axis)), c["clearance"], c["radius"])
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         return turned(a.axes, self.axis)
@@ -154,6 +155,12 @@ class PinInBearing(AbstractGap):
     is on the pin, ``radius`` along n. The bearing is as long as need be: the pin slides along it freely.
     With ``ends`` the pin touches at both of its ends, ``half_length`` along +z and -z of b from b's marker, members 0
     and 1: the contact then resists tilt, as a spatial revolute joint does. Without, it does not resist tilt.
+    With ``pads`` it touches the bearing in so many directions u_i around a's z axis, from its x axis on, side by side:
+
+        d_i = e . u_i - clearance,    n = u_i,    at ``radius`` u_i of the pin,
+
+    (those of the end at +z first). A negative clearance is then an interference, by so much at each: a press fit. Under a
+    linear law it is as stiff as N/2 pads in every direction while all press, and holds a torque of friction N mu F radius.
     Exact while the axes are parallel; a pin tilted by t touches sooner, by the order of t^2 radius.
     Source: Flores and Ambrosio, Computers and Structures 82, 1359 (2004); physics sheet 4 (B5, B6).
 
@@ -163,13 +170,22 @@ class PinInBearing(AbstractGap):
 
     Attributes:
         ends: whether the pin touches at both of its ends and not in one plane.
+        pads: number of directions in which it touches; 0: in that of e.
     """
 
     round: ClassVar[bool] = True
     ends: bool = eqx.field(static=True, default=False)
+    pads: int = eqx.field(static=True, default=0, converter=lambda n: counted("pads", n))
 
     def __check_init__(self):
         yes_or_no("ends", self.ends)
+        if self.pads in (1, 2):
+            raise InputError("gap, option 'pads'", f"{self.pads} pads hold no pin", "give 3 or more, or 0")
+
+    @property
+    def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """With pads."""
+        return self.pads > 0
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -177,11 +193,16 @@ class PinInBearing(AbstractGap):
 
     @property
     def members(self) -> int:
-        return 2 if self.ends else 0
+        return (2 if self.ends else min(self.pads, 1)) * (self.pads or 1)
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        arm = scale(np.array([1.0, -1.0]) * c["half_length"], b.axes[2]) if self.ends else ZERO
+        each = np.repeat([1.0, -1.0], self.pads or 1)
+        arm = scale(each * c["half_length"], b.axes[2]) if self.ends else ZERO
         apart = subtract(add(b.place, arm), a.place)
+        if self.pads:
+            angle = np.tile(2.0 * np.pi * np.arange(self.pads) / self.pads, 2 if self.ends else 1)
+            way = turned(a.axes, (np.cos(angle), np.sin(angle), 0.0))
+            return (Face(dot(way, apart) - c["clearance"], way, add(arm, scale(c["radius"], way))),)
         axis = a.axes[2]
         across = subtract(apart, scale(dot(axis, apart), axis))
         distance = length(across, ROUND)
@@ -189,10 +210,12 @@ class PinInBearing(AbstractGap):
         return (Face(distance - c["clearance"], normal, add(arm, scale(c["radius"], normal))),)
 
     def bends(self, c: Coefficients) -> Bends:
-        return Bends(c["clearance"], arm=c["half_length"] if self.ends else 0.0)
+        return Bends(np.inf if self.pads else c["clearance"], arm=c["half_length"] if self.ends else 0.0)
 
-    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any]:
-        """R = r (r + clearance)/clearance, r the pin's."""
+    def line(self, c: Mapping[str, Any]) -> tuple[Any, Any] | None:
+        """R = r (r + clearance)/clearance, r the pin's; none of pads."""
+        if self.pads:
+            return None
         return c["radius"] * (c["radius"] + c["clearance"]) / c["clearance"], c["radius"]
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
@@ -227,7 +250,7 @@ class SliderInGuide(AbstractGap):
 
     preloads: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("clearance", "half_length", "half_width")
-    axis: Any = eqx.field(static=True, default="x", converter=_travel)
+    axis: Any = eqx.field(static=True, default="x", converter=travel)
 
     @property
     def members(self) -> int:
@@ -237,7 +260,7 @@ class SliderInGuide(AbstractGap):
         side = np.array([1.0, 1.0, -1.0, -1.0])
         along = np.array([-1.0, 1.0, -1.0, 1.0]) * c["half_length"]
         corner = turned(b.axes, (along, side * c["half_width"], 0.0))
-        across = turned(a.axes, _across(self.axis))
+        across = turned(a.axes, across_z(self.axis))
         height = dot(across, add(subtract(b.place, a.place), corner))
         depth = times(side, height) - (c["half_width"] + c["clearance"])
         return (Face(depth, scale(side, across), corner),)

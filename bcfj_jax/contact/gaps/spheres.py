@@ -44,7 +44,8 @@ class PointOnPlane(AbstractFlat):
     """A point of b on a plane of a:  d = -(p . e) - clearance,  n = -e,  p from a's marker to b's.
 
     The plane holds a's marker and its outer normal is e. The point of contact is b's marker. With ``clearance`` the
-    plane lies that much below a's marker: a stop on one side, which b reaches after the clearance along -e.
+    plane lies that much below a's marker: a stop on one side, which b reaches after the clearance along -e. It is negative
+    of a plane above the marker, which presses by so much there.
     Exact for a plane without edges, for every rotation of both bodies.
 
     Directions: normal is into the plane, along -e. Axial is along a's z axis in the plane (a's x axis where e is nearer
@@ -56,6 +57,7 @@ class PointOnPlane(AbstractFlat):
         clearance: whether the plane lies the coefficient ``clearance`` below a's marker.
     """
 
+    preloads: ClassVar[bool] = True
     axis: Any = eqx.field(static=True, default="z", converter=direction)
     clearance: bool = eqx.field(static=True, default=False)
 
@@ -204,6 +206,12 @@ class SphereInSocket(AbstractGap):
     no direction, and finite derivatives. The point of contact is on the socket, ``radius`` from its centre along n: the
     lever is (radius - |p|) n. A spherical joint with clearance; a pilot of the ball-cage joint.
     Full spheres: a real socket is a band, whose edge carries an axial load a little off the pole.
+    With ``pads`` the sphere touches in 6 directions u_i, along +x, -x, +y, -y, +z, -z of a, side by side as 6 members:
+
+        d_i = p . u_i - clearance,    n = u_i,    at (radius - clearance) u_i of the sphere.
+
+    A negative clearance is then an interference, by so much at each. Under a linear law it is as stiff as 2 pads in every
+    direction while all press.
     Source: physics sheet 5.3, rows 1 and 2; Flores, Ambrosio and Claro, Multibody System Dynamics 16 (2006).
 
     Directions: normal is along the eccentricity. Axial is the z axis of a or of b, as ``axis_of`` says, less its part
@@ -212,23 +220,39 @@ class SphereInSocket(AbstractGap):
 
     Attributes:
         axis_of: the body whose z axis is the axial reference: "a" or "b".
+        pads: whether it touches in six directions and not in that of p.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("clearance", "radius")
     round: ClassVar[bool] = True
     axis_of: str = eqx.field(static=True, default="a")
+    pads: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         one_of("axis_of", self.axis_of, ("a", "b"))
+        yes_or_no("pads", self.pads)
+
+    @property
+    def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """With pads."""
+        return self.pads
+
+    @property
+    def members(self) -> int:
+        return 6 if self.pads else 0
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         apart = subtract(b.place, a.place)
+        if self.pads:
+            x, y, z = np.repeat(np.eye(3), 2, axis=1) * np.tile([1.0, -1.0], 3)
+            way = turned(a.axes, (x, y, z))
+            return (Face(dot(way, apart) - c["clearance"], way, scale(c["radius"] - c["clearance"], way)),)
         distance = length(apart, ROUND)
         normal = scale(1.0 / distance, apart)
         return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
 
     def bends(self, c: Coefficients) -> Bends:
-        return Bends(c["clearance"], np.inf)
+        return Bends(np.inf if self.pads else c["clearance"], np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         return b.axes[2] if self.axis_of == "b" else a.axes[2]

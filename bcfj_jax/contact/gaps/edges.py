@@ -1,0 +1,272 @@
+"""Capsules and cylinders on a plane and on each other; a sphere on a box, which has edges, and on a wedge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bcfj_jax.contact.gaps.base import (
+    ROUND,
+    AbstractGap,
+    Bends,
+    Coefficients,
+    Drawn,
+    Face,
+    Frame,
+    Look,
+    counted,
+)
+from bcfj_jax.contact.gaps.guides import across_z, travel
+from bcfj_jax.contact.gaps.spheres import PointOnPlane
+from bcfj_jax.core import shapes
+from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.vectors import Number, Vector, add, cross, dot, length, negative, scale, seen, subtract, turned
+
+# Angle below which two capsules count as parallel [rad], squared.
+_PARALLEL = 1e-10
+
+
+class CapsuleOnPlane(PointOnPlane):
+    """A capsule of b on a plane of a, side by side as 2 members:  d_i = radius - (p +- A z) . e - clearance,  n = -e.
+
+    The capsule is what lies within ``radius`` of a segment along b's z axis, A ``half_length`` to either side of b's marker:
+    a cylinder with half a sphere on either end. Its lowest point is below an end of the segment; lying on the plane it bears
+    on both. The members are the end at +z, and that at -z. The plane is that of ``PointOnPlane``. Exact.
+
+    Directions: as ``PointOnPlane``.
+    Coefficients: ``radius``, ``half_length`` [m]; with the option, ``clearance`` [m].
+    """
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ("radius", "half_length", *super().needs)
+
+    @property
+    def members(self) -> int:
+        return 2
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        down = negative(turned(a.axes, self.axis))
+        return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"], down))),)
+
+    def _points(self, a: Frame, b: Frame, c: Coefficients, arms: Vector) -> Face:
+        """Points of b at ``arms`` from its marker as one face."""
+        up = turned(a.axes, self.axis)
+        height = dot(up, add(arms, subtract(b.place, a.place)))
+        depth = -height - c["clearance"] if self.clearance else -height
+        return Face(depth, negative(up), arms)
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(np.inf, arm=c["half_length"])
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        return (self._plate(c, look, 2.0 * (c["half_length"] + c["radius"])),), (
+            _capsule(c["radius"], c["half_length"]),
+        )
+
+
+class CylinderOnPlane(CapsuleOnPlane):
+    """A cylinder of b on a plane of a:  d_i = -(p + c_i) . e - clearance,  n = -e.
+
+    The cylinder is along b's z axis, A ``half_length`` to either side of b's marker, with sharp rims of the radius r. By
+    default the c_i are the lowest points of both rims, 2 members, the rim at +z first:
+
+        c_i = +-A z + r w/|w|,    w = z (z . e) - e,
+
+    exact for a cylinder that lies, rolls, lands on a rim or leans on it as a coin does. One that stands has no lowest point:
+    it bears at one point of a rim that goes around, and a run takes small steps. It is to have ``points``.
+
+    Directions: as ``PointOnPlane``.
+    Coefficients: as ``CapsuleOnPlane``.
+
+    Attributes:
+        points: so many of each rim, fixed to the cylinder, from its x axis on, are the c_i in place of the lowest: it
+            stands, tips and slides, and rolls as a prism does.
+    """
+
+    points: int = eqx.field(static=True, default=0, converter=lambda n: counted("points", n))
+
+    def __check_init__(self):
+        if self.points in (1, 2):
+            raise InputError("gap, option 'points'", f"{self.points} points hold no rim", "give 3 or more, or 0")
+
+    @property
+    def members(self) -> int:
+        return 2 * (self.points or 1)
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        if self.points:
+            angle = np.tile(2.0 * np.pi * np.arange(self.points) / self.points, 2)
+            ends = np.repeat([1.0, -1.0], self.points) * c["half_length"]
+            return (
+                self._points(a, b, c, turned(b.axes, (c["radius"] * np.cos(angle), c["radius"] * np.sin(angle), ends))),
+            )
+        up, along = turned(a.axes, self.axis), b.axes[2]
+        down = subtract(scale(dot(along, up), along), up)
+        return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"] / length(down, ROUND), down))),)
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(np.inf, arm=c["half_length"] + c["radius"])
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        return (self._plate(c, look, 2.0 * (c["half_length"] + c["radius"])),), (
+            shapes.cylinder(c["radius"], c["half_length"]),
+        )
+
+
+class CapsuleOnCapsule(AbstractGap):
+    """Two capsules, along their z axes about their markers:  d = radius_a + radius_b - |r|,  n = -r/|r|.
+
+    r leads between the nearest points of both segments, s from a's marker along a's z axis and t from b's along b's:
+
+        r = p + t z_b - s z_a,   |s| <= half_length_a,   |t| <= half_length_b,   r . r + e ((s - s_0)^2 + (t - t_0)^2) least
+
+    (two segments: Ericson, Real-Time Collision Detection, 2005, 5.1.9), with s_0 and t_0 the middle of what either segment has
+    beside the other if they are parallel, and e = 1e-10: capsules parallel to 1e-5 rad touch in the middle of where they lie
+    beside each other, and one that rocks on the other bears at an end from there on. The error of |r| is e (s - s_0)^2/(2 |r|) or
+    so. The point of contact is midway between the surfaces. A half length of 0 is a sphere. Of two cylinders it is where their
+    sides touch; their flat ends are not in it.
+    Bristles turn with the mean of both angular velocities. Neither body differs from the other: a and b may be exchanged.
+
+    Directions: normal is along r, from b to a. Axial is a's z axis less its part along the normal; tangential is across both.
+    Coefficients: ``radius_a``, ``radius_b``, ``half_length_a``, ``half_length_b`` [m].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("radius_a", "radius_b", "half_length_a", "half_length_b")
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        first, second, apart = a.axes[2], b.axes[2], subtract(b.place, a.place)
+        s, t, beside = _nearest((dot(first, second), dot(first, apart), dot(second, apart)), cross(first, second), c)
+        arm = scale(t, second)
+        way = subtract(add(apart, arm), scale(s, first))
+        distance = jnp.sqrt(dot(way, way) + beside + ROUND**2)
+        normal = scale(-1.0 / length(way, ROUND), way)
+        middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
+        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
+
+    def carried(self, a: Vector, b: Vector) -> Vector:
+        return scale(0.5, add(a, b))
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(c["radius_a"] + c["radius_b"], arm=c["half_length_b"])
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        return tuple((_capsule(c[f"radius_{k}"], c[f"half_length_{k}"]),) for k in "ab")  # pyright: ignore[reportReturnType]
+
+
+class SphereOnBox(AbstractGap):
+    """A sphere of b on a box of a:  d = radius - |r|,  n = -r/|r|,  r from the box's nearest point to b's marker.
+
+    The middle of the box is a's marker; its edges are along a's axes: a finite plane with what is beyond its edges. With p in
+    a's axes and h the half lengths, r = p less p between -h and h, so that faces, edges and corners join smoothly. Inside
+    of the box |r| is less the way to the nearest face. The point of contact is on the sphere, ``radius`` along n. Exact.
+
+    Directions: normal is into the box. Axial is along a's z axis (its x axis where the normal is nearer than 45 degrees to z);
+    tangential is across both.
+    Coefficients: ``radius`` of the sphere, ``half_length``, ``half_width``, ``half_height`` of the box, along x, y, z [m].
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("radius", "half_length", "half_width", "half_height")
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        place = [jnp.asarray(x) for x in seen(a.axes, subtract(b.place, a.place))]
+        beyond = [jnp.abs(x) - c[name] for x, name in zip(place, self.needs[1:], strict=True)]
+        out = [jnp.maximum(x, 0.0) for x in beyond]
+        distance, least = (
+            length((out[0], out[1], out[2]), ROUND),
+            jnp.maximum(jnp.maximum(beyond[0], beyond[1]), beyond[2]),
+        )
+        way = [
+            jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, jnp.where(y == least, 1.0, 0.0))
+            for x, o, y in zip(place, out, beyond, strict=True)
+        ]
+        normal = negative(turned(a.axes, (way[0], way[1], way[2])))
+        depth = c["radius"] - jnp.where(least > 0.0, distance, least)
+        return (Face(depth, normal, scale(c["radius"], normal)),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        (face,) = self.faces(a, b, c)
+        steep = jnp.square(dot(a.axes[2], face.normal)) > 0.5
+        return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(c["radius"])
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        return (shapes.box([c[name] for name in self.needs[1:]]),), (shapes.ball(c["radius"]),)
+
+
+class SphereOnWedge(AbstractGap):
+    """A sphere of b on a wedge of a:  d = radius - |r|,  n = -r/|r|,  r from the wedge's nearest point to b's marker.
+
+    The wedge's edge is a's z axis through its marker, its middle plane holds ``axis`` e, which points out of it, and either
+    face is turned by ``half_angle`` g from -e. With x = p . e, y = |p . (z x e)| the nearest point is on a face where
+    s = y sin g - x cos g > 0, and |r| = x sin g + y cos g; else on the edge, and |r| = sqrt(x^2 + y^2). The point of contact is
+    on the sphere, ``radius`` along n. Exact for a wedge without ends. A groove is two ``SphereOnPlane``.
+
+    Directions: normal is into the wedge, axial along the edge, tangential across both.
+    Coefficients: ``radius`` of the sphere [m], ``half_angle`` [rad], below a right angle.
+
+    Attributes:
+        axis: e in a's axes, across z: "x", "y", "-x", "-y", or three numbers, the last 0.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("radius", "half_angle")
+    axis: Any = eqx.field(static=True, default="y", converter=travel)
+
+    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+        apart, out, aside = subtract(b.place, a.place), turned(a.axes, self.axis), turned(a.axes, across_z(self.axis))
+        x, y, sine, cosine = dot(apart, out), dot(apart, aside), jnp.sin(c["half_angle"]), jnp.cos(c["half_angle"])
+        sign = jnp.where(y >= 0.0, 1.0, -1.0)
+        away = jnp.sqrt(x * x + y * y + ROUND**2)
+        plain = sign * y * sine - x * cosine > 0.0
+        distance = jnp.where(plain, x * sine + sign * y * cosine, away)
+        way = jnp.where(plain, sine, x / away), jnp.where(plain, sign * cosine, y / away)
+        normal = negative(add(scale(way[0], out), scale(way[1], aside)))
+        return (Face(c["radius"] - distance, normal, scale(c["radius"], normal)),)
+
+    def bends(self, c: Coefficients) -> Bends:
+        return Bends(c["radius"])
+
+    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
+        long, tall = float(look.half[2]) + 2.0 * c["radius"], 4.0 * c["radius"]
+        wide = min(tall * np.tan(c["half_angle"]), 3.0 * tall)
+        middle, half = np.array([0.0, 0.0, float(look.middle[2])]), long * np.array([0.0, 0.0, 1.0])
+        out, aside = np.array(self.axis), np.array(across_z(self.axis))
+        lines = np.array([[middle, middle - tall * out + k * wide * aside] for k in (1.0, -1.0)])
+        outward = np.array([np.sin(c["half_angle"]) * out + k * np.cos(c["half_angle"]) * aside for k in (1.0, -1.0)])
+        return (shapes.wall(lines, outward, half),), (shapes.ball(c["radius"]),)
+
+
+def _ends(b: Frame, c: Coefficients) -> Vector:
+    """From b's marker to the ends along its z axis, side by side."""
+    return scale(np.array([1.0, -1.0]) * c["half_length"], b.axes[2])
+
+
+def _capsule(radius: float, half: float) -> shapes.Mesh:
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 24)
+    height = np.where(angle < 0.0, -half, half) + radius * np.sin(angle)
+    return shapes.revolved(np.stack([radius * np.cos(angle), height], axis=1))
+
+
+def _nearest(dots: tuple[Number, Number, Number], across: Vector, c: Coefficients) -> tuple[Number, Number, Number]:
+    """s, t and e ((s - s_0)^2 + (t - t_0)^2) of ``CapsuleOnCapsule``, from z_a . z_b, z_a . p, z_b . p and z_a x z_b."""
+    (both, u, w), one = dots, 1.0 + _PARALLEL
+    ours, theirs = c["half_length_a"], c["half_length_b"]
+
+    def middle(at: Number, own: Number, other: Number) -> Number:
+        """Of what a segment has beside the other, whose middle is beside ``at``."""
+        return 0.5 * (jnp.maximum(-own, at - other) + jnp.minimum(own, at + other))
+
+    s_0, t_0 = middle(u, ours, theirs), middle(-w, theirs, ours)
+    u, w = u + _PARALLEL * s_0, w - _PARALLEL * t_0
+    # The determinant one^2 - both^2, without its cancellation.
+    s = jnp.clip((one * u - both * w) / (dot(across, across) + one * one - 1.0), -ours, ours)
+    free = (both * s - w) / one
+    t = jnp.clip(free, -theirs, theirs)
+    s = jnp.where(free == t, s, jnp.clip((both * t + u) / one, -ours, ours))
+    return s, t, _PARALLEL * (jnp.square(s - s_0) + jnp.square(t - t_0))

@@ -1,0 +1,205 @@
+"""Capsules, cylinders, boxes and wedges in motion and at rest: closed forms, in value and derivative."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bcfj_jax as bj
+from bcfj_jax import Body, Contact, InputError, Mechanism, gaps
+from bcfj_jax.mechanism.bodies import GROUND
+from bcfj_jax.mechanism.loads import Bush, Force, Gravity
+
+M, R, A, G, K = 2.0, 0.05, 0.1, 9.81, 1e7
+ROUND, ACROSS = 0.5 * M * R * R, M * (3.0 * R * R + 4.0 * A * A) / 12.0
+NUMBERS = {
+    "stiffness": K, "exponent": 1.5, "damping": 0.0, "dashpot": 0.0, "smoothing": 0.0, "radius": R, "half_length": A,
+    "gravity": G, "friction_static": 0.6, "friction_dynamic": 0.6, "friction_speed": 1e-3,
+}  # fmt: skip
+
+
+def scene(gap, start, loads=(), law="kelvin_voigt", friction: str | None = "coulomb", **more):
+    """A cylinder along its z axis, whose attitude turns that into the world's y where the plane is z."""
+    body = Body("log", "free", mass=M, inertia=(ACROSS, ACROSS, ROUND), start=start)
+    made = Mechanism(
+        "log", [body], [Contact("floor", (GROUND, "log"), gap, law, friction)], [Gravity("-z"), *loads], **more
+    )
+    return made, made.parameters({key: x for key, x in NUMBERS.items() if key in made.quantities})
+
+
+# z along the world's y: a turn by -90 degrees about x.
+LYING = {"q0": np.sqrt(0.5), "q1": -np.sqrt(0.5)}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("gap", [gaps.CylinderOnPlane, gaps.CapsuleOnPlane])
+def test_a_cylinder_rolls_down_a_slope(gap):
+    """It goes s = g sin(b) t^2/(2 (1 + I/(m R^2))), and so does its derivative by b, while friction holds: tan b < 3 mu."""
+    slope, end = 0.3, 0.2
+    up = (-np.sin(slope), 0.0, np.cos(slope))
+    sunk = R - M * G * np.cos(slope) / (2.0 * K)
+    start = {**LYING, "x": up[0] * sunk, "z": up[2] * sunk}
+    body = Body("log", "free", mass=M, inertia=(ACROSS, ACROSS, ROUND), start=start)
+    made = Mechanism(
+        "log", [body], [Contact("floor", (GROUND, "log"), gap(up), "kelvin_voigt", "coulomb")], [Gravity("-z")]
+    )
+    times = np.linspace(0.0, end, 5)
+    run = bj.simulate(made, made.parameters({k: x for k, x in NUMBERS.items() if k in made.quantities}), times,
+                      read=["log.place.x", "log.place.z", "log.spin.y"], accuracy=1e-4)  # fmt: skip
+    gone = (run.readings["log.place.x"] - start["x"]) * np.cos(slope) + (
+        run.readings["log.place.z"] - start["z"]
+    ) * np.sin(slope)
+    down = G * np.sin(slope) / 1.5
+    # Coulomb's friction creeps at friction_speed N_t/(mu N).
+    np.testing.assert_allclose(-gone, 0.5 * down * times**2, atol=2e-4)
+    np.testing.assert_allclose(np.abs(run.readings["log.spin.y"]) * R, down * times, atol=1.5e-3)
+
+
+def test_a_cylinder_at_rest_bears_on_its_rims():
+    """Two points of half the weight each; on points of its rim a standing one bears n of them, whatever its turn."""
+    for gap, start, count, low in (
+        (gaps.CylinderOnPlane("z"), LYING, 2, R), (gaps.CapsuleOnPlane("z"), LYING, 2, R),
+        (gaps.CylinderOnPlane("z", points=8), {"q0": np.cos(0.2), "q3": np.sin(0.2)}, 8, A),
+    ):  # fmt: skip
+        made, p = scene(gap, {**start, "z": low - M * G / (count * K)})
+        t, y = jnp.zeros(()), None
+        y = made.initial_state(p)
+        read = made.observe(t, y, p)["floor"].force[:, 0]
+        assert np.allclose(read[read > 1e-9], M * G / count, rtol=1e-9) and np.sum(read > 1e-9) == count
+        assert np.abs(made.vector_field(t, y, p)).max() < 1e-9
+    with pytest.raises(InputError, match="2 points hold no rim"):
+        gaps.CylinderOnPlane(points=2)
+
+
+def test_a_standing_cylinder_tips_over_its_rim():
+    """Under a push F at the height h it is at rest while F h < m g R cos(pi/n), and leans on the edge of two points."""
+    n, height = 6, 0.08
+    lever = R * np.cos(np.pi / n)
+    way = (np.cos(np.pi / n), np.sin(np.pi / n), 0.0)
+    for tall in (0.9, 1.1):
+        load = Force("push", "log", way, tall * M * G * lever / height, (0.0, 0.0, height - A))
+        # What keeps it from sliding is on the floor: at rest friction gives nothing.
+        foot = Bush("foot", (GROUND, "log"), (1e6, 1e6, 0.0), at=((0, 0, 0), (0, 0, -A)))
+        made = scene(gaps.CylinderOnPlane("z", points=n), {"z": A}, [load, foot], friction=None)[0]
+        made = replace(made, start="static")
+        p = made.parameters({key: x for key, x in NUMBERS.items() if key in made.quantities})
+        t, y = jnp.zeros(()), made.initial_state(p)
+        upright = float(made.motions(t, y, p)["log"].axes[2, 2])
+        if tall > 1.0:
+            assert upright < 0.1
+            continue
+        assert upright > 1.0 - 1e-6
+        bear = made.observe(t, y, p)["floor"].force[:, 0]
+        assert float(np.sum(bear)) == pytest.approx(M * G, rel=1e-6)
+        # The lower rim's points 1 and 2 are on the edge.
+        assert float(np.sum(bear[n : n + 2])) > 0.9 * M * G
+
+
+def two(start, law="hertz", **more):
+    """Capsules a, still, along z, and b, free."""
+    bodies = [
+        Body("b", "free", mass=M, inertia=(0.01, 0.01, 0.002), start=start),
+        Body("a", "free", mass=3.0, inertia=0.02),
+    ]
+    made = Mechanism("two", bodies, [Contact("c", ("a", "b"), gaps.CapsuleOnCapsule(), law, **more)])
+    given = {"radius_a": 0.03, "radius_b": 0.02, "half_length_a": 0.1, "half_length_b": 0.06, "stiffness": 1e8, "exponent": 1.5,
+             "smoothing": 0.0, "friction_dynamic": 0.3, "friction_static": 0.3, "friction_speed": 0.1}  # fmt: skip
+    return made, made.parameters({key: x for key, x in given.items() if key in made.quantities})
+
+
+@pytest.mark.parametrize(
+    ("start", "depth", "point"),
+    [
+        ({"x": 0.049, "z": 0.02, **LYING}, 1e-3, (0.0295, 0.0, 0.02)),  # crossing
+        ({"x": 0.049, "z": 0.02}, 1e-3, (0.0295, 0.0, 0.02)),  # parallel, b beside a
+        ({"x": 0.049, "z": 0.1}, 1e-3, (0.0295, 0.0, 0.07)),  # parallel, in the middle of 0.04 to 0.1
+        ({"z": 0.1 + 0.06 + 0.049}, 1e-3, (0.0, 0.0, 0.1295)),  # end on end
+        ({"x": 0.0, "y": 0.06 + 0.049, "z": -0.03, **LYING}, 1e-3, (0.0, 0.0295, -0.03)),  # end on side
+    ],
+    ids=["cross", "beside", "shifted", "ends", "end"],
+)
+def test_capsules_touch_where_their_segments_are_nearest(start, depth, point):
+    """Force K d^1.5 at the middle of the overlap, its derivatives, momentum of both, and moments about the point."""
+    made, p = two(start)
+    t, y = jnp.zeros(()), made.initial_state(p)
+    force = lambda p: made.observe(t, y, p)["c"].force[0]  # noqa: E731
+    assert float(force(p)) == pytest.approx(1e8 * depth**1.5, rel=1e-6)
+    slopes = jax.jacfwd(force)(p)
+    assert float(slopes["radius_a"]) == pytest.approx(1.5e8 * depth**0.5, rel=1e-6)
+    assert float(slopes["radius_b"]) == pytest.approx(1.5e8 * depth**0.5, rel=1e-6)
+    (face, touch), = made.faces_of(made.instant(t, y, p), "c")  # fmt: skip
+    place = np.array([start.get(k, 0.0) for k in "xyz"])
+    np.testing.assert_allclose(place + np.array(face.lever, float), point, atol=1e-7)  # of parallel ones by rounding
+    moved = made.motions(t, y, p)
+    np.testing.assert_allclose(M * moved["b"].acceleration + 3.0 * moved["a"].acceleration, 0.0, atol=1e-9 * 3e3)
+    np.testing.assert_allclose(0.02 * moved["a"].spin_rate, np.cross(point, -np.array(touch.force, float)), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_capsules_that_collide_keep_momentum_and_energy():
+    """Two crossing capsules, turning: momenta are kept, and energy by a Hertz contact; what friction takes is booked."""
+    start = {"x": 0.06, "z": 0.02, **LYING, "vx": -1.0, "vy": 0.3, "wz": 3.0, "wx": 1.0}
+    for friction in (None, "coulomb"):
+        made, p = two(start, friction=friction)
+        times = np.linspace(0.0, 0.03, 301)
+        run = bj.simulate(made, p, times, accuracy=1e-6)
+        assert run.status == "ok" and run.force["c"][:, 0].max() > 100.0
+
+        def kept(t, y, made=made, p=p):
+            moved = made.motions(t, y, p)
+            own = {"b": (M, jnp.array([0.01, 0.01, 0.002])), "a": (3.0, jnp.full(3, 0.02))}
+            push, spun, energy = jnp.zeros(3), jnp.zeros(3), 0.0
+            for name, (mass, inertia) in own.items():
+                axes, one = moved[name].axes, moved[name]
+                turn = axes @ (inertia * (axes.T @ one.spin))
+                push, energy = (
+                    push + mass * one.velocity,
+                    energy + 0.5 * (mass * one.velocity @ one.velocity + one.spin @ turn),
+                )
+                spun = spun + turn + mass * jnp.cross(one.place, one.velocity)
+            return jnp.concatenate([push, spun, energy[None]])
+
+        found = np.array([kept(t, y) for t, y in zip(times[[0, -1]], run.trajectory[[0, -1]], strict=True)])
+        np.testing.assert_allclose(found[1, :6], found[0, :6], atol=1e-6)
+        change = found[1, 6] - found[0, 6]
+        assert abs(change) < 1e-5 if friction is None else change < -1e-3
+
+
+def test_a_sphere_on_the_edge_of_a_box_and_of_a_wedge_is_pushed_along_the_normal():
+    """Beyond the face's edge the force turns with the line from the edge; both gaps are one at a right-angled edge."""
+    for angle in (0.1, 0.7, 1.4):
+        place = np.array([0.2, 0.1, 0.0]) + (R - 1e-4) * np.array([np.sin(angle), np.cos(angle), 0.0])
+        pushes = []
+        for gap, at in (
+            (gaps.SphereOnBox(), (0.0, 0.0, 0.0)), (gaps.SphereOnWedge((np.sqrt(0.5), np.sqrt(0.5), 0.0)), (0.2, 0.1, 0.0)),
+        ):  # fmt: skip
+            ball = Body("ball", "sphere", mass=M, inertia=1e-3, start=dict(zip("xyz", place, strict=True)))
+            made = Mechanism("edge", [ball], [Contact("c", (GROUND, "ball"), gap, "hertz", at=(at, (0, 0, 0)))])
+            given = {**NUMBERS, "half_length": 0.2, "half_width": 0.1, "half_height": 0.3, "half_angle": 0.25 * np.pi}
+            p = made.parameters({key: x for key, x in given.items() if key in made.quantities})
+            pushes.append(made.motions(jnp.zeros(()), made.initial_state(p), p)["ball"].acceleration * M)
+        want = K * 1e-4**1.5 * np.array([np.sin(angle), np.cos(angle), 0.0])
+        np.testing.assert_allclose(pushes[0], want, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(pushes[1], want, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.full
+def test_a_ball_rolls_off_a_table():
+    """On the table it stays, beyond the edge it falls; without friction its energy stays what it was."""
+    ball = Body("ball", "sphere", mass=M, inertia=1e-3, start={"x": 0.15, "z": 0.02 + R - M * G / K, "vx": 1.0})
+    made = Mechanism(
+        "table", [ball], [Contact("c", (GROUND, "ball"), gaps.SphereOnBox(), "kelvin_voigt")], [Gravity("-z")]
+    )
+    given = {**NUMBERS, "half_length": 0.2, "half_width": 0.2, "half_height": 0.02}
+    p = made.parameters({key: x for key, x in given.items() if key in made.quantities})
+    times = np.linspace(0.0, 0.3, 31)
+    run = bj.simulate(made, p, times, read=["ball.place.z", "ball.velocity.x", "ball.velocity.z"], accuracy=1e-6)
+    r = run.readings
+    energy = 0.5 * (r["ball.velocity.x"] ** 2 + r["ball.velocity.z"] ** 2) + G * r["ball.place.z"]
+    np.testing.assert_allclose(r["ball.velocity.x"][times < 0.05], 1.0, rtol=1e-9)
+    assert r["ball.place.z"][-1] < -0.02 and r["ball.velocity.x"][-1] > 1.0
+    assert np.ptp(energy) < 1e-3 * energy[0]
