@@ -117,8 +117,8 @@ class Wall(CoordinateLoad):
 
 
 def weight(over: Programmes, t: Array, p: Params) -> Array:
-    """On the bit at a time [N]."""
-    return axial_at(over, t, {**p, "axial_load": p["weight_on_bit"]})
+    """On the bit at a time [N]; never below 0, since rock does not pull."""
+    return jnp.maximum(axial_at(over, t, {**p, "axial_load": p["weight_on_bit"]}), 0.0)
 
 
 class Bit(CoordinateLoad):

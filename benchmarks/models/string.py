@@ -8,7 +8,6 @@ processor. The exponent of cost is fitted to the second runs from 5 joints on; c
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import numpy as np
@@ -84,34 +83,43 @@ def balance() -> dict[str, Any]:
 
 
 def of(part: str) -> dict[str, Any]:
-    """Rows of all counts, the exponent and the ratio of compilation."""
+    """Rows of all counts, and ``fitted``."""
     rows = {}
     for count in COUNTS:
         rows[str(count)] = processes.call(__file__, "measured", count, MOTIONS[part], variables={"BCFJ_CACHE": "off"})
         print(part, count, rows[str(count)], flush=True)
-    many = [n for n in COUNTS if n >= 5]
-    again = {n: rows[str(n)]["again_s"] for n in COUNTS}
-    compiled = {n: rows[str(n)]["first_s"] - again[n] for n in COUNTS}
+    return fitted(rows)
+
+
+def fitted(rows: dict[str, Any]) -> dict[str, Any]:
+    """With the exponent of cost from 5 joints on, and compilation at the most joints over that at 2."""
+    again = {int(n): row["again_s"] for n, row in rows.items()}
+    many = [n for n in again if n >= 5]
+    compiled = {int(n): row["first_s"] - row["again_s"] for n, row in rows.items()}
     slope = float(np.polyfit(np.log(many), np.log([again[n] for n in many]), 1)[0])
-    return {"rows": rows, "exponent": slope, "compilation": compiled[50] / compiled[2], "load": os.getloadavg()[0]}
+    return {"rows": rows, "exponent": slope, "compilation": compiled[max(again)] / compiled[2]}
 
 
 def table(found: dict[str, Any]) -> str:
-    """Rows by joints; of motion its balances."""
-    columns = {
-        "joints": lambda one: one[0],
-        "at rest: first run, compiling [s]": lambda one: f"{found['rest']['rows'][one[0]]['first_s']:.1f}",
-        "again [s]": lambda one: f"{found['rest']['rows'][one[0]]['again_s']:.2f}",
-        "in motion: first run [s]": lambda one: f"{one[1]['first_s']:.1f}",
-        "again [s] ": lambda one: f"{one[1]['again_s']:.2f}",
-        "torque off balance": lambda one: f"{found['balance'][one[0]]['torque']:.1e}",
-        "power off balance": lambda one: f"{found['balance'][one[0]]['power']:.1e}",
-    }
-    said = (
-        f"Exponent from 5 to 50 joints: {found['rest']['exponent']:.2f} at rest, {found['motion']['exponent']:.2f} in motion. "
-        f"Compilation at 50 joints over 2: {found['rest']['compilation']:.2f} and {found['motion']['compilation']:.2f}."
+    """Rows by joints, of the parts that were measured."""
+    heads = {"rest": "at rest", "motion": "in motion"}
+    columns: dict[str, Any] = {"joints": lambda n: n}
+    for part in (part for part in heads if part in found):
+        rows = found[part]["rows"]
+        columns[f"{heads[part]}: first run, compiling [s]"] = lambda n, rows=rows: f"{rows[n]['first_s']:.1f}"
+        columns[f"{heads[part]}: again [s]"] = lambda n, rows=rows: f"{rows[n]['again_s']:.2f}"
+    for key in ("torque", "power"):
+        columns[f"{key} off balance"] = lambda n, key=key: f"{found['balance'][n][key]:.1e}"
+    said = [_said(found[part], heads[part]) for part in heads if part in found]
+    return "\n\n".join([harness.table(columns, found["motion"]["rows"]), " ".join(said)])
+
+
+def _said(part: dict[str, Any], where: str) -> str:
+    most = list(part["rows"])[-1]
+    return (
+        f"Exponent of cost from 5 joints on {where}: {part['exponent']:.2f}; compilation at {most} joints over that at 2: "
+        f"{part['compilation']:.2f}."
     )
-    return f"{harness.table(columns, found['motion']['rows'].items())}\n\n{said}"
 
 
 def main() -> None:

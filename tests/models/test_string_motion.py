@@ -153,6 +153,7 @@ def test_a_weight_over_time_rubs_at_the_wall_as_one_of_that_size():
         assert np.allclose(-push, [*right[1:], 0.0], rtol=1e-6)
         _, given, rubs = scene._top(jnp.asarray(t), jnp.concatenate([speed, speed]), held)
         assert float(rubs) == pytest.approx(float(right[0]), rel=1e-3) and float(given) != 0.0
+    scene.check(params)
     swings = {"axial_profile": "constant", "fluctuating": ["axial"]}
     scene = moving(4, rock=swings)[0]
     with pytest.raises(bj.InputError, match="weight_on_bit"):
@@ -265,6 +266,7 @@ def test_the_bit_has_the_friction_of_ideal_joints(law):
 def test_a_table_drives_the_bit():
     rock = {"load_profile": "table", "load_table": [[0.0, 0.1, 0.2], [0.0, 900.0, 600.0]]}
     scene, params, held = moving(2, rock=rock)
+    scene.check(params)
     assert float(params["bit_torque"]) == 900.0
     assert np.allclose(np.asarray(scene.breaks(params, 1.0))[:3], [0.0, 0.1, 0.2])
     y = scene.initial_state(params)
