@@ -154,6 +154,8 @@ LOAD_TABLES = {
         speed=(Speed, ...),
         breakaway=(Force, None),
         friction=(str, "coulomb"),
+        bristle_stiffness=(Stiffness, None),
+        bristle_damping=(Damping, None),
     ),
     "coupling": _load(
         "coupling",

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -108,9 +109,15 @@ class Pull(bj.loads.AbstractLoad):
 
 
 class CoordinateLoad(AbstractLoad):
-    """A load on the coordinate of a slide or hinge; ``body``: whose joint; ``dry``: whether its power is friction's."""
+    """A load on the coordinate of a slide or hinge.
+
+    Attributes:
+        body: whose joint; dry: whether its power is friction's.
+        bristles: whether it keeps a number of every member, of which ``bending`` is the rate and ``reach`` the size.
+    """
 
     dry: ClassVar[bool] = False
+    bristles: ClassVar[bool] = False
     body: eqx.AbstractVar[str]
 
     @property
@@ -126,12 +133,22 @@ class CoordinateLoad(AbstractLoad):
         return []
 
     @abstractmethod
-    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        """Force or torque on the coordinate [N, N m]."""
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params, *bend: Number) -> Number:
+        """Force or torque on the coordinate [N, N m]; ``bend``: what it keeps."""
 
-    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
+    def on_coordinates(
+        self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params, *bend: Number
+    ) -> list[Number]:
         """The same on each of ``coordinates``."""
-        return [self.on_coordinate(t, positions[0], rates[0], p)]
+        return [self.on_coordinate(t, positions[0], rates[0], p, *bend)]
+
+    def bending(self, rate: Number, bend: Number, p: Params) -> Number:
+        """Rate of what it keeps; of a load without bristles nobody asks."""
+        return 0.0
+
+    def reach(self, p: Params) -> Array:
+        """What errors of that are measured in."""
+        return jnp.ones(())
 
     @abstractmethod
     def parameters(self, turns: bool = True) -> Parameters:

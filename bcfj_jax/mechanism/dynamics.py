@@ -44,13 +44,17 @@ from bcfj_jax.mechanism.rows import Row
 
 
 class Instant(NamedTuple):
-    """Everything at one instant: coordinates, velocities, bodies; faces and touches, and memory, by names of ``bundles``."""
+    """Everything at one instant.
+
+    Coordinates, velocities, bodies; faces and touches, and memory, by names of ``bundles``; bristles by names of loads.
+    """
 
     q: list[Number]
     v: list[Number]
     bodies: Moving
     faces: dict[str, list[tuple[Face, ContactForce]]]
     memory: dict[str, list[list[Number]]]
+    bent: dict[str, Number]
 
 
 class Dynamics(AbstractModel):
@@ -249,12 +253,17 @@ class Dynamics(AbstractModel):
 
     @cached_property
     def _memory(self) -> tuple[tuple[str, int], ...]:
-        """(contact, members) of every number that contacts remember, in order: ``Contact.memory`` of each face."""
+        """(contact, members) of every number that contacts remember, in order: ``Contact.memory`` of each face; then of loads."""
         found, members = [], self.members
         for c in self.contacts:
             each = len(c.memory)
             found += [(c.name, members[c.name])] * (each * c.faces if each else 0)
-        return tuple(found)
+        return (*found, *((load.name, self.body(load.body).members) for load in self._bristly))
+
+    @cached_property
+    def _bristly(self) -> tuple[CoordinateLoad, ...]:
+        """Loads on joints that keep a number."""
+        return tuple(load for load in self.loads if isinstance(load, CoordinateLoad) and load.bristles)
 
     def initial_state(self, params: Params) -> Array:
         """Coordinates and velocities as the bodies start; contacts remember the rate at which they close."""
@@ -276,9 +285,10 @@ class Dynamics(AbstractModel):
         unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
         found = self.instant(jnp.zeros(()), jnp.concatenate([start, unknown]), params, laws=False)
         memory: list[Number] = []
-        for c in self.contacts if self._memory else ():
+        for c in self.contacts:
             for face, touch in self.faces_of(found, c.name):
                 memory += c.first(face, touch, params)
+        memory += [0.0] * len(self._bristly)
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -337,7 +347,8 @@ class Dynamics(AbstractModel):
                 every = zip(*(apart[one.name] for one in c.each), strict=True)
                 memory[c.name] = [[rows.side_by_side(x) for x in zip(*face, strict=True)] for face in every]
             faces[c.name] = self._touching(c, bodies, memory[c.name], p, laws)
-        return Instant(list(q), list(v), bodies, faces, memory)
+        bent = dict(zip((load.name for load in self._bristly), kept, strict=True))
+        return Instant(list(q), list(v), bodies, faces, memory, bent)
 
     def _touching(
         self, c: Contact, bodies: Moving, memory: list[list[Number]], p: Params, laws: bool
@@ -437,7 +448,8 @@ class Dynamics(AbstractModel):
     def sprung(self, load: CoordinateLoad, t: Array, now: Instant, p: Params) -> list[tuple[int, Number, Number]]:
         """Which velocities a load on joints acts on, its force on each [N, N m], and each velocity."""
         found = [self._coordinate(name, t, now, p) for name in load.coordinates]
-        forces = load.on_coordinates(t, [q for _, q, _ in found], [v for *_, v in found], p)
+        kept = (now.bent[load.name],) if load.bristles else ()
+        forces = load.on_coordinates(t, [q for _, q, _ in found], [v for *_, v in found], p, *kept)
         return [(j, force, v) for (j, _, v), force in zip(found, forces, strict=True)]
 
     def _coordinate(self, name: str, t: Array, now: Instant, p: Params) -> tuple[int, Number, Number]:
@@ -459,7 +471,11 @@ class Dynamics(AbstractModel):
         """Newton's law, and what contacts remember."""
         now = self.instant(t, y, prepared)
         accelerations = self.assembled(t, now, prepared).accelerations(len(self._velocities))
-        return self.state(self._rates(now), accelerations, self._remembered(now, prepared))
+        bent = [
+            load.bending(self._coordinate(load.body, t, now, prepared)[2], now.bent[load.name], prepared)
+            for load in self._bristly
+        ]
+        return self.state(self._rates(now), accelerations, self._remembered(now, prepared) + bent)
 
     def _rates(self, now: Instant) -> list[Number]:
         """Rates of the coordinates: the velocities, but for attitudes."""

@@ -19,6 +19,12 @@ from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.programmes import Table, given_table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
+# A friction law's coefficients and the keys of ``JointFriction`` for them.
+_RUBS = {
+    "friction_dynamic": "sliding", "friction_static": "breakaway", "friction_speed": "speed",
+    "bristle_stiffness": "bristle_stiffness", "bristle_damping": "bristle_damping",
+}  # fmt: skip
+
 
 class JointSpring(CoordinateLoad):
     """A spring and damper on the coordinate of a slide or hinge:  -f(q - q0) - c (dq/dt - dq0/dt)  on it.
@@ -69,12 +75,15 @@ class JointFriction(CoordinateLoad):
 
     The law is a contact's, its coefficients being torques [N m] or forces [N] in place of ratios to a normal force: mu_d is
     ``sliding``, mu_s ``breakaway``, v_t ``speed``. Laws creep below ``speed``: a joint that holds a load q turns at about
-    q v_t/sliding (Coulomb).
+    q v_t/sliding (Coulomb). ``lugre`` sticks (``contact.friction.LuGre``): its bristle z [rad, m] is a state, 0 at the start,
+
+        z' = w - |w| sigma_0 z/g(w),   g = mu_d + (mu_s - mu_d) exp(-(w/v_t)^2),   F = -sigma_0 z - sigma_1 z'
 
     Attributes:
         body: whose joint; sliding: torque or force of fast motion; speed: transition speed [rad/s, m/s].
         breakaway: the highest torque or force, of laws with a static coefficient; None: ``sliding``.
-        friction: a name of ``contact.friction.FRICTION`` without a state of its own, or a law.
+        friction: a name of ``contact.friction.FRICTION``, or a law; of those with a state bristles alone.
+        bristle_stiffness: sigma_0 [N m/rad, N/m]; bristle_damping: sigma_1 [N m s/rad, N s/m], None for 0; of ``lugre``.
     """
 
     timeless: ClassVar[bool] = True
@@ -85,14 +94,25 @@ class JointFriction(CoordinateLoad):
     speed: Size = sizes.field("joint friction speed")
     breakaway: Size = sizes.field("joint friction breakaway", default=None)
     friction: str | AbstractFriction = eqx.field(static=True, default="coulomb")
+    bristle_stiffness: Size = sizes.field("joint friction bristle_stiffness", default=None)
+    bristle_damping: Size = sizes.field("joint friction bristle_damping", default=None)
 
     def __check_init__(self):
-        law, known = self._law, {"friction_static", "friction_dynamic", "friction_speed"}
-        if law.bristles or law.lags or not set(law.needs) <= known:
-            found = f"{type(law).__name__} has a state or coefficients that a joint has not"
-            raise InputError(f"load '{self.name}' friction", found, "give coulomb, step or brown_mcphee")
+        law, where = self._law, f"load '{self.name}'"
+        if law.lags or not set(law.needs) <= set(_RUBS):
+            found = f"{type(law).__name__} has a memory or coefficients that a joint has not"
+            raise InputError(f"{where} friction", found, "give coulomb, step, brown_mcphee or lugre")
         if self.sliding is None or self.speed is None:
-            raise InputError(f"load '{self.name}'", "sliding or speed is missing", "give both")
+            raise InputError(where, "sliding or speed is missing", "give both")
+        if law.bristles and self.bristle_stiffness is None:
+            raise InputError(
+                f"{where} bristle_stiffness", "is missing", "give some 1000 times sliding a radian or metre"
+            )
+        for key in ("bristle_stiffness", "bristle_damping"):
+            if not law.bristles and getattr(self, key) is not None:
+                raise InputError(
+                    f"{where} {key}", f"{type(law).__name__} has no bristles", "leave it out, or give lugre"
+                )
 
     @property
     def _law(self) -> AbstractFriction:
@@ -104,19 +124,41 @@ class JointFriction(CoordinateLoad):
     def damps(self) -> bool:
         return True
 
-    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        sliding, speed = (sizes.length(getattr(self, key), self.name, key, p) for key in ("sliding", "speed"))
-        held = sliding if self.breakaway is None else sizes.length(self.breakaway, self.name, "breakaway", p)
-        told = {"friction_dynamic": sliding, "friction_static": held, "friction_speed": speed}
-        return -self._law.coefficient(jnp.asarray(rate), {name: jnp.asarray(x) for name, x in told.items()})
+    @property
+    def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The law's."""
+        return self._law.bristles
+
+    def _told(self, p: Params) -> dict[str, Array]:
+        """The law's coefficients, by their names there."""
+        given = {name: key for name, key in _RUBS.items() if getattr(self, key) is not None}
+        found = {name: jnp.asarray(sizes.length(getattr(self, key), self.name, key, p)) for name, key in given.items()}
+        return {"friction_static": found["friction_dynamic"], "bristle_damping": jnp.zeros(()), **found}
+
+    def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params, *bend: Number) -> Number:
+        told, rate = self._told(p), jnp.asarray(rate)
+        if not bend:
+            return -self._law.coefficient(rate, told)
+        _, stick, viscous = self._law.bond(rate * rate, told)
+        return -(stick * bend[0] + viscous * rate)
+
+    def bending(self, rate: Number, bend: Number, p: Params) -> Number:
+        """z' of a law with bristles."""
+        return rate - self._law.bond(jnp.square(rate), self._told(p))[0] * bend
+
+    def reach(self, p: Params) -> Array:
+        return self._law.reach(self._told(p))
 
     def parameters(self, turns: bool = True) -> Parameters:
-        force, speed = ("N m", "rad/s") if turns else ("N", "m/s")
+        force, way = ("N m", "rad") if turns else ("N", "m")
+        units = (force, force, f"{way}/s", f"{force}/{way}", f"{force} s/{way}")
         found: Parameters = {}
-        for key, of in (("sliding", force), ("breakaway", force), ("speed", speed)):
+        for key, of in zip(_RUBS.values(), units, strict=True):
             if (size := getattr(self, key)) is not None:
                 for name, (quantity, default) in sizes.stated(size, self.name, key, of).items():
-                    found[name] = quantity._replace(low=0.0, open_low=key == "speed"), default
+                    # Bristles bend by ``sliding`` over their stiffness.
+                    above = key in ("speed", "bristle_stiffness") or (key == "sliding" and self.bristles)
+                    found[name] = quantity._replace(low=0.0, open_low=above), default
         return found
 
 

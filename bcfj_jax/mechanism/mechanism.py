@@ -4,7 +4,7 @@
 
 It is a model like every other (``mechanism.model``). Every loop of bodies is closed by a contact or a bush, so that what
 is integrated is a plain ODE in the coordinates of the joints. The state is flat: coordinates, velocities, then what the
-contacts remember; a driven body has none.
+contacts, and bristles in joints, remember; a driven body has none.
 """
 
 from __future__ import annotations

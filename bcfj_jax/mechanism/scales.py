@@ -147,6 +147,7 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
     kept: list[Number] = []
     for c in scene.contacts:
         kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
+    kept += [load.reach(params) for load in scene._bristly]
     return scene.state(places, [speed / x for x in found.levers], kept)
 
 

@@ -72,7 +72,7 @@ def implicit_by_default(scene: Dynamics) -> bool:
 def _known(scene: Dynamics) -> bool | None:
     """What needs no numbers: bristles are stiff; without friction, states of laws and dampers nothing is."""
     frictions = [c.friction for c in scene.contacts if c.friction is not None]
-    if any(friction.bristles for friction in frictions):
+    if scene._bristly or any(friction.bristles for friction in frictions):
         return True
     damps = bool(scene._free) and any(load.damps for load in scene.loads)
     return None if frictions or damps or any(c.law.states for c in scene.contacts) else False

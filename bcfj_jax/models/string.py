@@ -307,8 +307,32 @@ class StringModel(AbstractModel):
         where = where or WHERE
         if any(is_traced(x) or np.ndim(x) for x in params.values()):
             return
-        _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, params, self.count, where)
+        _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, where)
+        self._check_drive(params, where)
         self.joint.check({name: np.asarray(value)[0] for name, value in self.joints(params).items()}, where)
+
+    def greatest(self, params: Params) -> tuple[float, float]:
+        """Torque of the bit [N m] and weight on it [N]."""
+        return float(params["bit_torque"]), float(params["weight_on_bit"])
+
+    def _check_drive(self, params: Params, where: str) -> None:
+        given, has = float(params["bit_torque"]), float(params["drive_torque"])
+        top, weight = self.greatest(params)
+        told = loads({**params, "bit_torque": jnp.asarray(top), "weight_on_bit": jnp.asarray(weight)}, self.count)
+        needed, pushed = float(told.drive_torque), float(told.hook_load)
+        if needed > has:
+            grows = self.greatest({**params, "bit_torque": jnp.asarray(given + 1.0)})[0] - top
+            found = f"{given:g} N m at the bit{f', {top:g} N m at its greatest,' if top != given else ''} takes "
+            found += f"{needed:.5g} N m at the drive, which has {has:g} N m"
+            most = given - (needed - has) / grows
+            # What the wall takes may be more than the drive has.
+            less = f"at most {most:.5g} N m" if most > 0.0 else "less weight_on_bit"
+            remedy = f"give {less}, or a drive_torque of {needed:.5g} N m"
+            raise InputError(f"{where} bit_torque", found, remedy)
+        bears = float(buckling_force(params))
+        if pushed > bears:
+            found = f"{weight:g} N: the highest segment bears {pushed:.4g} N and buckles at {bears:.4g} N"
+            raise InputError(f"{where} weight_on_bit", found, f"give at most {weight * bears / pushed:.4g} N")
 
     def chain(self, params: Params) -> Chain:
         """The hole's axis from the drive (0, 0) downwards, a joint at each corner, and what each hands down."""
@@ -350,7 +374,7 @@ class StringModel(AbstractModel):
         return {"string": entry | {"peaks": peaks, "most_loaded": most, "why": why}}, {}
 
 
-def _check(v: dict[str, float], params: Params, count: int, where: str) -> None:
+def _check(v: dict[str, float], where: str) -> None:
     half, radius, length = 0.5 * v["segment_length"], v["hole_radius"], v["segment_length"]
     least = half / math.sin(0.5 * v["bend_limit"])
     if radius < least:
@@ -366,19 +390,6 @@ def _check(v: dict[str, float], params: Params, count: int, where: str) -> None:
     if v["segment_bore"] >= v["segment_radius"]:
         found = f"{v['segment_bore']:g} m"
         raise InputError(f"{where} segment_bore", found, f"give less than segment_radius, {v['segment_radius']:g} m")
-    told = loads(params, count)
-    needed, pushed = float(told.drive_torque), float(told.hook_load)
-    if needed > v["drive_torque"]:
-        most = v["bit_torque"] - (needed - v["drive_torque"])
-        found = f"{v['bit_torque']:g} N m at the bit takes {needed:.5g} N m at the drive, which has {v['drive_torque']:g} N m"
-        raise InputError(
-            f"{where} bit_torque", found, f"give at most {most:.5g} N m, or a drive_torque of {needed:.5g} N m"
-        )
-    bears = buckling_force(v)
-    if pushed > bears:
-        most = v["weight_on_bit"] * bears / pushed
-        found = f"{v['weight_on_bit']:g} N: the highest segment bears {pushed:.4g} N and buckles at {bears:.4g} N"
-        raise InputError(f"{where} weight_on_bit", found, f"give at most {most:.4g} N")
 
 
 def buckling_force(params: Any) -> Any:

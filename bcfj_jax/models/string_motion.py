@@ -12,9 +12,10 @@ at the segment's lower end, so that the string is the spring-mass chain of textb
 frequency within 1/(2 N) (Rao, Mechanical Vibrations, 2017, 8.4).
 
 The wall takes mu b d dN_i (``models.string``) from the lump above joint i, or the drive, by Coulomb's law regularised
-below ``wall_speed``. The bit takes what drive and loads of a joint may be over time, falling with its speed where it sticks
-and slips, or follows a friction law. Bodies, hinges and loads are those of every mechanism: lumps are members of one body,
-so that a program does not grow with them.
+below ``wall_speed``. It is in proportion to the weight on the bit W, which may be over time: axial force is handed down at
+once, as it is while W changes slowly against the string's lowest axial frequency, c/(4 n L) with c = 5.1 km/s. The bit takes
+what drive and loads of a joint may be over time, falling with its speed where it sticks and slips, or follows a friction law.
+Bodies, hinges and loads are those of every mechanism: lumps are members of one body, so that a program does not grow with them.
 
 Contact forces are those of each joint in equilibrium under T_i at the angle of the lump above it. Left out: inertia within the
 joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion.
@@ -22,7 +23,7 @@ joints (their balls' frequencies are far above), ripple of their stiffness over 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,10 +33,10 @@ from jax import Array
 from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
-from bcfj_jax.contact.friction import AbstractFriction
+from bcfj_jax.contact.friction import AbstractFriction, Coulomb
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
-from bcfj_jax.mechanism.loads import CoordinateLoad, JointFriction
+from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import BodyMotion, Chain, Flows, ModelTraits, Params, Reading, Scenery
 from bcfj_jax.mechanism.sizes import Parameters
@@ -43,7 +44,7 @@ from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
-from bcfj_jax.models.joint.programmes import Programmes, drive_at, torque_at
+from bcfj_jax.models.joint.programmes import Programmes, axial_at, drive_at, torque_at
 from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
 from bcfj_jax.xla.programs import ask
 
@@ -90,6 +91,34 @@ class Shaft(CoordinateLoad):
     def parameters(self, turns: bool = True) -> Parameters:
         """None of its own: the string's."""
         return {}
+
+
+class Wall(CoordinateLoad):
+    """Coulomb's friction on every member, in proportion to the weight on the bit at the time."""
+
+    dry: ClassVar[bool] = True
+    programmes: Programmes
+    body: str = eqx.field(static=True, default="lump")
+    name: str = eqx.field(static=True, default="wall")
+
+    def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+        """Against the turning of every member."""
+        told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p)}
+        return -Coulomb().coefficient(rate, told | {"friction_speed": p["wall_speed"] / p["segment_radius"]})
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        """The weight's."""
+        axial = self.programmes.axial
+        return [] if axial is None else axial.kinks("axial_load", p)
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        """None of its own: the string's."""
+        return {}
+
+
+def weight(over: Programmes, t: Array, p: Params) -> Array:
+    """On the bit at a time [N]; never below 0, since rock does not pull."""
+    return jnp.maximum(axial_at(over, t, {**p, "axial_load": p["weight_on_bit"]}), 0.0)
 
 
 class Bit(CoordinateLoad):
@@ -247,8 +276,8 @@ class MovingString(StringModel):
             each = each.at[0].set(1.0 / (1.0 / each[0] + 1.0 / params["drive_stiffness"]))
             damping = damping.at[0].set(params["drive_damping"])
         # Joint i hands down what is left below its own bend: the wall there takes its share from the lump above.
-        above, wall = jnp.split(loads(params, self.count).around, [1])
-        held = {"wall_torque": jnp.append(wall, 0.0), "wall_torque_above": above[0]}
+        above, wall = jnp.split(loads({**params, "weight_on_bit": jnp.ones(())}, self.count).around, [1])
+        held = {"wall_arm": jnp.append(wall, 0.0), "wall_arm_above": above[0]}
         return {**params, **held, "coupling": each, "coupling_damping": damping}
 
     def initial_state(self, params: Params) -> Array:
@@ -297,6 +326,11 @@ class MovingString(StringModel):
         found: Any = self.torsion.loads[0]
         return found
 
+    @property
+    def _bit(self) -> Bit:
+        found: Any = self.torsion.loads[2]
+        return found
+
     def _springs(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array, Array]:
         angle, speed = jnp.split(y, 2)
         return self._shaft.torques(t, angle, speed, prepared)
@@ -309,7 +343,7 @@ class MovingString(StringModel):
     def _top(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
         """Speed of the drive [rad/s], its torque, and what of it the wall takes from the upper connection [N m]."""
         speed, wall = self._springs(t, y, prepared)[3], self.torsion.loads[1]
-        told = {**prepared, "wall_torque": prepared["wall_torque_above"]}
+        told = {**prepared, "wall_arm": prepared["wall_arm_above"]}
         rubs = -wall.on_coordinate(t, 0.0, speed, told)  # pyright: ignore[reportAttributeAccessIssue]
         return speed, self.torque(t, y, prepared)[0] + rubs, rubs
 
@@ -339,7 +373,8 @@ class MovingString(StringModel):
         # A joint that turns by this in the first second, under a load that has risen by then. Never 0: rates go by it.
         turn = jnp.mod(angle + stretch, 2.0 * jnp.pi) + 2.0 * jnp.pi
         above = jnp.concatenate([top[None], speed[:-1]])
-        told = dict(self.joints({name: prepared[name] for name in self.quantities if name in prepared}))
+        own = {name: prepared[name] for name in self.quantities if name in prepared}
+        told = dict(self.joints(own | {"weight_on_bit": weight(self._shaft.programmes, t, prepared)}))
         told |= {"load_torque": torque, "drive_speed": turn, "load_ramp": jnp.ones(self.count)}
 
         near = jax.tree.map(jnp.asarray, self.joint.origin(1)) or None
@@ -352,6 +387,14 @@ class MovingString(StringModel):
             return {name: x._replace(rate=x.rate * share, slip=slip(x)) for name, x in found.items()}
 
         return self.side_by_side(jax.lax.map(one, (told, above / turn)))
+
+    def greatest(self, params: Params) -> tuple[float, float]:
+        """Of a fluctuation at its top, of a bit that sticks where it breaks away."""
+        over, law = self._shaft.programmes, self._bit.law
+        told = {**params, "load_torque": params["bit_torque"], "axial_load": params["weight_on_bit"]}
+        sticks = params["stick_ratio"] if law and "friction_static" in law.needs else 1.0
+        torque = over.largest_torque(told, params["load_ramp"]) * sticks
+        return float(torque), float(over.largest_axial(told))
 
     def settled_from(self, params: Params) -> float:
         """When what rises has risen."""
@@ -397,15 +440,12 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
         "lump", "hinge", members=count, mass=lambda p: p["head_mass"], inertia=lambda p: inertias(p, count),
         start={"speed": lambda p: jnp.full(count, over.start_speed(p))},
     )  # fmt: skip
-    wall = JointFriction(
-        "wall", "lump", sliding=lambda p: p["wall_torque"], speed=lambda p: p["wall_speed"] / p["segment_radius"]
-    )
-    acting: Any = [Shaft(programmes=over), wall, Bit(programmes=over, law=law)]  # pyright: ignore[reportCallIssue]
+    acting: Any = [Shaft(programmes=over), Wall(programmes=over), Bit(programmes=over, law=law)]  # pyright: ignore[reportCallIssue]
     torsion = Mechanism("torsion", [lumps], [], acting, end=1.0, implicit=True)
     known, flexible = dict(moving.defaults), moving.drive == "flexible"
     names = {name: known[name] for name in over.names if name != "load_ramp"}
     names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}
     names |= {name: JOINT[name][0] for name in (("stick_ratio", "stick_width") if law else ())}
-    tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed"}
+    tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed", "weight_on_bit": "axial_load"}
     names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
     return MovingString(scene.joint, count, torsion=torsion, names=tuple(names.items()), flexible=flexible)

@@ -52,9 +52,6 @@ def _made(n: int, motion: str, bit: str, options: JointOptions) -> StringModel:
     joint = JointModel(**structure(usual))
     if motion == "torsional":
         moving = JointModel(**structure(replace(options, fidelity="dynamic")))
-        if moving.programmes.axial is not None:
-            found = "an axial load over time: a string in motion twists, and its axial force is that of steady turning"
-            raise InputError(f"{WHERE} axial_profile", found, "leave it constant, and fluctuating without axial")
         return in_motion(StringModel(joint, count), moving, _law(bit, options))
     if options != usual or bit != "none":
         found = "a drive or a load over time in a string without motion"

@@ -5,12 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiers
+from scipy.integrate import solve_ivp
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Mechanism
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.solve.simulation import reading_history
+from calibration import Channel, Experiment, Free, Problem, fit
 
 TORQUE, INERTIA, SPEED = 3.0, 0.2, 30.0
 
@@ -88,10 +90,87 @@ def test_every_law_opposes_the_motion_and_is_odd(friction):
     assert float(jax.grad(on)(0.0)) < 0.0
 
 
-def test_what_has_a_state_is_refused():
-    for name in ("lugre", "memory", "frictional_lag"):
-        with pytest.raises(bj.InputError, match="give coulomb, step or brown_mcphee"):
+def test_what_a_joint_does_not_keep_is_refused():
+    for name in ("memory", "frictional_lag"):
+        with pytest.raises(bj.InputError, match="give coulomb, step, brown_mcphee or lugre"):
             wheel(name)
+    with pytest.raises(bj.InputError, match="bristle_stiffness: is missing"):
+        wheel("lugre")
+    with pytest.raises(bj.InputError, match="Coulomb has no bristles"):
+        wheel(bristle_damping=1.0)
+
+
+def pulled(end=12.0, members=0):
+    """A mass on a bed with LuGre friction, pulled over a spring: Canudas de Wit et al. 1995, Table 1 and section V-B."""
+    loads = [
+        bj.loads.JointSpring("spring", "mass", stiffness=2.0, drive=bj.Drive("constant", speed=0.1)),
+        bj.loads.JointSpring("oil", "mass", damping=0.4),
+        bj.loads.JointFriction(
+            "bed", "mass", sliding=1.0, breakaway=1.5, speed=1e-3, friction="lugre", bristle_stiffness=1e5,
+            bristle_damping=np.sqrt(1e5),
+        ),
+    ]  # fmt: skip
+    return Mechanism("pulled", [Body("mass", "slide", mass=1.0, members=members)], loads=loads, end=end)
+
+
+def pulled_by_scipy(times, sliding=1.0, bristle_stiffness=1e5):
+    def rates(t, y):
+        x, v, z = y
+        bent = v - abs(v) * bristle_stiffness * z / (sliding + (1.5 - sliding) * np.exp(-((v / 1e-3) ** 2)))
+        return [v, 2.0 * (0.1 * t - x) - 0.4 * v - bristle_stiffness * z - np.sqrt(1e5) * bent, bent]
+
+    return solve_ivp(rates, (0.0, times[-1]), [0.0] * 3, "LSODA", rtol=1e-11, atol=1e-14, t_eval=times).y
+
+
+@pytest.mark.full
+def test_bristles_stick_and_slip_as_scipy_has_it():
+    scene, times = pulled(20.0), np.linspace(0.0, 20.0, 201)
+    run = bj.simulate(scene, scene.parameters(), times, accuracy=1e-3, read=["mass.position", "mass.velocity"])
+    assert run.status == "ok"
+    position, speed, bristle = pulled_by_scipy(times)
+    assert np.allclose(run.readings["mass.position"], position, atol=1e-6 * np.ptp(position))
+    assert np.allclose(run.readings["mass.velocity"], speed, atol=1e-5 * np.ptp(speed))
+    assert np.allclose(run.trajectory[:, 2], bristle, atol=1e-5 * np.abs(bristle).max())
+    # It holds 1.5 N before the first slip, and creeps by no more than its bristles bend.
+    first = np.flatnonzero(speed > 0.05)[0]
+    assert 0.2 * times[first] == pytest.approx(1.5, rel=0.05) and position[first - 5] < 2.0 * 1.5 / 1e5 * 2.0
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", tiers.ci(["sliding", "bristle_stiffness"], "sliding"))
+def test_derivatives_of_a_slip_are_those_of_scipy(name):
+    scene, times = pulled(), np.linspace(0.0, 12.0, 25)
+    p = scene.parameters()
+    value, step = float(p[f"bed.{name}"]), 1e-4
+    read = lambda x: reading_history(scene, p | {f"bed.{name}": x}, times, ["mass.position"], accuracy=1e-4)  # noqa: E731
+    slope = np.asarray(jax.jacfwd(lambda x: read(x)["mass.position"])(value))
+    more, less = (pulled_by_scipy(times, **{name: value * (1.0 + s * step)})[0] for s in (1, -1))
+    differences = (more - less) / (2.0 * step * value)
+    assert np.allclose(slope, differences, atol=1e-3 * np.abs(differences).max())
+
+
+@pytest.mark.slow
+def test_the_friction_of_bristles_is_fitted_to_a_record_of_scipys():
+    scene, times = pulled(), np.linspace(0.0, 12.0, 241)
+    record = pulled_by_scipy(times)[0] + 1e-3 * np.random.default_rng(3).standard_normal(times.size)
+    run = Experiment("pull", times, (Channel("mass.position", record, 1e-3),))
+    free = (Free("bed.sliding", 0.5, 1.4), Free("bed.breakaway", 1.41, 2.0))
+    found = fit(Problem(scene, scene.parameters({"bed.sliding": 0.8}), (run,), free), starts=4)
+    for name, truth in (("bed.sliding", 1.0), ("bed.breakaway", 1.5)):
+        assert found.parameters[name].value == pytest.approx(truth, rel=5e-3)
+
+
+def test_bristles_of_several_members_bend_each_by_itself():
+    scene, three = pulled(), pulled(members=3)
+    p, y = scene.parameters(), np.array([[0.0, 0.1, 0.2], [1e-4, -2e-3, 0.3], [1e-5, -1e-5, 2e-6]])
+    rates = np.asarray(three.vector_field(0.3, jnp.asarray(y.ravel()), three.parameters())).reshape(3, 3)
+    for k in range(3):
+        assert np.allclose(rates[:, k], scene.vector_field(0.3, jnp.asarray(y[:, k]), p), rtol=1e-12)
+    assert three.initial_state(three.parameters()).shape == (9,)
+    # At steady slip the bristle bends by g/sigma_0, and the bed resists with g.
+    steady = jnp.asarray([0.0, 0.3, 1.0 / 1e5])
+    assert abs(float(scene.vector_field(0.0, steady, p)[2])) < 1e-12
+    assert float(scene.flows(0.0, steady, p).taken["friction"]) == pytest.approx(0.3, rel=1e-9)
 
 
 def test_break_away_below_sliding_is_refused():

@@ -104,7 +104,12 @@ def test_segments_twist_shorten_and_bend_as_bars():
 def test_euler():
     # pi^2 E I/L^2 of a rod of 20 mm and 2 m: I = 7.854e-9 m^4, 4.011 kN.
     rod = {"segment_radius": 0.01, "segment_bore": 0.0, "segment_modulus": 207e9, "segment_length": 2.0}
-    assert float(buckling_force(rod)) == pytest.approx(math.pi**2 * 207e9 * 7.853981634e-9 / 4.0, rel=1e-9)
+    force = float(buckling_force(rod))
+    assert force == pytest.approx(math.pi**2 * 207e9 * 7.853981634e-9 / 4.0, rel=1e-9)
+    # E I w'' + P w = 0 between two pins, by differences over 400 pieces.
+    piece = 2.0 / 400
+    bent = (2.0 * np.eye(399) - np.eye(399, k=1) - np.eye(399, k=-1)) / piece**2
+    assert force == pytest.approx(207e9 * 7.853981634e-9 * np.linalg.eigvalsh(bent)[0], rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +122,9 @@ def test_euler():
         ({"weight_on_bit": 20e3, "segment_modulus": 1e8, "segment_bore": 0.049}, "weight_on_bit"),
     ],
 )
-def test_what_is_refused_is_told_with_the_number_that_would_do(more, key):
-    scene = bj.scenes.string(n=10, fidelity="kinematic")
+@pytest.mark.parametrize("motion", ["none", "torsional"])
+def test_what_is_refused_is_told_with_the_number_that_would_do(more, key, motion):
+    scene = bj.scenes.string(n=10, fidelity="kinematic", motion=motion)
     with pytest.raises(bj.InputError, match=key) as refused:
         bj.simulate(scene, scene.parameters(more), TIMES)
     if key in ("segment_bore",):

@@ -62,7 +62,7 @@ def test_its_linear_algebra_is_the_dense_one(count):
             assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9 * float(jnp.abs(theirs).max()))
 
 
-@pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque"]}])
+@pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque", "axial"]}])
 def test_power_balances_at_every_instant(rock):
     scene, params, held = moving(5, drive={"drive": "flexible"}, rock=rock)
     y, t = some_state(scene, params), jnp.asarray(0.06)
@@ -119,8 +119,47 @@ def test_what_is_refused():
         bj.scenes.string(cages=None)
     with pytest.raises(bj.InputError, match="no friction 'lugre'"):
         bj.scenes.string(motion="torsional", bit_friction="lugre")
-    with pytest.raises(bj.InputError, match="axial"):
-        bj.scenes.string(motion="torsional", loads=bj.scenes.JointLoads(fluctuating=["axial"]))
+
+
+@pytest.mark.parametrize(
+    ("rock", "bit", "given", "most"),
+    [
+        ({"stick_slip": True}, "none", {"stick_ratio": 4.0, "bit_torque": 1500.0}, 1.0 / 4.0),
+        ({}, "brown_mcphee", {"stick_ratio": 4.0, "bit_torque": 1500.0}, 1.0 / 4.0),
+        ({"fluctuating": ["torque"]}, "none", {"load_amplitude": 4500.0, "bit_torque": 1500.0}, 1.0),
+    ],
+)
+def test_a_bit_that_takes_more_than_the_drive_has_at_its_greatest_is_refused(rock, bit, given, most):
+    loads_ = bj.scenes.JointLoads(**rock)
+    scene: Any = bj.scenes.string(n=3, motion="torsional", fidelity="kinematic", bit_friction=bit, loads=loads_)
+    with pytest.raises(bj.InputError, match="6000 N m at its greatest, takes") as refused:
+        scene.check(scene.parameters(given))
+    number = float(str(refused.value).split("give at most ")[1].split()[0])
+    # The wall takes some of the drive's 6 kN m.
+    wall = float(loads(scene.parameters(given), 3).around.sum())
+    assert number == pytest.approx(1500.0 - wall * most, rel=1e-3)
+    scene.check(scene.parameters(given | {"bit_torque": number - 1.0}))
+
+
+def test_a_weight_over_time_rubs_at_the_wall_as_one_of_that_size():
+    rock = {"axial_profile": "table", "axial_table": [[0.0, 0.1, 0.2], [0.0, 8e3, 20e3]]}
+    scene, params, held = moving(4, rock=rock)
+    assert float(params["weight_on_bit"]) == 20e3
+    assert {0.0, 0.1, 0.2} <= set(np.asarray(scene.breaks(params, 1.0)).tolist())
+    speed = jnp.full(4, 1e3)
+    for t, size in ((0.05, 4e3), (0.15, 14e3)):
+        right = loads({**params, "weight_on_bit": jnp.asarray(size)}, 4).around
+        push = scene.torsion.loads[1].on_coordinate(jnp.asarray(t), None, speed, held)
+        assert np.allclose(-push, [*right[1:], 0.0], rtol=1e-6)
+        _, given, rubs = scene._top(jnp.asarray(t), jnp.concatenate([speed, speed]), held)
+        assert float(rubs) == pytest.approx(float(right[0]), rel=1e-3) and float(given) != 0.0
+    scene.check(params)
+    swings = {"axial_profile": "constant", "fluctuating": ["axial"]}
+    scene = moving(4, rock=swings)[0]
+    with pytest.raises(bj.InputError, match="weight_on_bit"):
+        scene.check(scene.parameters(axial_amplitude=1e9, wall_friction=0.0))
+    with pytest.raises(bj.InputError, match="give less weight_on_bit, or a drive_torque"):
+        scene.check(scene.parameters(axial_amplitude=1e7))
 
 
 STICKY = {
@@ -174,13 +213,16 @@ def period(times, speed):
 
 
 @pytest.mark.slow
-def test_joints_bear_what_a_joint_bears_under_the_torque_that_passes():
-    scene = bj.scenes.string(n=1, motion="torsional")
+@pytest.mark.parametrize("weights", [None, [20e3, 10e3, 10e3]])
+def test_joints_bear_what_a_joint_bears_under_torque_and_weight_of_the_instant(weights):
+    rock = {"axial_profile": "table", "axial_table": [[0.0, 0.3, 0.6], weights]} if weights else {}
+    scene = bj.scenes.string(n=1, motion="torsional", loads=bj.scenes.JointLoads(**rock))
     params = scene.parameters(wall_friction=0.0)
     times = np.linspace(0.0, 0.6, 13)
     run = bj.simulate(scene, params, times, read=["joint_1.torque"])
     assert run.readings["joint_1.torque"][-1] == pytest.approx(1800.0, rel=1e-3)
-    found, joint = loads(params, 1), bj.scenes.joint(fidelity="quasistatic")
+    weight = jnp.asarray(weights[-1] if weights else 20e3)
+    found, joint = loads({**params, "weight_on_bit": weight}, 1), bj.scenes.joint(fidelity="quasistatic")
     told = {"joint_angle": found.bend[0], "load_torque": 1800.0, "axial_load": found.axial[0]}
     right = bj.simulate(joint, joint.parameters(told), times)
     for name, force in right.force.items():
@@ -224,6 +266,7 @@ def test_the_bit_has_the_friction_of_ideal_joints(law):
 def test_a_table_drives_the_bit():
     rock = {"load_profile": "table", "load_table": [[0.0, 0.1, 0.2], [0.0, 900.0, 600.0]]}
     scene, params, held = moving(2, rock=rock)
+    scene.check(params)
     assert float(params["bit_torque"]) == 900.0
     assert np.allclose(np.asarray(scene.breaks(params, 1.0))[:3], [0.0, 0.1, 0.2])
     y = scene.initial_state(params)

@@ -1,0 +1,133 @@
+"""What does a string of n joints cost, at rest and in motion, and do torque and power balance along it?
+
+    python -m benchmarks.models.string --parts motion rest balance     some five minutes each; benchmarks/results/string.json
+
+Every string runs in a process of its own that keeps no program: 0.6 s at an error of 1 %, twice. Seconds are those of the
+processor. The exponent of cost is fitted to the second runs from 5 joints on; compilation is what the first run takes more.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import benchmarks.common as harness
+from benchmarks import processes
+from benchmarks.clock import clocked
+from benchmarks.common import options, parts, publish
+
+COUNTS, END, SAMPLES, ERROR = (1, 2, 5, 10, 20, 50), 0.6, 61, 0.01
+# Of 50 joints the wall takes more than the usual drive has.
+GIVEN = {"drive_torque": 50e3}
+MOTIONS = {"rest": "none", "motion": "torsional"}
+
+
+def measured(count: int, motion: str) -> dict[str, Any]:
+    """Of one string: CPU seconds of the first and of a second run (in a process of its own)."""
+    import bcfj_jax as bj
+
+    scene = bj.scenes.string(n=count, motion=motion)
+    params = scene.parameters(GIVEN)
+    times = np.linspace(0.0, END, SAMPLES)
+    run, first = clocked(lambda: bj.simulate(scene, params, times, accuracy=ERROR))
+    again = min((clocked(lambda: bj.simulate(scene, params, times, accuracy=ERROR))[1] for _ in range(3)), key=_cpu)
+    return {"status": run.status, "first_s": _cpu(first), "again_s": _cpu(again), "wall_s": again["wall_s"]}
+
+
+def _cpu(seconds: dict[str, float]) -> float:
+    return seconds["cpu_s"]
+
+
+def balance() -> dict[str, Any]:
+    """By number of joints, how far momentum and energy are from what torques bring and take, as shares of the drive's.
+
+    Of a run at a tenth of the tolerance, from 3001 instants. Momentum: that of all lumps about the string's axis.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    import bcfj_jax as bj
+    from bcfj_jax.models.string_motion import inertias
+    from bcfj_jax.solve.integrate import integrate
+    from bcfj_jax.solve.plan import plan
+
+    times, rows = jnp.linspace(0.0, END, 3001), {}
+    for count in COUNTS:
+        scene: Any = bj.scenes.string(n=count, motion="torsional")
+        params = scene.parameters(GIVEN)
+
+        @jax.jit
+        def history(params: Any, scene: Any = scene, count: int = count) -> Any:
+            states = integrate(scene, params, times, plan(scene, 0.1 * ERROR)).states
+            held = scene.prepare(params)
+
+            def look(t: Any, y: Any) -> Any:
+                angle, speed = y[:count], y[count:]
+                rest = sum(load.on_coordinate(t, angle, speed, held).sum() for load in scene.torsion.loads[1:])
+                torque = scene.torque(t, y, held)[0]
+                return scene.flows(t, y, held), torque, rest, inertias(params, count) @ speed
+
+            return jax.vmap(look)(times, states)
+
+        found: Any = jax.tree.map(np.asarray, history(params))
+        flows, torque, rest, momentum = found
+        brought = np.trapezoid(torque, times)
+        turned = brought + np.trapezoid(rest, times) - (momentum[-1] - momentum[0])
+        given, taken = (np.trapezoid(sum(part.values()), times) for part in (flows.given, flows.taken))
+        stored: Any = sum(flows.stored.values())
+        power = given - taken - (stored[-1] - stored[0])
+        rows[str(count)] = {"torque": float(abs(turned) / brought), "power": float(abs(power) / given)}
+        print(count, rows[str(count)], flush=True)
+    return rows
+
+
+def of(part: str) -> dict[str, Any]:
+    """Rows of all counts, and ``fitted``."""
+    rows = {}
+    for count in COUNTS:
+        rows[str(count)] = processes.call(__file__, "measured", count, MOTIONS[part], variables={"BCFJ_CACHE": "off"})
+        print(part, count, rows[str(count)], flush=True)
+    return fitted(rows)
+
+
+def fitted(rows: dict[str, Any]) -> dict[str, Any]:
+    """With the exponent of cost from 5 joints on, and compilation at the most joints over that at 2."""
+    again = {int(n): row["again_s"] for n, row in rows.items()}
+    many = [n for n in again if n >= 5]
+    compiled = {int(n): row["first_s"] - row["again_s"] for n, row in rows.items()}
+    slope = float(np.polyfit(np.log(many), np.log([again[n] for n in many]), 1)[0])
+    return {"rows": rows, "exponent": slope, "compilation": compiled[max(again)] / compiled[2]}
+
+
+def table(found: dict[str, Any]) -> str:
+    """Rows by joints, of the parts that were measured."""
+    heads = {"rest": "at rest", "motion": "in motion"}
+    columns: dict[str, Any] = {"joints": lambda n: n}
+    for part in (part for part in heads if part in found):
+        rows = found[part]["rows"]
+        columns[f"{heads[part]}: first run, compiling [s]"] = lambda n, rows=rows: f"{rows[n]['first_s']:.1f}"
+        columns[f"{heads[part]}: again [s]"] = lambda n, rows=rows: f"{rows[n]['again_s']:.2f}"
+    for key in ("torque", "power"):
+        columns[f"{key} off balance"] = lambda n, key=key: f"{found['balance'][n][key]:.1e}"
+    said = [_said(found[part], heads[part]) for part in heads if part in found]
+    return "\n\n".join([harness.table(columns, found["motion"]["rows"]), " ".join(said)])
+
+
+def _said(part: dict[str, Any], where: str) -> str:
+    most = list(part["rows"])[-1]
+    return (
+        f"Exponent of cost from 5 joints on {where}: {part['exponent']:.2f}; compilation at {most} joints over that at 2: "
+        f"{part['compilation']:.2f}."
+    )
+
+
+def main() -> None:
+    """The parts chosen, and the table."""
+    todo: dict[str, Any] = {part: lambda part=part: of(part) for part in MOTIONS} | {"balance": balance}
+    parts("string", todo, options(__doc__, parts=list(todo)).parts)
+    publish("string", table(harness.known("string")), "docs/string.md")
+
+
+if __name__ == "__main__":
+    main()
