@@ -40,8 +40,8 @@ Anew = Callable[[Optimum], Sequence[Error]]
 
 class Line(NamedTuple):
     """One error: the ``amplitude`` up to which it is allowed for, alone; what each estimate ``moves`` by then, a share of
-    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; width of each
-    interval over that without it.
+    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; the combined
+    uncertainty of each over that without it.
     """
 
     error: str
@@ -218,7 +218,7 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     basis, _ = np.linalg.qr(lin.jacobian)
     rows, chances = _rows(lin), found.chances
     rest = lin.data - basis @ (basis.T @ lin.data)
-    ends = found.ends()
+    combined = found.combined()[0]
     sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
     lines = []
     for k, error in enumerate(errors):
@@ -233,8 +233,8 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         if columns.shape[1] == 1:
             size *= (abs(float(mean[0])) + QUANTILE * float(np.sqrt(covariance[0, 0]))) / QUANTILE
         stated = error.floor >= 1.0
-        apart = (mixture(lin, [e for e in errors if e is not error]) if stated else found.without(k)).ends()
-        cost = (ends[:, 1] - ends[:, 0]) / np.maximum(apart[:, 1] - apart[:, 0], 1e-300)
+        apart = mixture(lin, [e for e in errors if e is not error]) if stated else found.without(k)
+        cost = combined / np.maximum(apart.combined()[0], 1e-300)
         chance = (1.0, 1.0) if stated else (float(chances[k]), float(found.prior[k]))
         by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]
         lines.append(Line(error.name, size, error.unit, by_name[0], *chance, by_name[1]))
