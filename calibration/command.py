@@ -67,8 +67,8 @@ MEANING = {
     NEXT_RUN: "the estimate of one more run by itself",
 }
 _ERRORS = (
-    "Errors that may act: what the record says of each, how far each alone moves the estimates, and what it costs: the width "
-    "of the interval over its width without the error. What costs most is what to measure or buy first"
+    "Errors that may act: what the record says of each, how far each alone moves the estimates, and what it costs: the "
+    "combined uncertainty over that without the error. What costs most is what to measure or buy first"
 )
 _HEAD = ["to quote", "value", "95 % interval", "which allows for", "noise alone", "remark"]
 # Of intervals that hold on a condition.

@@ -14,7 +14,6 @@ from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -77,7 +76,7 @@ class Mixture(NamedTuple):
     Attributes:
         weights: (M,), sum 1; members: (M, E) with which share of its prior an error acts, 0 where not.
         means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
-        variance: of the noise; memory: how many times that of a mean grows by what the most probable set leaves.
+        variance: of the noise.
         prior: (E,) that each error acts, before the record is looked at.
     """
 
@@ -88,7 +87,6 @@ class Mixture(NamedTuple):
     type_b: np.ndarray
     variance: float
     prior: np.ndarray
-    memory: float = 1.0
 
     def ends(self, level: float = 0.95) -> np.ndarray:
         """(Q, 2) ends of the interval, as moves from the optimum."""
@@ -109,26 +107,50 @@ class Mixture(NamedTuple):
         a, b = self.weights @ self.type_a**2, self.weights @ self.type_b**2 + between
         return np.sqrt(a + b), np.sqrt(a), np.sqrt(b)
 
-    def moved(self, by: np.ndarray) -> Mixture:
-        """About another point, (Q,) away."""
-        return self._replace(means=self.means + by)
-
-    def first(self, count: int) -> Mixture:
-        """Of the first rows alone."""
-        return self._replace(**{n: getattr(self, n)[:, :count] for n in ("means", "type_a", "type_b")})
-
-    def pooled(self, other: Mixture) -> Mixture:
-        """Half of each: one fit, linear about two points; errors are the same."""
-        arrays = ("weights", "members", "means", "type_a", "type_b")
-        both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in arrays}
-        larger = {n: max(getattr(self, n), getattr(other, n)) for n in ("variance", "memory")}
-        return self._replace(**both | {"weights": 0.5 * both["weights"]}, **larger)
-
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
         kept = self.members[:, error] == 0.0
         weights = self.weights * kept
         return self._replace(weights=weights / max(weights.sum(), 1e-300)) if weights.sum() > 0 else self
+
+
+class Evaluated(NamedTuple):
+    """Every set about one point: (M,) logarithm of its weight, and what ``Mixture`` has of it."""
+
+    log: np.ndarray
+    members: np.ndarray
+    means: np.ndarray
+    type_a: np.ndarray
+    type_b: np.ndarray
+    variance: float
+    prior: np.ndarray
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(M,) how far sets lead from the point, in deviations of the noise alone."""
+        return np.max(np.abs(self.means) / np.maximum(self.type_a[0], 1e-300), axis=1)
+
+
+def nearest(every: Sequence[Evaluated], of: Sequence[Evaluated], *names: str) -> tuple[np.ndarray, ...]:
+    """Of every set the point that it leads away from least, and what is found there."""
+    k = np.argmin([e.reach for e in every], axis=0)
+    return k, *(np.stack([getattr(e, n) for e in of])[k, np.arange(k.size)] for n in names)
+
+
+def merged(every: Sequence[Evaluated], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
+    """Of every set what was found about the point that it leads away from least; (Q,) where each point is."""
+    there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
+    _, log, means, type_a, type_b = nearest(every, there, "log", "means", "type_a", "type_b")
+    weights = np.exp(log - log.max())
+    kept = weights > _LEAST
+    first, weights = every[0], weights[kept] / weights[kept].sum()
+    members, means, type_a, type_b = (x[kept] for x in (first.members, means, type_a, type_b))
+    return Mixture(weights, members, means, type_a, type_b, first.variance, first.prior)
+
+
+def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
+    """The sets' average about one point."""
+    return merged([evaluated(at, errors)])
 
 
 class _Sums(NamedTuple):
@@ -164,8 +186,11 @@ class _Batch(NamedTuple):
         return _Batch(self.head, *(x[kept] for x in self[1:]))
 
 
-def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
-    """All sets of at most ``MOST`` errors, those of the prior's scales each; beside them generic ones always act a little."""
+def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None) -> Evaluated:
+    """All sets of at most ``MOST`` errors, those of the prior's scales each; beside them what is stated acts always.
+
+    ``variance``: of the noise, where that is known from another point.
+    """
     basis, triangle = np.linalg.qr(at.jacobian)
     columns = [np.zeros((at.data.size, 0)), *(e.columns * (e.most / QUANTILE) for e in errors)]
     little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
@@ -176,36 +201,33 @@ def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
     sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked))
     sizes = tuple(c.shape[1] for c in columns[1:])
     every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.floor < 1.0 for e in errors))
-    variance = min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
-    memory = 1.0
+    known, begin = variance, min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
+    variance = begin if known is None else known
     for _ in range(_ROUNDS):
         own, always, turn = _split(sums, sizes, variance)
         found = [_weighed(own, batch, variance) for batch in every]
+        if known is not None:
+            break
         # The most probable set says how large the noise is.
         k = max(range(len(found)), key=lambda j: found[j].max())
-        best = every[k].some(np.argmax(found[k])[None])
+        best = every[k].some(np.array([np.argmax(found[k])]))
         amplitude, used = _amplitudes(own, best, variance)
         full = np.zeros(count)
         full[best.index[0]] = amplitude
         left = rest - beside @ np.r_[turn @ full, always.amplitude - always.inner @ (always.cross @ full) / variance]
-        memory = _memory(left, at.series)
         used += len(always.inner) - np.trace(always.inner)
-        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * memory
+        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
         before, variance = variance, min(max(at.floor, seen), at.ceiling)
         if abs(variance - before) < 1e-3 * before:
             break
-    top = max(float(log.max()) for log in found)
-    kept = [(batch.some(log - top > np.log(_LEAST)), log - top) for batch, log in zip(every, found, strict=True)]
-    parts = [
-        (np.exp(log[log > np.log(_LEAST)]), batch.members, *_moments(own, always, batch, variance))
-        for batch, log in kept
-        if len(batch.prior)
-    ]
-    weights, members, means, covered, doubt = (np.concatenate(part) for part in zip(*parts, strict=True))
+    parts = zip(*(_moments(own, always, batch, variance) for batch in every), strict=True)
+    means, covered, doubt = (np.concatenate(part) for part in parts)
     noise = at.student * np.linalg.norm(inverse, axis=1)
     type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
-    type_b = np.sqrt(np.maximum(doubt, 0.0))
-    return Mixture(weights / weights.sum(), members, means, type_a, type_b, variance, _prior(every), memory)
+    # Of all sets alike, and other about another point: what no coordinate explains, and how many readings tell them apart.
+    common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
+    log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
+    return Evaluated(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
 
 
 def _prior(every: Sequence[_Batch]) -> np.ndarray:
@@ -223,8 +245,9 @@ def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _
     cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
     own = gram[:count, :count] - cross.T @ inner @ cross / variance
     ends = np.cumsum(sizes)
-    turn = block_diag(*(np.linalg.eigh(own[b - k : b, b - k : b])[1] for k, b in zip(sizes, ends, strict=True)))
-    turn = turn.reshape(count, count)
+    turn = np.zeros((count, count))
+    for k, b in zip(sizes, ends, strict=True):
+        turn[b - k : b, b - k : b] = np.linalg.eigh(own[b - k : b, b - k : b])[1]
     cross = cross @ turn
     turned = _Sums(
         turn.T @ own @ turn, turn.T @ push[:count] - cross.T @ amplitude,
@@ -265,9 +288,7 @@ def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], free: tuple[bool, ...]
                     chance + np.log([share[k] for k in chosen]).sum(),
                 )
             )
-    return tuple(
-        _Batch(head, *map(np.concatenate, zip(*rows, strict=True))) for (_, head), rows in found.items()
-    )
+    return tuple(_Batch(head, *map(np.concatenate, zip(*rows, strict=True))) for (_, head), rows in found.items())
 
 
 def _solved(at: _Sums, sets: _Batch, variance: float, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
