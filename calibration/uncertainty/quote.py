@@ -1,7 +1,7 @@
 """The interval to quote: a fit's estimates with errors of which few act (``uncertainty.sets``), and what each error costs.
 
 Signatures and Jacobian hold about one point. Where a probable set leads an estimate so far that this counts, both are made anew
-about the point where it leads; every set is then judged about the point that it leads away from least.
+about the point where it leads; every set is then evaluated about the point that it leads away from least.
 """
 
 from __future__ import annotations
