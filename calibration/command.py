@@ -67,8 +67,8 @@ MEANING = {
     NEXT_RUN: "the estimate of one more run by itself",
 }
 _ERRORS = (
-    "Errors that may act: what the record says of each, how far each alone moves the estimates, and what it costs: the width "
-    "of the interval over its width without the error. What costs most is what to measure or buy first"
+    "Errors that may act: what the record says of each, how far each alone moves the estimates, and what it costs: the "
+    "combined uncertainty over that without the error. What costs most is what to measure or buy first"
 )
 _HEAD = ["to quote", "value", "95 % interval", "which allows for", "noise alone", "remark"]
 # Of intervals that hold on a condition.
@@ -302,7 +302,7 @@ def _error_tables(result: Fit) -> list[tuple[str, list[list[str]]]]:
     for name in names:
         *parts, factor, _ = found.uncertainties[name]
         own.append([name, *(_moved(x, result, name) for x in parts), f"{factor:.2f}"])
-    rows = [["error", "up to", "by the record", *names, "width over that without it"]]
+    rows = [["error", "up to", "by the record", *names, "uncertainty over that without it"]]
     for line in sorted(found.lines, key=lambda line: -max(line.cost.get(name, 1.0) for name in names)):
         moved = (_moved(line.moves[name], result, name) for name in names)
         cost = max(line.cost[name] for name in names)

@@ -1,7 +1,7 @@
 """The interval to quote: a fit's estimates with errors of which few act (``uncertainty.sets``), and what each error costs.
 
-Signatures and Jacobian hold about one point. Where errors lead an estimate so far that this counts, both are made anew about the
-point where they lead, until that stays.
+Signatures and Jacobian hold about one point. Where a probable set leads an estimate so far that this counts, both are made anew
+about the point where it leads; every set is then evaluated about the point that it leads away from least.
 """
 
 from __future__ import annotations
@@ -18,18 +18,26 @@ from calibration.forward.losses import influence
 from calibration.forward.model import evaluation
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
-from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, mixture
+from calibration.uncertainty.sets import (
+    QUANTILE,
+    Error,
+    Evaluated,
+    Linear,
+    Mixture,
+    evaluated,
+    merged,
+    nearest,
+)
 
 # Kind of interval.
 KIND = "errors"
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
-# A mean move whose square is such a share of the interval's half width is far, both as shares of the estimate: to second
-# order that is what a line about the point where it began is off by.
-_FAR = 0.05
-# Points that are tried; where the last still moves, the last two count alike, and where no set explains the record, the
-# first and the last.
-_POINTS = 4
+# A move whose square is such a share of the interval's half width is far, both as shares of the estimate: to second order
+# that is what a line about the point where it began is off by. Sets that lead far with a smaller share of the weight stay.
+_FAR, _LITTLE = 0.05, 0.1
+# Points that are tried.
+_POINTS = 10
 # The chance from which on a record is said to show an error, and the share of the prior's chance below which it rules it out.
 SHOWN, OUT = 0.95, 0.2
 
@@ -40,8 +48,8 @@ Anew = Callable[[Optimum], Sequence[Error]]
 
 class Line(NamedTuple):
     """One error: the ``amplitude`` up to which it is allowed for, alone; what each estimate ``moves`` by then, a share of
-    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; width of each
-    interval over that without it.
+    itself where its coordinate is logarithmic, else in SI; the chance that it acts, and the prior's; the combined
+    uncertainty of each over that without it.
     """
 
     error: str
@@ -123,56 +131,63 @@ def quoted(
 
 
 class _Around(NamedTuple):
-    """The fit made linear about a point: its errors there, and the sets' moves of what is quoted and of coordinates from it."""
+    """The fit made linear about a point, its errors there, and every set: moves of what is quoted, then of coordinates."""
 
     at: Optimum
     lin: Linear
     errors: list[Error]
-    moves: Mixture
-    steps: np.ndarray
+    sets: Evaluated
 
     @property
-    def far(self) -> bool:
-        """Whether errors lead further than a line reaches."""
-        how, ends = moving(self.at), self.moves.ends()
-        size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-        mean = np.abs(self.moves.weights @ self.moves.means)
-        return bool(np.any(mean**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size))
-
-    def beyond(self, origin: np.ndarray) -> Mixture:
-        """Moves from another point, whose coordinates are ``origin``."""
-        return self.moves.moved(moving(self.at).z - origin)
+    def quoted(self) -> Evaluated:
+        """The sets' moves of what is quoted alone."""
+        count = self.lin.rows.shape[0]
+        return self.sets._replace(**{n: getattr(self.sets, n)[:, :count] for n in ("means", "type_a", "type_b")})
 
 
-def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray) -> _Around:
-    found = mixture(lin._replace(rows=np.vstack([lin.rows, np.eye(int(free.sum()))])), errors)
-    count = lin.rows.shape[0]
-    return _Around(at, lin, errors, found.first(count), found.weights @ found.means[:, count:])
+def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray, variance: float | None = None) -> _Around:
+    every = np.vstack([lin.rows, np.eye(int(free.sum()))])
+    return _Around(at, lin, errors, evaluated(lin._replace(rows=every), errors, variance))
 
 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
-    """The last point that errors lead to, and the moves from the first."""
-    origin, points, model = moving(begin.at).z, [begin], begin.at.model
+    """The point that the most probable set leads to, and the moves of all sets from the first."""
+    points, origin, model = [begin], moving(begin.at).z, begin.at.model
     if anew is not None and (model.loss != "linear" or budget(model.scene).rough):
         anew = None
-    while anew is not None and points[-1].far and len(points) < _POINTS:
-        following = _following(points[-1], free, anew)
+    while True:
+        places = [moving(p.at).z - origin for p in points]
+        own = [p.quoted for p in points]
+        found = merged(own, places)
+        leading = _leading(own, found, begin, places) if len(points) < _POINTS else None
+        following = None
+        if anew is not None and leading is not None:
+            following = _following(points[leading[0]], leading[1], free, anew, begin.sets.variance)
         if following is None:
-            break
+            at, log = nearest(own, own, "log")
+            return points[at[np.argmax(log)]], found
         points.append(following)
-    last = points[-1]
-    # Where even the most probable set leaves a shape, no set explains the record, and the point it leads to is no better.
-    unexplained, moving_on = last.moves.memory > 1.0, len(points) == _POINTS and last.far
-    if len(points) > 1 and (unexplained or moving_on):
-        beside = begin if unexplained else points[-2]
-        return last, last.beyond(origin).pooled(beside.beyond(origin))
-    return last, last.beyond(origin)
 
 
-def _following(here: _Around, free: np.ndarray, anew: Anew) -> _Around | None:
-    """The fit about the point where errors lead; None where the model does not run there or knows other errors."""
+def _leading(
+    own: Sequence[Evaluated], found: Mixture, begin: _Around, places: Sequence[np.ndarray]
+) -> tuple[int, int] | None:
+    """The point and the most probable of the sets that lead further than a line reaches, where no point is yet; None of few."""
+    how, ends = moving(begin.at), found.ends()
+    size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
+    at, log, means, reach = nearest(own, own, "log", "means", "reach")
+    target, unit = means + np.stack(places)[at], np.maximum(own[0].type_a[0], 1e-300)
+    apart = np.min([np.max(np.abs(target - place) / unit, axis=1) for place in places], axis=0)
+    far = np.any(means**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size, axis=1) & (apart > 0.5 * reach)
+    weight = np.exp(log - log.max())
+    i = int(np.argmax(np.where(far, weight, -1.0)))
+    return (int(at[i]), i) if weight[far].sum() > _LITTLE * weight.sum() else None
+
+
+def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: float) -> _Around | None:
+    """The fit about the point where a set leads; None where the model does not run there or knows other errors."""
     point = np.array(here.at.end.point, dtype=float)
-    point[free] += here.steps
+    point[free] += here.sets.means[i, here.lin.rows.shape[0] :]
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
     one = evaluation(here.at.model)(point[None])
     residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
@@ -183,7 +198,8 @@ def _following(here: _Around, free: np.ndarray, anew: Anew) -> _Around | None:
     if [e.name for e in errors] != [e.name for e in here.errors]:
         return None
     rows = moving(there).slopes[:, free]
-    return _around(there, here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows), errors, free)
+    lin = here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows)
+    return _around(there, lin, errors, free, variance)
 
 
 def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
@@ -218,7 +234,7 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     basis, _ = np.linalg.qr(lin.jacobian)
     rows, chances = _rows(lin), found.chances
     rest = lin.data - basis @ (basis.T @ lin.data)
-    ends = found.ends()
+    combined = found.combined()[0]
     sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
     lines = []
     for k, error in enumerate(errors):
@@ -233,8 +249,11 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         if columns.shape[1] == 1:
             size *= (abs(float(mean[0])) + QUANTILE * float(np.sqrt(covariance[0, 0]))) / QUANTILE
         stated = error.floor >= 1.0
-        apart = (mixture(lin, [e for e in errors if e is not error]) if stated else found.without(k)).ends()
-        cost = (ends[:, 1] - ends[:, 0]) / np.maximum(apart[:, 1] - apart[:, 0], 1e-300)
+        cost = combined / np.maximum(found.without(k).combined()[0], 1e-300)
+        if stated:  # It is in every set, each of which is narrower without it.
+            every = evaluated(lin, errors, found.variance)
+            apart = evaluated(lin, [e for e in errors if e is not error], found.variance)._replace(log=every.log)
+            cost = merged([every]).combined()[0] / np.maximum(merged([apart]).combined()[0], 1e-300)
         chance = (1.0, 1.0) if stated else (float(chances[k]), float(found.prior[k]))
         by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]
         lines.append(Line(error.name, size, error.unit, by_name[0], *chance, by_name[1]))

@@ -9,6 +9,7 @@ leaves. What is quoted are quantiles of the mixture of all sets by their evidenc
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -75,7 +76,7 @@ class Mixture(NamedTuple):
     Attributes:
         weights: (M,), sum 1; members: (M, E) with which share of its prior an error acts, 0 where not.
         means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
-        variance: of the noise; memory: how many times that of a mean grows by what the most probable set leaves.
+        variance: of the noise.
         prior: (E,) that each error acts, before the record is looked at.
     """
 
@@ -86,7 +87,6 @@ class Mixture(NamedTuple):
     type_b: np.ndarray
     variance: float
     prior: np.ndarray
-    memory: float = 1.0
 
     def ends(self, level: float = 0.95) -> np.ndarray:
         """(Q, 2) ends of the interval, as moves from the optimum."""
@@ -107,26 +107,50 @@ class Mixture(NamedTuple):
         a, b = self.weights @ self.type_a**2, self.weights @ self.type_b**2 + between
         return np.sqrt(a + b), np.sqrt(a), np.sqrt(b)
 
-    def moved(self, by: np.ndarray) -> Mixture:
-        """About another point, (Q,) away."""
-        return self._replace(means=self.means + by)
-
-    def first(self, count: int) -> Mixture:
-        """Of the first rows alone."""
-        return self._replace(**{n: getattr(self, n)[:, :count] for n in ("means", "type_a", "type_b")})
-
-    def pooled(self, other: Mixture) -> Mixture:
-        """Half of each: one fit, linear about two points; errors are the same."""
-        arrays = ("weights", "members", "means", "type_a", "type_b")
-        both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in arrays}
-        larger = {n: max(getattr(self, n), getattr(other, n)) for n in ("variance", "memory")}
-        return self._replace(**both | {"weights": 0.5 * both["weights"]}, **larger)
-
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
         kept = self.members[:, error] == 0.0
         weights = self.weights * kept
         return self._replace(weights=weights / max(weights.sum(), 1e-300)) if weights.sum() > 0 else self
+
+
+class Evaluated(NamedTuple):
+    """Every set about one point: (M,) logarithm of its weight, and what ``Mixture`` has of it."""
+
+    log: np.ndarray
+    members: np.ndarray
+    means: np.ndarray
+    type_a: np.ndarray
+    type_b: np.ndarray
+    variance: float
+    prior: np.ndarray
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(M,) how far sets lead from the point, in deviations of the noise alone."""
+        return np.max(np.abs(self.means) / np.maximum(self.type_a[0], 1e-300), axis=1)
+
+
+def nearest(every: Sequence[Evaluated], of: Sequence[Evaluated], *names: str) -> tuple[np.ndarray, ...]:
+    """Of every set the point that it leads away from least, and what is found there."""
+    k = np.argmin([e.reach for e in every], axis=0)
+    return k, *(np.stack([getattr(e, n) for e in of])[k, np.arange(k.size)] for n in names)
+
+
+def merged(every: Sequence[Evaluated], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
+    """Of every set what was found about the point that it leads away from least; (Q,) where each point is."""
+    there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
+    _, log, means, type_a, type_b = nearest(every, there, "log", "means", "type_a", "type_b")
+    weights = np.exp(log - log.max())
+    kept = weights > _LEAST
+    first, weights = every[0], weights[kept] / weights[kept].sum()
+    members, means, type_a, type_b = (x[kept] for x in (first.members, means, type_a, type_b))
+    return Mixture(weights, members, means, type_a, type_b, first.variance, first.prior)
+
+
+def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
+    """The sets' average about one point."""
+    return merged([evaluated(at, errors)])
 
 
 class _Sums(NamedTuple):
@@ -147,73 +171,89 @@ class _Always(NamedTuple):
     moves: np.ndarray
 
 
-def mixture(at: Linear, errors: Sequence[Error], most: int = MOST) -> Mixture:
-    """All sets of at most ``most`` errors, those of the prior's scales each; beside them generic ones always act a little."""
+class _Batch(NamedTuple):
+    """Sets with as many columns each, of which the first ``head`` are one error's: (M, K) columns and their scales, (M, E) by
+    error, (M,) logarithm of the prior.
+    """
+
+    head: int
+    index: np.ndarray
+    scale: np.ndarray
+    members: np.ndarray
+    prior: np.ndarray
+
+    def some(self, kept: np.ndarray) -> _Batch:
+        return _Batch(self.head, *(x[kept] for x in self[1:]))
+
+
+def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None) -> Evaluated:
+    """All sets of at most ``MOST`` errors, those of the prior's scales each; beside them what is stated acts always.
+
+    ``variance``: of the noise, where that is known from another point.
+    """
     basis, triangle = np.linalg.qr(at.jacobian)
     columns = [np.zeros((at.data.size, 0)), *(e.columns * (e.most / QUANTILE) for e in errors)]
-    places = np.cumsum([0, *(c.shape[1] for c in columns)])[1:]
     little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
-    stacked = np.hstack([*columns, *little])
+    count, stacked = sum(c.shape[1] for c in columns), np.hstack([*columns, *little])
     beside = stacked - basis @ (basis.T @ stacked)
     rest = at.data - basis @ (basis.T @ at.data)
     inverse = np.linalg.solve(triangle.T, at.rows.T).T
     sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked))
-    count = int(places[-1]) if errors else 0
-    noise = at.student * np.linalg.norm(inverse, axis=1)
-    every = _sets(errors, places, most)
-    variance = min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
-    memory = 1.0
+    sizes = tuple(c.shape[1] for c in columns[1:])
+    every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.floor < 1.0 for e in errors))
+    known, begin = variance, min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
+    variance = begin if known is None else known
     for _ in range(_ROUNDS):
-        own, always = _split(sums, count, variance)
+        own, always, turn = _split(sums, sizes, variance)
         found = [_weighed(own, batch, variance) for batch in every]
+        if known is not None:
+            break
         # The most probable set says how large the noise is.
-        k = max(range(len(found)), key=lambda j: found[j].log.max())
-        i = int(np.argmax(found[k].log))
+        k = max(range(len(found)), key=lambda j: found[j].max())
+        best = every[k].some(np.array([np.argmax(found[k])]))
+        amplitude, used = _amplitudes(own, best, variance)
         full = np.zeros(count)
-        full[every[k].index[i]] = found[k].amplitude[i]
-        left = rest - beside @ np.r_[full, always.amplitude - always.inner @ (always.cross @ full) / variance]
-        used = found[k].used[i] + len(always.inner) - np.trace(always.inner)
-        memory = _memory(left, at.series)
-        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * memory
+        full[best.index[0]] = amplitude
+        left = rest - beside @ np.r_[turn @ full, always.amplitude - always.inner @ (always.cross @ full) / variance]
+        used += len(always.inner) - np.trace(always.inner)
+        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
         before, variance = variance, min(max(at.floor, seen), at.ceiling)
         if abs(variance - before) < 1e-3 * before:
             break
-    top = max(float(f.log.max()) for f in found)
-    kept = [np.exp(f.log - top) > _LEAST for f in found]
-    parts = [
-        (np.exp(f.log[k] - top), batch.members[k], *_moments(own, always, batch, k, variance))
-        for f, batch, k in zip(found, every, kept, strict=True)
-        if k.any()
-    ]
-    weights, members, means, covered, doubt = (np.concatenate(part) for part in zip(*parts, strict=True))
+    parts = zip(*(_moments(own, always, batch, variance) for batch in every), strict=True)
+    means, covered, doubt = (np.concatenate(part) for part in parts)
+    noise = at.student * np.linalg.norm(inverse, axis=1)
     type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
-    return Mixture(
-        weights / weights.sum(),
-        members,
-        means,
-        type_a,
-        np.sqrt(np.maximum(doubt, 0.0)),
-        variance,
-        _prior(every),
-        memory,
-    )
+    # Of all sets alike, and other about another point: what no coordinate explains, and how many readings tell them apart.
+    common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
+    log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
+    return Evaluated(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
 
 
-def _prior(every: list[_Batch]) -> np.ndarray:
+def _prior(every: Sequence[_Batch]) -> np.ndarray:
     chance, members = np.exp(np.concatenate([b.prior for b in every])), np.concatenate([b.members > 0.0 for b in every])
     return chance @ members / chance.sum()
 
 
-def _split(sums: _Sums, count: int, variance: float) -> tuple[_Sums, _Always]:
-    """Sums of the first columns with what the others, which always act, take up."""
+def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _Always, np.ndarray]:
+    """Sums of the first columns with what the others, which always act, take up; and the turn (C, C) of each error's columns
+    by which they are orthogonal.
+    """
     gram, push, moved, moves = sums
+    count = sum(sizes)
     inner = np.linalg.inv(gram[count:, count:] / variance + np.eye(push.size - count))
     cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
-    own = _Sums(
-        gram[:count, :count] - cross.T @ inner @ cross / variance, push[:count] - cross.T @ amplitude,
-        moved - moves[:, count:] @ amplitude, moves[:, :count] - moves[:, count:] @ inner @ cross / variance,
+    own = gram[:count, :count] - cross.T @ inner @ cross / variance
+    ends = np.cumsum(sizes)
+    turn = np.zeros((count, count))
+    for k, b in zip(sizes, ends, strict=True):
+        turn[b - k : b, b - k : b] = np.linalg.eigh(own[b - k : b, b - k : b])[1]
+    cross = cross @ turn
+    turned = _Sums(
+        turn.T @ own @ turn, turn.T @ push[:count] - cross.T @ amplitude,
+        moved - moves[:, count:] @ amplitude, moves[:, :count] @ turn - moves[:, count:] @ inner @ cross / variance,
     )  # fmt: skip
-    return own, _Always(inner, amplitude, cross, moves[:, count:])
+    return turned, _Always(inner, amplitude, cross, moves[:, count:]), turn
 
 
 def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
@@ -222,70 +262,70 @@ def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
     return (1.0 + kept) / (1.0 - kept) if count and kept > QUANTILE / np.sqrt(count) else 1.0
 
 
-class _Batch(NamedTuple):
-    """Sets with as many columns each: (M, K) columns and their scales, (M, E) by error, (M,) logarithm of the prior."""
-
-    index: np.ndarray
-    scale: np.ndarray
-    members: np.ndarray
-    prior: np.ndarray
-
-
-class _Found(NamedTuple):
-    """Of a batch: log weight (M,), amplitudes (M, K), columns used (M,)."""
-
-    log: np.ndarray
-    amplitude: np.ndarray
-    used: np.ndarray
-
-
-def _sets(errors: Sequence[Error], places: np.ndarray, most: int) -> list[_Batch]:
-    kinds = [e.kind or f"#{k}" for k, e in enumerate(errors)]
-    share = [1.0 / kinds.count(kind) for kind in kinds]
-    odds = np.log(ACTS / (1.0 - ACTS))
-    rows: dict[int, list[tuple]] = {}
-    free = [k for k, e in enumerate(errors) if e.floor < 1.0]
-    for count in range(most + 1):
-        for chosen in combinations(free, count):
-            if len({kinds[k] for k in chosen}) < count:
+@lru_cache(maxsize=4)
+def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], free: tuple[bool, ...]) -> tuple[_Batch, ...]:
+    """Of errors with so many columns each, those that are ``free`` to act or not."""
+    names = [kind or f"#{k}" for k, kind in enumerate(kinds)]
+    share, odds = [1.0 / names.count(name) for name in names], np.log(ACTS / (1.0 - ACTS))
+    ends, found = np.cumsum(sizes).astype(int), {}
+    for count in range(MOST + 1):
+        scales = np.array(list(product(SCALES, repeat=count))).reshape(len(SCALES) ** count, count)
+        chance = np.array([sum(np.log(SCALES[s]) for s in row) for row in scales.tolist()]) + count * odds
+        for chosen in combinations([k for k, f in enumerate(free) if f], count):
+            if len({names[k] for k in chosen}) < count:
                 continue
-            index = np.concatenate([np.zeros(0, int), *(np.arange(places[k], places[k + 1]) for k in chosen)])
-            sizes = [places[k + 1] - places[k] for k in chosen]
-            for scales in product(SCALES, repeat=count):
-                prior = count * odds + sum(np.log(SCALES[s]) for s in scales) + sum(np.log(share[k]) for k in chosen)
-                member = np.zeros(len(errors))
-                member[list(chosen)] = scales
-                rows.setdefault(index.size, []).append((index, np.repeat(scales, sizes), member, prior))
-    return [
-        _Batch(np.stack(i).astype(int), np.stack(s).astype(float), np.stack(m), np.array(p))
-        for i, s, m, p in (zip(*own, strict=True) for own in rows.values())
-    ]
+            # The one with more columns is eliminated first.
+            chosen = sorted(chosen, key=lambda k: -sizes[k])
+            index = np.concatenate([np.zeros(0, int), *(np.arange(ends[k] - sizes[k], ends[k]) for k in chosen)])
+            members = np.zeros((len(scales), len(sizes)))
+            members[:, chosen] = scales
+            own = [sizes[k] for k in chosen]
+            found.setdefault((sum(own), sum(own[:1])), []).append(
+                (
+                    np.tile(index, (len(scales), 1)),
+                    np.repeat(scales, own, axis=1),
+                    members,
+                    chance + np.log([share[k] for k in chosen]).sum(),
+                )
+            )
+    return tuple(_Batch(head, *map(np.concatenate, zip(*rows, strict=True))) for (_, head), rows in found.items())
 
 
-def _inverse(at: _Sums, index: np.ndarray, scale: np.ndarray, variance: float) -> np.ndarray:
-    """H^-1 of every set, (M, K, K)."""
-    gram = at.gram[index[:, :, None], index[:, None, :]] * (scale[:, :, None] * scale[:, None, :] / variance)
-    return np.linalg.inv(gram + np.eye(index.shape[1]))
+def _solved(at: _Sums, sets: _Batch, variance: float, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every set its part R of ``right`` (C, R), H^-1 R, both (M, K, R), and ln |H| (M,).
+
+    Columns of one error are orthogonal: those of the first are eliminated by a diagonal.
+    """
+    index, scale, k = sets.index, sets.scale, sets.head
+    size, part = 1.0 + np.diag(at.gram)[index] * scale**2 / variance, right[index] * scale[..., None]
+    cross = at.gram[index[:, :k, None], index[:, None, k:]] * (scale[:, :k, None] * scale[:, None, k:] / variance)
+    way = cross / size[:, :k, None]
+    rest = size[:, k:, None] * np.eye(size.shape[1] - k) - np.swapaxes(cross, 1, 2) @ way
+    last = np.linalg.solve(rest, part[:, k:] - np.swapaxes(way, 1, 2) @ part[:, :k])
+    first = part[:, :k] / size[:, :k, None] - way @ last
+    return part, np.concatenate([first, last], axis=1), np.log(size[:, :k]).sum(axis=1) + np.linalg.slogdet(rest)[1]
 
 
-def _weighed(at: _Sums, sets: _Batch, variance: float) -> _Found:
-    inner, push = _inverse(at, sets.index, sets.scale, variance), at.push[sets.index] * sets.scale
-    amplitude = (inner @ push[..., None])[..., 0] / variance
-    log = 0.5 * (np.sum(amplitude * push, axis=1) / variance + np.linalg.slogdet(inner)[1]) + sets.prior
-    return _Found(log, amplitude * sets.scale, inner.shape[1] - np.trace(inner, axis1=1, axis2=2))
+def _weighed(at: _Sums, sets: _Batch, variance: float) -> np.ndarray:
+    """Logarithm of the weight of every set (M,)."""
+    push, solved, size = _solved(at, sets, variance, at.push[:, None])
+    return 0.5 * (np.sum(push * solved, axis=(1, 2)) / variance**2 - size) + sets.prior
 
 
-def _moments(
-    at: _Sums, always: _Always, sets: _Batch, kept: np.ndarray, variance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of some sets of a batch, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
-    index, scale = sets.index[kept], sets.scale[kept]
-    inner = _inverse(at, index, scale, variance)
-    way = at.moves.T[index] * scale[..., None]
-    pull = inner @ way
-    mean = at.moved - np.einsum("miq,mi->mq", pull, at.push[index] * scale / variance)
+def _amplitudes(at: _Sums, one: _Batch, variance: float) -> tuple[np.ndarray, float]:
+    """Of one set the amplitudes (K,), and how many of its columns are used."""
+    every = np.zeros((at.push.size, 1 + one.index.shape[1]))
+    every[:, 0], every[one.index[0], 1 + np.arange(one.index.shape[1])] = at.push, 1.0 / one.scale[0]
+    solved = _solved(at, one, variance, every)[1][0]
+    return solved[:, 0] * one.scale[0] / variance, len(solved) - float(np.trace(solved[:, 1:]))
+
+
+def _moments(at: _Sums, always: _Always, sets: _Batch, variance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every set, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
+    way, pull, _ = _solved(at, sets, variance, at.moves.T)
+    mean = at.moved - np.einsum("miq,mi->mq", pull, at.push[sets.index] * sets.scale / variance)
     covered = np.sum(way * pull, axis=1) + np.sum(always.moves.T * (always.inner @ always.moves.T), axis=0)
-    shared = np.moveaxis(always.cross[:, index], 0, 1) * (scale[:, None, :] / variance) @ pull
+    shared = np.moveaxis(always.cross[:, sets.index], 0, 1) * (sets.scale[:, None, :] / variance) @ pull
     rest = always.inner @ (always.moves.T - shared)
     return mean, covered, np.sum(pull**2, axis=1) + np.sum(rest**2, axis=1)
 

@@ -3,8 +3,7 @@
 A signature is an error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that
 the error has with 95 % if it acts; what is stated of an instrument (``calibration.instrument``) acts always, in full, once a
 channel. What one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as
-large. Three generic groups stand for what nobody listed; of these a tenth acts always. What estimates they leave:
-``uncertainty.sets``.
+large. Four generic groups stand for what nobody listed. What estimates they leave: ``uncertainty.sets``.
 """
 
 from __future__ import annotations
@@ -63,11 +62,11 @@ _EACH = ("drift", "rest", "clock", "approach_speed")
 # Shares of their priors with which errors always act: a record begins between two samples, and every sensor lags.
 _THERE = {"clock": 0.4, "lag": 0.05}
 # Of a contact's duration: delays of a sensor of first order, and widths of a low-pass without delay.
-_LAGS, _WIDTHS = (0.03, 0.1), (0.02, 0.06)
+_LAGS, _WIDTHS = (0.01, 0.03, 0.1), (0.02, 0.06)
 # Powers of the rate in another loss.
 _LOSSES = (0.25, 0.5, 2.0)
-# Generic groups: share of the peak, of a contact's duration, and of the force, with 95 %; what share of that always acts.
-_WAVES, _BENT, _LAW_WAVES, _ALWAYS = 0.01, 0.01, 0.02, 0.1
+# Generic groups: share of the peak, of a contact's duration, and of the force, with 95 %.
+_WAVES, _BENT, _LAW_WAVES = 0.01, 0.01, 0.02
 _GENERIC = ("a smooth disturbance in time", "a clock that bends", "a smooth factor of the force by its size")
 
 
@@ -133,8 +132,7 @@ def of_sensor(
         rest = [s for s, (_, said) in zip(series, known, strict=True) if own.key not in said]
         signature = _part(found[name], rest)
         if own.nuisance not in taken and np.any(signature):
-            kind = "lag" if name == "lag" else ""
-            errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), kind, _THERE.get(name, 0.0)))
+            errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), floor=_THERE.get(name, 0.0)))
         if own.nuisance not in taken and len(rest) < len(series):
             errors += _as_stated(name, own, found[name], readings, series, known)
     return [*errors, *_steps(readings, series, known, found["gain"].size)]
@@ -248,9 +246,9 @@ def of_weight(model: Model, best: End, series: list[Series]) -> list[Error]:
 
 
 def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:
-    """Errors of the contact law (``law_errors.signatures``), one of each kind at most."""
-    every = [(kind, *item) for kind, found in signatures.items() for item in found.items()]
-    return [Error(name, "of the peak", _LAW, signature[:, None], kind) for kind, name, signature in every]
+    """Errors of the contact law (``law_errors.signatures``); two of one kind stand for one between them."""
+    every = [item for found in signatures.values() for item in found.items()]
+    return [Error(name, "of the peak", _LAW, signature[:, None]) for name, signature in every]
 
 
 def of_shape(model: Model, scene: signatures.Scene, stated: frozenset[str], slowest: float = np.inf) -> list[Error]:
@@ -306,8 +304,8 @@ def generic(scene: signatures.Scene) -> list[Error]:
     shapes += [(np.sin, np.pi * k) for k in (0.5, 1.0, 2.0, 3.0)]
     by_size = [signatures.of_readings(scene, [x * f(k * x / peak) for x in read]) for f, k in shapes]
     found = [
-        Error(_GENERIC[0], "of the peak", _WAVES, waves(4, [np.full(x.size, peak) for x in read]), floor=_ALWAYS),
-        Error(_GENERIC[1], "of a contact's duration", _BENT, waves(3, slopes), floor=_ALWAYS),
+        Error(_GENERIC[0], "of the peak", _WAVES, waves(4, [np.full(x.size, peak) for x in read])),
+        Error(_GENERIC[1], "of a contact's duration", _BENT, waves(3, slopes)),
         Error(_GENERIC[2], "of itself", _LAW_WAVES, np.hstack(by_size)),
     ]
     deepest = max((float(held[0].depth.max()) for held in scene.motions if held), default=0.0)
@@ -317,7 +315,7 @@ def generic(scene: signatures.Scene) -> list[Error]:
             for f, k in shapes
         ]
         columns = np.hstack([signatures.of_force(scene, force) for force in forces])
-        found.append(Error("a smooth factor of the force by depth", "of itself", _LAW_WAVES, columns, floor=_ALWAYS))
+        found.append(Error("a smooth factor of the force by depth", "of itself", _LAW_WAVES, columns))
     return found
 
 
