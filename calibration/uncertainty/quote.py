@@ -153,7 +153,7 @@ def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray) -> 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
     """The last point that errors lead to, and the moves from the first."""
     origin, points, model = moving(begin.at).z, [begin], begin.at.model
-    if anew is not None and (model.loss != "linear" or budget(model.scene).rough):
+    if anew is not None and (model.loss != "linear" or budget(model).rough):
         anew = None
     while anew is not None and points[-1].far and len(points) < _POINTS:
         following = _following(points[-1], free, anew)
