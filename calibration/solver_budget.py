@@ -77,7 +77,7 @@ _LARGE = SolverBudget(
 
 # Many records with unknowns of their own, as tosses with their first states: an evaluation takes a second or more.
 _MANY_OWN = _SMOOTH._replace(
-    accuracy=1e-4, loose=1e-3, apart=True, drawn=2, asked=4, kept=4, descend=12, tolerance=0.1, step=1e-6, gain=1e-6,
+    accuracy=1e-4, loose=1e-3, apart=True, drawn=2, asked=4, kept=4, descend=12, tolerance=0.1, step=1e-5, gain=1e-4,
     elsewhere=1e-2, bends=False,
 )  # fmt: skip
 
