@@ -303,7 +303,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     at, model = found.optimum, found.optimum.model
     sensor = {axis.name for axis in model.coordinates} | model.data.chain.keys()
     asked = problem.filter == "unknown" and "time_offset" in {f.name for f in problem.free}
-    if not asked or problem.loss != "linear" or budget(problem.scene).rough or at.noise.integrator:
+    if not asked or problem.loss != "linear" or budget(problem).rough or at.noise.integrator:
         return found
     # At a bound a filter may explain what the bound does.
     if any(p.at_bound for p in found.parameters.values()):
@@ -408,7 +408,7 @@ class _Seen(NamedTuple):
 
 def _looked_at(problem: Problem, at: Optimum, ends: tuple[End, ...]) -> _Seen:
     """The optimum with its residual series, as far as the solver's error lets it be known."""
-    means, moved, loss = budget(at.model.scene), at.noise.moved, at.model.loss
+    means, moved, loss = budget(at.model), at.noise.moved, at.model.loss
     if means.rough and at.spread.covariance is not None:
         # Loosely: a mean needs no more digits, and tight steps follow swings that the mean is to smooth.
         best = averaged(evaluator(loosened(at.model)), at.end, at.spread.covariance, means.rotations)
@@ -557,7 +557,7 @@ def _misses(at: Optimum, best: End, spread: fit_tests.Spread) -> dict[str, fit_t
     ``best`` and ``spread`` are of the coordinates that are not held.
     """
     model, series = at.model, at.series
-    if spread.covariance is None or model.loss != "linear" or budget(model.scene).rough:
+    if spread.covariance is None or model.loss != "linear" or budget(model).rough:
         return {}
     shape = model.data.weights.shape
     runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)

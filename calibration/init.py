@@ -41,8 +41,10 @@ _SAID = {
 SCENES, _ALIGN = tuple(_SAID), "onset"
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
-# Restitution from the impulse above which no damping is searched.
-_ELASTIC = 0.98
+# Restitution from the impulse above which no damping is searched, whatever so many deviations of its noise leave open.
+_ELASTIC, _SURE = 0.98, 2.0
+# Shares of its noise in an impulse from which on a record may show no contact.
+_UNHEARD = 0.2
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
 # Flights over contacts from which on contacts are apart.
@@ -196,6 +198,9 @@ def _kind(found: Understood) -> str:
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
     s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
+    if s.impulses[0] <= 0.0:
+        lost = "what is taken for a contact has no impulse: its readings may be noise alone"
+        raise InputError(str(found.path), lost, "choose a column, or rows, that show a contact")
     # What a contact feels of two free bodies is their effective mass.
     felt = None if mass is None else effective(mass, other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
@@ -203,13 +208,18 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     ratio = float("nan")
     if isinstance(known.mass, float) and isinstance(known.speed, float):
         ratio = s.impulse / (known.mass * known.speed)
-    elastic = kind == "impact" and ratio > 1.0 + _ELASTIC
+    doubt = _SURE * s.doubt * ratio
+    elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
     own = known if mass is None else known._replace(mass=mass)
     entries = _entries(own, kind, elastic, falls)
     said_of = _other(found, kind)
-    if ratio <= 0.95 or ratio >= 2.05:
+    if s.doubt > _UNHEARD:
+        said_of.append(
+            f"CHECK: the impulse of this contact is {1.0 / s.doubt:.2g} deviations of the noise: the record may show none"
+        )
+    elif ratio + doubt <= 0.95 or ratio - doubt >= 2.05:
         wrong = "and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
         said_of.append(f"CHECK: impulse / (mass x speed) is {ratio:.3g}, {wrong}")
     if s.mass and not s.speed and mass is None:

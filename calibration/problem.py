@@ -366,7 +366,7 @@ class Problem:
         """Values, tolerances and bounds as numbers, SI."""
         known = self.quantities
         unsaid = isinstance(self.accuracy, (int, float)) and not self.accuracy
-        asked = budget(self.scene).accuracy if unsaid else self.accuracy
+        asked = budget(self).accuracy if unsaid else self.accuracy
         changed: dict[str, Any] = {"params": given.numbers(f"{where}: params", self.params, known)}
         changed["accuracy"] = scalar(f"{where}: accuracy", _ACCURACY, asked)
         changed["tolerances"] = given.tolerances(f"{where}: tolerances", self.tolerances, known)
@@ -451,9 +451,8 @@ class Problem:
         """There are more samples than unknowns, and records that determine every noise which is to be estimated."""
         fitted = [e for e in self.experiments if not e.hold_out]
         samples = sum(e.samples for e in fitted)
-        unknowns = sum(len(fitted) if f.per_experiment else 1 for f in self.free)
-        if samples <= unknowns:
-            found = f"{samples} samples for {unknowns} free parameters"
+        if samples <= self.unknowns:
+            found = f"{samples} samples for {self.unknowns} free parameters"
             yield self.where, found, "free fewer parameters or give more data"
         known = {c.observes for e in fitted for c in e.channels if c.sigma is None}
         for e in self.experiments:
@@ -492,6 +491,12 @@ class Problem:
             for name in [f.name for f in self.free if f.name in e.fixed]:
                 found = f"'{name}' is free, and known to be {e.fixed[name]:g} in {e.name}"
                 yield self.where, found, "take one of them out"
+
+    @property
+    def unknowns(self) -> int:
+        """Numbers that are searched: of each fitted record its own."""
+        count = sum(not e.hold_out for e in self.experiments)
+        return sum(count if f.per_experiment else 1 for f in self.free)
 
     @property
     def observed(self) -> tuple[str, ...]:

@@ -209,7 +209,8 @@ def load_with_records(path: str | Path) -> tuple[Problem, list[Prepared]]:
         filter=file.passed or ("unknown" if _measured(file, base) else "none"),
         adequate=ADEQUATE if file.adequate is None else quantity(file.adequate, "1", f"{path}: adequate"),
     )
-    doubts = _doubts(problem, records)
+    silent = [said for r in records if r.record and not r.entry.events and (said := plausible.unheard(r.record))]
+    doubts = (*(Doubt(said, "what is there is a contact") for said in silent), *_doubts(problem, records))
     problem = replace(problem, doubts=doubts) if doubts else problem
     every = ((r.record, found.notes.get(i, [])) for i, r in enumerate(records) if r.record)
     return problem, [replace(record, notes=(*record.notes, *own)) for record, own in every]

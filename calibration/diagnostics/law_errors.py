@@ -67,7 +67,7 @@ def signatures(
 
 def with_errors(model: Model) -> Model | None:
     """The model with both errors in each contact; None where there are none to be."""
-    scene = None if budget(model.scene).rough else model.scene.imperfect()
+    scene = None if budget(model).rough else model.scene.imperfect()
     if scene is None:
         return None
     more = {name: np.zeros(len(model.data.times)) for name in IMPERFECT}

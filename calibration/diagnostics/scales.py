@@ -36,7 +36,7 @@ def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dic
     Returns:
         parameters: the scales; moves: by scale, what 1 % of it moves each free parameter by [%]; text and remedy.
     """
-    if budget(model.scene).rough or not model.scene.traits.history or not model.channels:
+    if budget(model).rough or not model.scene.traits.history or not model.channels:
         return []
     quantities = {name: q.unit for name, q in model.scene.quantities.items()}
     scales = [n for n, unit in quantities.items() if (unit in _UNITS or n in _LENGTHS) and n not in _NONE]

@@ -55,7 +55,7 @@ def corrected(model: Model, best: End, errors: np.ndarray) -> Corrected:
         log.info("refined at a tighter tolerance: chi2 %.6g", best.cost)
     notes = []
     if rounds:
-        times = budget(model.scene).tighter ** rounds
+        times = budget(model).tighter ** rounds
         notes.append(
             f"at the accuracy asked for, the integrator's error would move the estimates by {first:.2g} of their "
             f"deviation: the fit went on at a tolerance {times:g} times tighter"
@@ -76,7 +76,7 @@ def covered(moved: float) -> float:
 
 def _again(finer: Model, best: End) -> End | None:
     """The optimum on a tighter model, from that on the looser one; None where there is no way to it."""
-    if not budget(finer.scene).rough:
+    if not budget(finer).rough:
         end = finish(finer, best.start, np.clip(best.point, 1e-9, 1.0 - 1e-9))
         return None if end.failure else end
     if finer.loss != "linear":

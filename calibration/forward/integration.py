@@ -64,9 +64,9 @@ def own(residuals: np.ndarray, error: np.ndarray, accuracy: float, peak: float) 
 
 def tighter(model: Model) -> Model:
     """The model at a tighter tolerance, which is traced: nothing is compiled for it."""
-    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / budget(model.scene).tighter)
+    return eqx.tree_at(lambda m: m.how.tolerance, model, model.how.tolerance / budget(model).tighter)
 
 
 def _scale(model: Model) -> float:
     """From the difference of the two runs to the error of the first, if that goes with the tolerance."""
-    return 1.0 / (1.0 - 1.0 / budget(model.scene).tighter)
+    return 1.0 / (1.0 - 1.0 / budget(model).tighter)

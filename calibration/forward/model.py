@@ -110,6 +110,11 @@ class Model(eqx.Module):
     loss: str = eqx.field(static=True, default="linear")
 
     @property
+    def unknowns(self) -> int:
+        """Numbers that are searched."""
+        return len(self.coordinates)
+
+    @property
     def referenced(self) -> bool:
         """Whether stiffness is searched as a reference force."""
         shared = {axis.name for axis in self.coordinates if axis.experiment is None}
@@ -281,7 +286,7 @@ class Evaluated(NamedTuple):
 
 def evaluation(model: Model) -> Callable[[np.ndarray], Evaluated]:
     """The model at unit-box points (B, P), B as many as may be: always the same compiled program."""
-    rows, width = 1 if budget(model.scene).apart else _ROWS, len(model.coordinates)
+    rows, width = 1 if budget(model).apart else _ROWS, len(model.coordinates)
     frame, numbers = divided(model)
     run, _ = program("calibration", _evaluated, (frame,), (numbers, np.zeros((rows, width)), 0))
     # Handed over once: a run may take a millisecond, of which NumPy's arrays would take half.
@@ -338,8 +343,9 @@ def _evaluated(frame: Model, numbers: tuple[Any, ...], points: Array, count: Arr
         slopes, beside = jax.jacfwd(lambda by: both(u + jnp.einsum("l,elp->ep", by, columns)), has_aux=True)(
             jnp.zeros(own.shape[1])
         )
-        rows = [np.repeat(np.arange(len(own)), x.size // len(own)) for x in (model.data.values, model.data.features)]
-        return jnp.einsum("nl,nlp->np", slopes, columns[np.concatenate(rows)]), beside
+        parts = jnp.split(slopes, [model.data.values.size])
+        spread = [jnp.einsum("enl,elp->enp", part.reshape(len(own), -1, own.shape[1]), columns) for part in parts]
+        return jnp.concatenate([part.reshape(-1, u.size) for part in spread]), beside
 
     def both(u: Array) -> tuple[Array, tuple[Array, Array]]:
         residuals, read = model.compared(u)
@@ -422,5 +428,5 @@ def passed_of(problem: Problem) -> Passed | None:
 
 def _steps(problem: Problem) -> int:
     """Attempted steps of a run until it has failed: more where finer ones are asked for, as of a method of order 2."""
-    means = budget(problem.scene)
+    means = budget(problem)
     return int(means.steps * max(1.0, means.accuracy / problem.accuracy) ** 0.5)

@@ -13,7 +13,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
-from calibration.impacts.events import contacts
+from calibration.impacts.events import contacts, quantity, rest, told
 from calibration.impacts.preparation import Prepared
 from calibration.impacts.proposal import read_unit
 from calibration.noise.scatter import scatter
@@ -26,6 +26,8 @@ _SAME, _ALIKE = 0.25, 0.7
 _FAINT = 1e-3
 # Impulses over mass that differ by more than this ratio, beyond their doubts, are of several speeds.
 _ONE_SPEED = 1.1
+# Deviations of the noise below which the sum of a contact's readings may be noise alone: of many places the highest.
+_HEARD = 5.0
 
 
 def effective(mass: float, struck: float | None) -> float:
@@ -80,6 +82,22 @@ def impulse(record: Prepared, mass: float, speed: tuple[float, float]) -> tuple[
         f"m1 m2/(m1 + m2): impulse and speed imply {format_si(least, 'kg', 2)} to {format_si(most, 'kg', 2)}"
     )
     return text, float(least), float(most)
+
+
+def unheard(record: Prepared) -> str:
+    """Why a record may show no contact: the readings of the largest are, together, hardly more than noise; "" where they are."""
+    observes, found = told(record.times, {o: reading.values for o, reading in record.readings.items()})
+    if not found or quantity(observes) not in ("normal", "pulse"):
+        return ""
+    values, largest = record.readings[observes].values, max(found, key=lambda e: e.peak)
+    seen = np.isfinite(values)
+    inside = (record.times[seen] >= largest.begin) & (record.times[seen] <= largest.end)
+    noise = scatter(values[seen]) * float(np.sqrt(np.count_nonzero(inside)))
+    # With its sign, by which noise cancels: ``rise`` of a pulse has none.
+    above = abs(float(np.sum(values[seen][inside] - (rest(values[seen]) or 0.0))))
+    if not noise > 0.0 or above >= _HEARD * noise:
+        return ""
+    return f"{record.name}: {observes} may show no contact: its largest is {above / noise:.2g} deviations of the noise"
 
 
 def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:

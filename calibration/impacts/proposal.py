@@ -75,10 +75,20 @@ class Run:
 
     def impulse(self) -> float:
         """Of the first contact [N s]."""
-        force, e = self.readings["N"], self.events[0]
-        inside = slice(max(e.first - 1, 0), e.last + 2)
+        force, inside = self.readings["N"], self._inside
         level = self.rest("N")
         return float(np.trapezoid(np.nan_to_num(force[inside] - level), self.clock[inside]))
+
+    def doubt(self) -> float:
+        """Deviation that white noise gives the impulse [N s]: of the contact's samples, and of the rest taken off them."""
+        count, step = len(self.clock[self._inside]), self.events[0].step
+        before = max(self.events[0].first - 1, 1)
+        force = self.readings["N"]
+        return scatter(force[np.isfinite(force)]) * step * float(np.sqrt(count + count**2 / before))
+
+    @property
+    def _inside(self) -> slice:
+        return slice(max(self.events[0].first - 1, 0), self.events[0].last + 2)
 
     def rest(self, unit: str) -> float:
         """Reading before the first contact."""
@@ -441,6 +451,7 @@ class Sizes(NamedTuple):
         contacts, flights: of the run that has most, their number and the times between them [s].
         speed: least and largest before contact [m/s], from a velocity or position; None where neither is read.
         mass: from the impulse over the change of the speed, or from force over acceleration, or None.
+        doubt: deviation of the impulse by noise, as a share of it.
         impulses, after: least and largest impulse, and time to the second contact [s], of all records.
     """
 
@@ -456,6 +467,7 @@ class Sizes(NamedTuple):
     impulses: tuple[float, float]
     after: tuple[float, float]
     loss: Loss | None
+    doubt: float
 
 
 def sizes(found: Understood) -> Sizes:
@@ -486,6 +498,7 @@ def sizes(found: Understood) -> Sizes:
         impulses=ends(pushed),
         after=ends([float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]),
         loss=loss(longest),
+        doubt=middle([r.doubt() / max(abs(r.impulse()), 1e-300) for r in has]),
     )
 
 

@@ -68,7 +68,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model.scene).apart)
+    leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
         before = loosened(until(model, ends[leg.reached - 1])) if leg.missed and leg.reached else None
@@ -95,7 +95,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
             log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *title)
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
-            hopeless = np.arange(len(going)) >= budget(model.scene).kept
+            hopeless = np.arange(len(going)) >= budget(model).kept
             hopeless &= ~(costs[going] <= _HOPELESS * max(least, float(np.count_nonzero(part.data.weights))))
             given_up = np.concatenate([given_up, going[hopeless]])
             going = going[~hopeless]
@@ -169,7 +169,7 @@ def _descend(part: Model, points: np.ndarray, leg: _Leg, before: Model | None) -
     """One batch on one leg: far off by Adam, then to the right arrivals, which the leg ``before`` leaves open, then to the least
     squares.
     """
-    evaluate, means = evaluator(part), budget(part.scene)
+    evaluate, means = evaluator(part), budget(part)
     if means.apart:
         return levenberg(evaluate, points, means.descend, means.tolerance if leg.last else means.roughly)
     if leg.last:

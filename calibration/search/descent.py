@@ -25,6 +25,9 @@ _DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
 # No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
 _LONGEST = 0.15
 _SHORTEST = 1e-9
+# More coordinates are many: those that would move further are held, and the others solved for again, so often at most.
+_MANY = 32
+_AGAIN = 30
 # A point gets nowhere that so many times in a row (or as asked for) gained less than this share of its cost.
 _PATIENCE, _PROGRESS = 8, 1e-3
 # A combination of coordinates that moves the residuals less than this share of one alone counts as this.
@@ -131,8 +134,38 @@ def _model(residuals: np.ndarray, jacobians: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _step(at: np.ndarray, slope: np.ndarray, bend: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Damped steps (B, P) within the box, and the decrease of the cost (B,) that an undamped one would promise."""
+    """Damped steps (B, P) within the box, and the decrease of the cost (B,) that an undamped one would promise.
+
+    No coordinate moves further than _LONGEST: the whole step is shortened. Of many coordinates some would always go far:
+    these stay at what is allowed, and the others are solved for again.
+    """
     free = ~(((at <= 0.0) & (slope > 0.0)) | ((at >= 1.0) & (slope < 0.0)))
+    step, promise = _damped(free, slope, bend, damping)
+    if at.shape[1] <= _MANY:
+        step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+        return np.clip(at + step, 0.0, 1.0) - at, promise
+    step, whole = (_within(at, free, slope, bend, x) for x in (damping, np.zeros_like(damping)))
+    gains = [-np.einsum("bp,bp->b", x, 2.0 * slope + np.einsum("bpq,bq->bp", bend, x)) for x in (step, whole)]
+    return step, np.maximum(*gains)
+
+
+def _within(at: np.ndarray, free: np.ndarray, slope: np.ndarray, bend: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    """Damped steps (B, P) in which what would go too far stays at what is allowed."""
+    lower, upper = np.maximum(-_LONGEST, -at), np.minimum(_LONGEST, 1.0 - at)
+    held, step = np.zeros_like(at), np.zeros_like(at)
+    for _ in range(_AGAIN):
+        step = held + _damped(free, slope + np.einsum("bpq,bq->bp", bend, held), bend, damping)[0]
+        out = free & ((step < lower) | (step > upper))
+        if not out.any():
+            break
+        held, free = np.where(out, np.clip(step, lower, upper), held), free & ~out
+    return np.clip(step, lower, upper)
+
+
+def _damped(
+    free: np.ndarray, slope: np.ndarray, bend: np.ndarray, damping: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Damped steps (B, P) of the free coordinates, 0 of the others, and what undamped ones promise to gain (B,)."""
     # In units of each column's own size, damping is the same for all coordinates.
     unit = np.sqrt(np.einsum("bpp->bp", bend))
     unit = np.where(free & (unit > 0.0), unit, np.inf)
@@ -140,5 +173,4 @@ def _step(at: np.ndarray, slope: np.ndarray, bend: np.ndarray, damping: np.ndarr
     along = np.einsum("bpk,bp->bk", axes, slope / unit)
     sizes = np.maximum(sizes, _LEAST_SIZE)
     step = -np.einsum("bpk,bk->bp", axes, along / (sizes + damping[:, None])) / unit
-    step *= np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
-    return np.clip(at + step, 0.0, 1.0) - at, np.sum(np.square(along) / sizes, axis=1)
+    return step, np.sum(np.square(along) / sizes, axis=1)

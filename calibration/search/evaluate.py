@@ -15,7 +15,7 @@ from calibration.solver_budget import budget
 
 def loosened(model: Model) -> Model:
     """A model integrated as loosely as will do on the way to an optimum."""
-    loose = np.maximum(model.how.tolerance, plan(model.scene, budget(model.scene).loose).tolerance)
+    loose = np.maximum(model.how.tolerance, plan(model.scene, budget(model).loose).tolerance)
     return eqx.tree_at(lambda m: m.how.tolerance, model, loose)
 
 
@@ -33,7 +33,7 @@ def evaluator(model: Model) -> Evaluate:
 
     def evaluate(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         different, places = np.unique(points, axis=0, return_inverse=True)
-        found = over_the_cores(different) if budget(model.scene).apart else at(different)
+        found = over_the_cores(different) if budget(model).apart else at(different)
         residuals, jacobians = straightened(model.loss, found.residuals, found.jacobians)
         return residuals[places.ravel()], jacobians[places.ravel()]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import equinox as eqx
 import numpy as np
 
+from calibration.attitudes import attitudes
 from calibration.forward.model import Model
 
 # A contact rises above the rest level by so many deviations of the noise, or this share of the peak if that is more.
@@ -21,6 +22,8 @@ _GAP = 10.0
 _PULSING = ("axial", "tangential", "force", "acceleration")
 # Contacts are met where the residuals hold less than this share of the data's own energy: they overlap by most.
 _MET = 0.2
+# Of a body that tumbles shares of a record: on which face it falls hangs on all contacts before.
+_SHARES = (0.25, 0.5)
 
 
 def contacts(values: np.ndarray, sigma: float) -> list[tuple[int, int]]:
@@ -55,17 +58,18 @@ def stages(model: Model) -> list[np.ndarray]:
     """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
     An experiment's contacts are those of the normal force that has most, or of another reading that contacts make pulse. Of
-    the flight after the first, only as much is fitted as the contact took. Where each instant is solved for itself, all is
-    the only stage.
+    the flight after the first, only as much is fitted as the contact took. Of an attitude without such a reading, a quarter
+    and half of the time stand for contacts. Where each instant is solved for itself, all is the only stage.
     """
     if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
     pulsing = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
     pulsing = pulsing or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
-    ends = []
+    tumbling, ends = not pulsing and bool(attitudes(model.channels)), []
     for i in range(len(times)):
-        most: list[float] = []
+        clock = times[i][(weights[i] > 0).any(axis=0)]
+        most = [clock[0] + x * np.ptp(clock) for x in _SHARES] if tumbling and clock.size else list[float]()
         for j in pulsing:
             seen = weights[i, j] > 0
             if np.any(seen):

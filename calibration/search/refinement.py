@@ -48,12 +48,12 @@ def refined(model: Model, starts: np.ndarray, found: Descents) -> tuple[End, ...
     order = [int(k) for k in np.argsort(found.costs, kind="stable")]
     first = [k for k in order[:_BEST] if np.isfinite(found.costs[k])]
     # At once where each is a run after the other.
-    run = each if budget(model.scene).apart else map
+    run = each if budget(model).apart else map
     early = dict(zip(first, run(lambda k: finish(model, starts[k], found.points[k]), first), strict=True))
     for k in order:
         start, point, cost = starts[k], found.points[k], float(found.costs[k])
         low = min((end.cost for end in best), default=cost)
-        near = any(np.abs(end.point - point).max() < budget(model.scene).elsewhere for end in best)
+        near = any(np.abs(end.point - point).max() < budget(model).elsewhere for end in best)
         elsewhere = not near and cost < low + _AS_LOW * max(1.0, low / samples)
         if k in early or (np.isfinite(cost) and elsewhere and len(best) < _BEST + _OTHERS):
             ends.append(early.get(k) or finish(model, start, point))
@@ -106,7 +106,7 @@ def trust_region(
 
 def finish(model: Model, start: np.ndarray, point: np.ndarray) -> End:
     """One start brought to its optimum by the trust region, from a point."""
-    at, means = evaluation(model), budget(model.scene)
+    at, means = evaluation(model), budget(model)
 
     def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         found = at(u[None])

@@ -46,7 +46,7 @@ def batch_size(count: int) -> int:
 
 
 def screen(model: Model, count: int, seed: int) -> Screen:
-    """Evaluate a scrambled Sobol design some eight times as large as the number of starts, in batches.
+    """Evaluate a scrambled Sobol design some times as large as the number of starts (``solver_budget``), in batches.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -60,7 +60,8 @@ def screen(model: Model, count: int, seed: int) -> Screen:
 def _screened(model: Model, count: int, seed: int) -> Screen:
     from scipy.stats import qmc
 
-    even = qmc.Sobol(len(model.coordinates), rng=seed).random_base2(3 + int(np.ceil(np.log2(count))))
+    size = budget(model).drawn * count
+    even = qmc.Sobol(len(model.coordinates), rng=seed).random_base2(int(np.ceil(np.log2(size))))
     design = np.stack([axis.drawn(u) for axis, u in zip(model.coordinates, even.T, strict=True)], axis=1)
     ends, reach = stages(model), np.zeros(design.shape[1])
     first, costs = evaluator(loosened(until(model, ends[0]))), []
@@ -71,7 +72,7 @@ def _screened(model: Model, count: int, seed: int) -> Screen:
         reach = np.maximum(reach, _reach(jacobians))
     costs = np.concatenate(costs)[: len(design)]
     if len(ends) > 1 and np.any(reach < 1.0):  # What the first contact does not show, all data may.
-        few = np.argsort(costs)[: budget(model.scene).asked]
+        few = np.argsort(costs)[: budget(model).asked]
         for block in blocks(design[few], batch_size(count)):
             reach = np.maximum(reach, _reach(evaluator(loosened(model))(block)[1]))
     log.info("%d of %d Sobol points simulate", np.isfinite(costs).sum(), len(design))
@@ -120,7 +121,7 @@ def _straight(model: Model, points: np.ndarray, found: Descents) -> Descents:
     if not len(points) or len(stages(model)) == 1:
         return found
     check()
-    means = budget(model.scene)
+    means = budget(model)
     direct = levenberg(evaluator(model), points, means.descend, means.tolerance)
     lower = np.flatnonzero(direct.costs < found.costs[: len(points)])
     for old, new in zip(found, direct, strict=True):

@@ -131,7 +131,7 @@ def diagnose(problem: Problem, result: Fit, seed: int = 0) -> Diagnosis | None:
 
 def _scene(problem: Problem, result: Fit) -> Scene | None:
     at = result.optimum
-    if not at.series or budget(problem.scene).rough or problem.loss != "linear" or at.noise.integrator:
+    if not at.series or budget(problem).rough or problem.loss != "linear" or at.noise.integrator:
         return None
     if at.spread.covariance is None or min(s.rows.size for s in at.series) < _FEWEST:
         return None

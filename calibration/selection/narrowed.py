@@ -58,7 +58,7 @@ def narrowed(
         said: of the instruments, as in a calibration file.
     """
     at = found.optimum
-    if at is None or found.systematic is None or at.model.loss != "linear" or budget(at.model.scene).rough:
+    if at is None or found.systematic is None or at.model.loss != "linear" or budget(at.model).rough:
         return {}
     if at.model.data.features.size or at.spread.covariance is None:
         return {}

@@ -154,8 +154,11 @@ def estimates(at: Optimum) -> Estimates:
         inside = f"{label} is at its {at_bound} bound"
         tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
-        for axis, label, value, slope in zip(model.coordinates, at.labels, values, how.slopes, strict=False):
-            if (half := spread.half_width(slope)) > 0.0:  # Else it is held where it is.
+        asked = [axis.experiment is None or budget(model).bends for axis in model.coordinates]
+        for axis, label, value, slope, own in zip(
+            model.coordinates, at.labels, values, how.slopes, asked, strict=False
+        ):
+            if own and (half := spread.half_width(slope)) > 0.0:  # Else it is held where it is.
                 reach = _reach(axis, _quantity(model, axis), value, half)
                 tests.append(fit_tests.curvature_test(label, _curvature(at, slope, (-reach, 1.0))))
     tests.append(fit_tests.rank_test(spread))
@@ -205,7 +208,7 @@ def _curvature(at: Optimum, slope: np.ndarray, reaches: tuple[float, float]) -> 
     expected = quantile**2 * at.spread.rise * shares**2
     steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
     residuals, jacobians = evaluator(model)(best.point + steps)
-    if at.noise.integrator or budget(model.scene).rough:
+    if at.noise.integrator or budget(model).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.

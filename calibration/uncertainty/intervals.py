@@ -97,7 +97,7 @@ def revised(kind: str, at: Optimum, found: Estimates, seed: int) -> tuple[Estima
     failed = {t.name for t in found.tests if not t.passed}
     bent = {name for name in at.labels if f"interval of {name}" in failed}
     # Where more fails no interval will be given, whatever a profile says; and a rough cost makes it a profile of noise.
-    if kind == "covariance" and (len(failed) > len(bent) or budget(at.model.scene).rough):
+    if kind == "covariance" and (len(failed) > len(bent) or budget(at.model).rough):
         return found, Evidence()
     names = [*at.labels, "reference_force"] if kind == "profile" else sorted(bent)
     if not names:

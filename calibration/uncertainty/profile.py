@@ -90,7 +90,7 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
     targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
     place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
     asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
-    apart = budget(at.model.scene).apart
+    apart = budget(at.model).apart
     found = profiles(evaluator(at.model), asked, place, labels=at.labels, at_once=apart)
     return {p.name: p for p in found}
 

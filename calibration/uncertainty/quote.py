@@ -153,7 +153,7 @@ def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray, var
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
     """The point that the most probable set leads to, and the moves of all sets from the first."""
     points, origin, model = [begin], moving(begin.at).z, begin.at.model
-    if anew is not None and (model.loss != "linear" or budget(model.scene).rough):
+    if anew is not None and (model.loss != "linear" or budget(model).rough):
         anew = None
     while True:
         places = [moving(p.at).z - origin for p in points]

@@ -87,7 +87,7 @@ def every(problem: Problem, at: Optimum) -> list[Error]:
         *of_weight(model, best, at.series),
     ]
     # A rough cost has no linear answer that many waves would leave standing, and a motion costs seconds.
-    if budget(model.scene).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
+    if budget(model).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
         return found
     scene = signatures.scene_of(model, at.series, readings, best.point)
     slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value * scene.contact) for _, own in known if "bandwidth" in own]
@@ -223,7 +223,7 @@ def of_fixed(
         # What may be 0, such as a place where a body starts, has no share of itself.
         own_range = None if name in CATALOGUE else model.scene.quantities.get(name)
         signed = own_range is not None and own_range.low < 0.0
-        if name in free or name in _KNOWN or (known is None and (signed or budget(model.scene).rough)):
+        if name in free or name in _KNOWN or (known is None and (signed or budget(model).rough)):
             continue
         tolerance = _SHARE * np.abs(own) if known is None else known
         if not np.any(tolerance):
@@ -240,7 +240,7 @@ def of_fixed(
 def of_weight(model: Model, best: End, series: list[Series]) -> list[Error]:
     """The weight of a body that strikes at a speed, of a scene that knows no gravity: as much of it as may act."""
     known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
-    if "approach_speed" not in known or "gravity" in known or budget(model.scene).rough:
+    if "approach_speed" not in known or "gravity" in known or budget(model).rough:
         return []
     return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, GRAVITY)[:, None])]
 

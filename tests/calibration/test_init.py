@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from scipy.integrate import solve_ivp
 from test_records import MASS, SPEED, TRUTH, drop, impact, law, table
 
 from bcfj_jax import InputError
+from benchmarks.references.impact import contact
 from calibration import load
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -373,3 +375,43 @@ def test_a_column_that_changes_within_a_run_is_refused(here):
     Path("p.toml").write_text("\n".join(line for line in lines if not line.startswith("rows")))
     with pytest.raises(InputError, match=r"'height \[mm\]' goes from 18.3\d* mm to 203.\d* mm within runs"):
         load("p.toml")
+
+
+CLOCK = np.arange(500) / 2e4 - 5e-3
+
+
+def loud(noise: float, seed: int, restitution_lost: float = 0.3) -> np.ndarray:
+    """A hit that loses energy, by SciPy, with noise that is a share of its peak."""
+    force = contact({"stiffness": 2e6, "exponent": 1.5, "damping": restitution_lost}, 0.8, 1.2).force(CLOCK)
+    return force + noise * force.max() * np.random.default_rng(seed).standard_normal(CLOCK.size)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.1, 0.5])
+def test_an_impulse_within_its_noise_takes_no_damping_away(noise, here):
+    for seed in range(8):
+        table("hit.csv", {"time [s]": CLOCK, "force [N]": loud(noise, seed)})
+        found = written("hit.csv", "--mass", "0.8 kg", "--speed", "1.2 m/s")
+        assert "damping" in found["free"], seed
+        assert not load("hit.toml").doubts
+        Path("hit.toml").unlink()
+
+
+def test_a_hit_that_loses_nothing_is_still_one(here):
+    table("hit.csv", {"time [s]": CLOCK, "force [N]": loud(0.002, 0, 0.0)})
+    assert "damping" not in written("hit.csv", "--mass", "0.8 kg", "--speed", "1.2 m/s")["free"]
+
+
+@pytest.mark.parametrize("header", ["force [N]", "acceleration [g]"])
+def test_a_record_of_noise_alone_is_refused_or_said_to_show_no_contact(header, here):
+    for seed in range(10):
+        values = np.random.default_rng(seed).standard_normal(120)
+        table("hit.csv", {"time [s]": CLOCK[:120], header: values})
+        done = init("hit.csv", "--mass", "0.8 kg")
+        assert isinstance(done.exception, SystemExit | None), (seed, done.exception)
+        if done.exit_code:
+            words = "the force pulls|no impulse|can only push|samples lie within the contact|no contact"
+            assert re.search(words, " ".join(done.output.split())), (seed, done.output)
+            continue
+        text = Path("hit.toml").read_text()
+        Path("hit.toml").unlink()
+        assert "deviations of the noise: the record may show none" in text, seed

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import chi2
 
 from bcfj_jax import scenes
@@ -130,6 +130,22 @@ def test_batched_descent_ends_where_scipy_does_each_point_for_itself():
         assert found.points[member] == pytest.approx(best.x, abs=1e-5)
         assert found.costs[member] == pytest.approx(2.0 * best.cost, rel=1e-9)
     assert found.points[2, 1] == 1.0
+
+
+def test_of_many_coordinates_those_that_would_go_far_do_not_stop_the_others():
+    rng = np.random.default_rng(4)
+    # Forty unknowns of which some hardly move the data: a shortened step would crawl.
+    matrix = rng.standard_normal((120, 40)) * np.geomspace(1.0, 1e-4, 40)
+    wanted = matrix @ rng.uniform(-0.5, 1.5, 40)
+    best = lsq_linear(matrix, wanted, (0.0, 1.0), tol=1e-14)
+
+    def linear(points):
+        return points @ matrix.T - wanted, np.tile(matrix, (len(points), 1, 1))
+
+    starts = rng.uniform(size=(3, 40))
+    found = levenberg(linear, starts, 20, 1e-6)
+    assert (found.points >= 0.0).all() and (found.points <= 1.0).all()
+    assert found.costs == pytest.approx(2.0 * best.cost, rel=1e-3)
 
 
 def test_descent_in_a_direction_without_data_stands_still():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,7 +11,10 @@ from scipy.spatial.transform import Rotation
 import bcfj_jax as bj
 from bcfj_jax import InputError
 from calibration import fit, init, load
+from calibration.forward.model import build
 from calibration.impacts import tosses
+from calibration.search.horizon import stages
+from calibration.solver_budget import budget
 
 HALF, MASS, FRICTION, STIFFNESS, DAMPING = 0.05, 0.4, 0.25, 2e4, 3.0
 START = dict(x=0.1, y=-0.2, z=0.16, vx=-0.9, vy=0.5, vz=0.2, wx=3.0, wy=-2.0, wz=1.0, q0=0.8, q1=0.3, q2=-0.4, q3=0.33)
@@ -98,6 +103,21 @@ def test_what_is_no_flight_and_what_is_an_impact_all_the_same(tmp_path):
     with pytest.raises(InputError, match="places and attitudes of a body in motion"):
         init.run(rests, tmp_path, init.Said("impact"), lambda line: None)
     assert not list(tmp_path.glob("*.toml"))
+
+
+def test_a_tumbling_record_is_fitted_from_its_beginning_on_and_many_of_them_sparingly(tmp_path):
+    init.run(write(tmp_path / "toss.csv", *toss()), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), lambda line: None)
+    problem = load(tmp_path / "toss.toml")
+    ends = stages(build(problem, problem.experiments))
+    np.testing.assert_allclose(np.concatenate(ends) / TIMES[-1], [0.25, 0.5, 1.0], rtol=1e-6)
+    (one,) = problem.experiments
+    many = replace(problem, experiments=tuple(replace(one, name=f"toss {k}") for k in range(8)))
+    assert (problem.unknowns, many.unknowns) == (16, 100)
+    # An evaluation of all takes a second: both cores, few points, and no walk along every first state.
+    assert (budget(problem).apart, budget(problem).bends) == (False, True)
+    assert (budget(many).apart, budget(many).bends) == (True, False)
+    # What eight tosses of a cube ask for is explicit: friction that barely is no stiff one.
+    assert not problem.scene.traits.stiff
 
 
 @pytest.mark.slow
