@@ -12,11 +12,6 @@ def product(a: Array, b: Array) -> Array:
     return jnp.sum(a[..., None] * b[..., None, :, :], -2)
 
 
-def image(matrix: Array, vector: Array) -> Array:
-    """Matrix (..., i, j) times vector (..., j), elementwise."""
-    return jnp.sum(matrix * vector[..., None, :], -1)
-
-
 def inverse3(matrix: Array) -> Array:
     """Inverse of (..., 3, 3) by cross products."""
     a, b, c = matrix[..., 0, :], matrix[..., 1, :], matrix[..., 2, :]

@@ -24,7 +24,7 @@ from bcfj_jax.models.joint.geometry import rate_by_axis, turning
 from bcfj_jax.models.joint.programmes import torque_at
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.xla.kept import kept
-from bcfj_jax.xla.small import image, inverse, inverse3, inverse6, product
+from bcfj_jax.xla.small import inverse, inverse3, inverse6, product
 
 
 class Heading(NamedTuple):

@@ -127,7 +127,8 @@ def slopes(part: Part) -> Slopes:
     shape = bristles.shape[-2:]
 
     def by_state(way: Array) -> Any:
-        return jax.jvp(lambda z: wrench(at, *twist, bristles=z), (bristles,), (jnp.broadcast_to(way, bristles.shape),))[1]
+        bent = jnp.broadcast_to(way, bristles.shape)
+        return jax.jvp(lambda z: wrench(at, *twist, bristles=z), (bristles,), (bent,))[1]
 
     pull, felt = jax.vmap(by_state, out_axes=-1)(jnp.eye(shape[0] * shape[1]).reshape(-1, *shape))
     pull = jnp.moveaxis(pull.reshape(*pull.shape[:-1], *shape), -2, -3)
