@@ -65,16 +65,16 @@ class Slopes(NamedTuple):
     bond: Bond | None = None
 
 
-class _Linear(NamedTuple):
-    """Laws by their tangents in one state: a tangent of ``act`` then takes few products, whatever the laws are."""
+class _Linear(ContactLaws):
+    """Laws by their tangents in one state: a tangent of ``act`` then takes few products, whatever the laws are.
 
-    laws: ContactLaws
+    Attributes:
+        at: penetration, its rate and the slip's square there.
+        held: normal force, its derivatives by depth and by rate, mobility and its derivative by the slip's square.
+    """
+
     at: tuple[Array, Array, Array]
     held: tuple[Array, Array, Array, Array, Array]
-
-    @property
-    def friction(self) -> Any:
-        return self.laws.friction
 
     def normal(self, penetration: Array, rate: Array) -> Array:
         force, by_depth, by_rate = self.held[:3]
@@ -91,7 +91,8 @@ def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
     one, none = jnp.ones_like(depth), jnp.zeros_like(depth)
     force, by_depth = jax.jvp(laws.normal, (depth, rate), (one, none))
     by_rate = jax.jvp(laws.normal, (depth, rate), (none, one))[1]
-    return _Linear(laws, at, kept(force, by_depth, by_rate, *jax.jvp(laws.mobility, (square,), (one,))))
+    held = kept(force, by_depth, by_rate, *jax.jvp(laws.mobility, (square,), (one,)))
+    return _Linear(laws.law, laws.friction, laws.coefficients, laws.smoothing, at, held)
 
 
 def slopes(part: Part) -> Slopes:
