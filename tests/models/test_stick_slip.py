@@ -11,7 +11,7 @@ import pytest
 EXAMPLE = Path(__file__).parents[2] / "examples" / "stick_slip.py"
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_recorded_torque_gives_the_recorded_motion():
     spec = importlib.util.spec_from_file_location("stick_slip", EXAMPLE)
     example = importlib.util.module_from_spec(spec)

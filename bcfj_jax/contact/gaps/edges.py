@@ -152,7 +152,8 @@ class CapsuleOnCapsule(AbstractGap):
         return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
-        return Bends(c["radius_a"] + c["radius_b"], arm=c["half_length_b"])
+        # As either turns, the nearest point slides along both.
+        return Bends(c["radius_a"] + c["radius_b"], arm=c["half_length_a"] + c["half_length_b"])
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         return tuple((_capsule(c[f"radius_{k}"], c[f"half_length_{k}"]),) for k in "ab")  # pyright: ignore[reportReturnType]

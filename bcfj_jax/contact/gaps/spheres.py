@@ -252,7 +252,7 @@ class SphereInSocket(AbstractGap):
         return (Face(distance - c["clearance"], normal, scale(c["radius"] - distance, normal)),)
 
     def bends(self, c: Coefficients) -> Bends:
-        return Bends(np.inf if self.pads else c["clearance"], np.inf)
+        return Bends(np.inf) if self.pads else Bends(c["clearance"], np.inf)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         return b.axes[2] if self.axis_of == "b" else a.axes[2]

@@ -126,6 +126,7 @@ def pictures(of: Animation, count: int) -> Iterator[Image]:
     for t in np.linspace(of.times[0], of.times[-1], count):
         k = int(np.argmin(np.abs(of.times - t)))
         picture = painter.paint(of, k, SIZE)
-        text = f"{of.title}   {of.times[k] * factor:.{digits}f} {unit}   {scale}"
+        # The font that Pillow brings has no mu.
+        text = f"{of.title}   {of.times[k] * factor:.{digits}f} {unit.replace('µ', 'u')}   {scale}"
         ImageDraw.Draw(picture).text((10, SIZE[1] - 22), text, fill=(27, 31, 35), font_size=14)
         yield picture
