@@ -107,10 +107,14 @@ def test_a_wave_of_a_gap_of_the_users_own_is_seen_as_by_dense_sampling(turns, ph
 
 # Gaps: the length over which they say that a penetration's course bends.
 
-# Where a cylinder stands and capsules are parallel, and where an end takes over, the point of contact jumps. The penetration is the
-# largest of all points', so that its course has a corner there below the cubic, which hides no touch. A cubic through the corner
-# itself may be off: these begin turned from it, by an angle [rad], and near each other.
-TURNED = {"cylinder": (0.3, None), "capsules": (0.3, (0.0102, 0.0136, -0.02)), "capsules-end": (0.0, (0.0102, 0.0, 0.094))}
+# Where a cylinder stands and capsules are parallel, and where an end takes over, the point of contact jumps. The penetration is
+# the largest of all points', so that its course has a corner there below the cubic, which hides no touch. A cubic through the
+# corner itself may be off: these begin turned from it, by an angle [rad], and near each other.
+TURNED = {
+    "cylinder": (0.3, None),
+    "capsules": (0.3, (0.0102, 0.0136, -0.02)),
+    "capsules-end": (0.0, (0.0102, 0.0, 0.094)),
+}
 
 
 @pytest.mark.parametrize("name", CASES)
