@@ -198,9 +198,9 @@ def _kind(found: Understood) -> str:
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
     s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
-    if s.impulses[0] <= 0.0:
+    if s.silent:
         lost = "what is taken for a contact has no impulse: its readings may be noise alone"
-        raise InputError(str(found.path), lost, "choose a column, or rows, that show a contact")
+        raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
     # What a contact feels of two free bodies is their effective mass.
     felt = None if mass is None else effective(mass, other)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)

@@ -13,15 +13,17 @@ from bcfj_jax.io.units import format_si
 from benchmarks.common import IMAGES, ROOT, load, markdown, publish, save, tally
 from calibration.report import plots
 
-SEEDS, DEPTH = range(10), 0.2e-3
+SEEDS = range(10)
 THEORY = {"stiffness": 4 / 3 * 48e9 / (2 * (1 - 0.2**2)) * (10e-3 / 2) ** 0.5, "exponent": 1.5}
 
 
 def table(result: dict[str, Any]) -> str:
     rows = [["", "fitted", "95 % interval", "Hertz", "spread over ten seeds"]]
     units = {"stiffness": "N/m^n", "exponent": "1", "force": "N"}
-    names = {"stiffness": "stiffness K", "exponent": "exponent n", "force": "force at 0.2 mm"}
-    for key, row in result["rows"].items():
+    depth = format_si(result["depth"], "m", 3)
+    names = {"force": f"force at {depth}", "exponent": "exponent n", "stiffness": "stiffness K"}
+    for key in names:
+        row = result["rows"][key]
         ends = " to ".join(format_si(v, units[key], 4) for v in row["ci95"]) if row["ci95"] else ""
         cells = [format_si(row["value"], units[key], 5), ends, format_si(row["theory"], units[key], 5)]
         rows.append([names[key], *cells, f"{row['spread']:.0e}"])
@@ -37,11 +39,12 @@ def main() -> None:
         values = [fit.parameters[name].value for fit in fits]
         spread = (max(values) - min(values)) / statistics.mean(values)
         rows[name] = {"value": values[0], "ci95": first.parameters[name].ci95, "theory": theory, "spread": spread}
-    forces = [fit.force_at(DEPTH) for fit in fits]
-    theory = THEORY["stiffness"] * DEPTH**1.5
+    told = first.reference
+    assert told is not None
+    forces, theory = [fit.force_at(told.penetration) for fit in fits], THEORY["stiffness"] * told.penetration**1.5
     spread = (max(forces) - min(forces)) / theory
-    rows["force"] = {"value": forces[0], "ci95": None, "theory": theory, "spread": spread}
-    save("demo", {"rows": rows, "verdicts": tally(fit.verdict for fit in fits)})
+    rows["force"] = {"value": told.value, "ci95": told.ci95, "theory": theory, "spread": spread}
+    save("demo", {"rows": rows, "depth": told.penetration, "verdicts": tally(fit.verdict for fit in fits)})
     publish("demo", table(load("demo")))
     plots.records(first, problem, IMAGES / "demo_fit.png")
 

@@ -452,6 +452,7 @@ class Sizes(NamedTuple):
         speed: least and largest before contact [m/s], from a velocity or position; None where neither is read.
         mass: from the impulse over the change of the speed, or from force over acceleration, or None.
         doubt: deviation of the impulse by noise, as a share of it.
+        silent: names of the records whose contact has no impulse.
         impulses, after: least and largest impulse, and time to the second contact [s], of all records.
     """
 
@@ -468,6 +469,7 @@ class Sizes(NamedTuple):
     after: tuple[float, float]
     loss: Loss | None
     doubt: float
+    silent: list[str]
 
 
 def sizes(found: Understood) -> Sizes:
@@ -499,6 +501,7 @@ def sizes(found: Understood) -> Sizes:
         after=ends([float(r.events[1].begin - r.events[0].end) for r in records if len(r.events) > 1]),
         loss=loss(longest),
         doubt=middle([r.doubt() / max(abs(r.impulse()), 1e-300) for r in has]),
+        silent=[r.name for r, j in zip(has, pushed, strict=True) if j <= 0.0],
     )
 
 
