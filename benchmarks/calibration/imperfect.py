@@ -277,7 +277,7 @@ def every(found: list[dict[str, Any]], table: str, kind: str) -> list[float]:
 
 
 def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
-    """A row a cell, the worst first."""
+    """A row a cell in which less than 95 % of the intervals to quote hold, the worst first."""
     shown = []
     for key, found in cells.items():
         world, magnitude, runs = key.split("|")
@@ -293,7 +293,7 @@ def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
         "imperfection": "{world}", "effect / noise": "{magnitude}", "runs": "{runs}", "verdicts": "{verdicts}",
         "noise holds": "{noise}", "quoted holds": "{quoted}", "force holds": "{force}",
         "width beside the noise's": "{width:.2g}", "over the former budget's": "{former}",
-    }, sorted(shown, key=lambda row: row["share"]))  # fmt: skip
+    }, sorted((row for row in shown if row["share"] < 0.95), key=lambda row: row["share"]))  # fmt: skip
 
 
 def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
@@ -344,7 +344,8 @@ def main() -> None:
             strengths = {f"{w}|{m:g}": strength_of(w, m) for w, m in itertools.product((*SINGLE, *OTHER), MAGNITUDES)}
             save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths, "former": former})
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
-    publish("imperfect", f"{summary(cells, former)}\n\n{table(cells, former)}", "docs/fits_measured.md")
+    missed = "Cells in which less than 95 % of the intervals to quote hold:"
+    publish("imperfect", f"{summary(cells, former)}\n\n{missed}\n\n{table(cells, former)}", "docs/fits_measured.md")
 
 
 if __name__ == "__main__":
