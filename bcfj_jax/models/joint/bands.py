@@ -137,4 +137,5 @@ def act(
             learnt, mobility = laws.lag(squared, bristles[..., 0])
             hold, bending = normal * mobility, learnt[..., None]
         drag, moment, rubbed = -hold * slide, -hold * swing, hold * squared
-    return ContactForce(force + drag, moment, drag, normal, at.penetration, rate, jnp.sqrt(squared), bending, rubbed)
+    seen = normal, at.penetration, rate, jnp.sqrt(squared)
+    return ContactForce(force + drag, moment, drag, *seen, bending, rubbed, squared)

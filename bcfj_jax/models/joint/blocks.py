@@ -87,7 +87,8 @@ class _Linear(ContactLaws):
 
 def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
     """``laws`` about what ``touch`` found."""
-    depth, rate, square = at = (touch.penetration, touch.rate, touch.slip * touch.slip)
+    assert touch.slip_squared is not None
+    depth, rate, square = at = (touch.penetration, touch.rate, touch.slip_squared)
     one, none = jnp.ones_like(depth), jnp.zeros_like(depth)
     force, by_depth = jax.jvp(laws.normal, (depth, rate), (one, none))
     by_rate = jax.jvp(laws.normal, (depth, rate), (none, one))[1]

@@ -109,6 +109,7 @@ class ContactForce(NamedTuple):
         normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
         bending: (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
         rubbed: (..., f) power that friction takes [W]; None without friction.
+        slip_squared: (..., f) of ``slip``, whose own derivative is not finite at rest.
     """
 
     force: Array
@@ -120,6 +121,7 @@ class ContactForce(NamedTuple):
     slip: Array
     bending: Array | None = None
     rubbed: Array | None = None
+    slip_squared: Array | None = None
 
 
 class Groove(NamedTuple):
@@ -241,7 +243,6 @@ def act(
         drag, rubbed = jnp.sum(drags, -2), -dot(drags, slide)
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
-    slip = jnp.sqrt(slip_squared)
-    return ContactForce(
-        force, None if spin is None else moment, drag, normal, at.penetration, rate, slip, bending, rubbed
-    )
+    moment = None if spin is None else moment
+    seen = normal, at.penetration, rate, jnp.sqrt(slip_squared)
+    return ContactForce(force, moment, drag, *seen, bending, rubbed, slip_squared)

@@ -123,6 +123,18 @@ def test_small_inverses():
     assert np.allclose(inverse(jnp.asarray(one)), np.linalg.inv(one), rtol=0, atol=1e-12)
 
 
+def test_the_matrix_has_derivatives_at_rest():
+    """No contact slides in the start of a joint that does not turn; the square root of a slip has no derivative there."""
+    scene, params, c = made({})
+    y = jnp.where(jnp.arange(scene.states) < scene.moving // 2, scene.initial_state(params), 0.0)
+    schur = jax.jit(lambda y: Arrowhead().factor(jnp.zeros(()), y, (scene, c), 1e-5).coupling_inverse)
+    moving = jnp.arange(scene.states) >= scene.moving // 2
+    way = jnp.asarray(np.random.default_rng(4).normal(size=y.size)) * jnp.where(moving, 1e-4, 1e-10)
+    slope = jax.jit(lambda y: jax.jvp(schur, (y,), (way,))[1])(y)
+    assert np.abs(slope).max() > 0.0
+    np.testing.assert_allclose(slope, 0.5 * (schur(y + way) - schur(y - way)), atol=1e-3 * float(np.abs(slope).max()))
+
+
 # --- start
 
 
