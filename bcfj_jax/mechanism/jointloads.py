@@ -106,7 +106,7 @@ class JointFriction(CoordinateLoad):
             raise InputError(where, "sliding or speed is missing", "give both")
         if law.bristles and self.bristle_stiffness is None:
             raise InputError(
-                f"{where} bristle_stiffness", "is missing", "give some 1000 times sliding a radian or metre"
+                f"{where} bristle_stiffness", "is missing", "give about 1000 times sliding per radian or metre"
             )
         for key in ("bristle_stiffness", "bristle_damping"):
             if not law.bristles and getattr(self, key) is not None:

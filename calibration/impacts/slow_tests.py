@@ -111,20 +111,25 @@ def _motion(run: Run) -> str:
     return f'drive = {{ kind = "{"table" if unit == "m" else "speeds"}", table = [{table}] }}'
 
 
-def _rubbed(run: Run) -> tuple[str, list[Line], str]:
-    """A scene in which a body without mass follows the measured motion against dry friction; what is searched, and read."""
-    force, clock = run.readings["N"], run.clock
-    size, fast = float(np.nanmedian(np.abs(force))), float(np.nanmax(np.abs(_speed(run))))
-    scene = f"""# Friction: the body follows the measured motion, and no inertia counts; written by bcfj init calibration.
+def _follows(run: Run, what: str, mass: object) -> str:
+    """The first lines of a scene: a body that follows the measured motion."""
+    return f"""# {what}: the body follows the measured motion, and no inertia counts; written by bcfj init calibration.
 [scene]
 kind = "mechanism"
 [[body]]
 name = "body"
 joint = "slide"
 axis = "x"
-mass = 0
+mass = {mass}
 {_motion(run)}
-[[load]]
+"""
+
+
+def _rubbed(run: Run) -> tuple[str, list[Line], str]:
+    """A scene in which a body without mass follows the measured motion against dry friction; what is searched, and read."""
+    force, clock = run.readings["N"], run.clock
+    size, fast = float(np.nanmedian(np.abs(force))), float(np.nanmax(np.abs(_speed(run))))
+    scene = f"""{_follows(run, "Friction", 0)}[[load]]
 kind = "joint_friction"
 name = "friction"
 body = "body"
@@ -156,16 +161,7 @@ def _driven(run: Run) -> tuple[str, list[Line], str]:
     ends = [float(force[peak]) / depth**n for n in ((1.0,) if back else (1.0, 2.5))]
     law = 'law = "walton_braun"\n' if back else ""
     values = "restitution = 0.7" if back else "exponent = 1.0\ndamping = 0.0"
-    scene = f"""# A slow test: the body follows the measured places, and no inertia counts; written by bcfj init calibration.
-[scene]
-kind = "mechanism"
-[[body]]
-name = "body"
-joint = "slide"
-axis = "x"
-mass = "1 kg"
-{_motion(run)}
-[[contact]]
+    scene = f"""{_follows(run, "A slow test", '"1 kg"')}[[contact]]
 name = "contact"
 between = ["ground", "body"]
 gap = {{ kind = "point_on_plane", axis = [-1.0, 0.0, 0.0], clearance = true }}
