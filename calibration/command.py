@@ -215,9 +215,7 @@ def _interrupted(told: _Told, path: Path, stop: KeyboardInterrupt) -> int:
 def _absurd(outcome: Outcome) -> list[plausibility.Finding]:
     """What is not plausible of the longest record that is fitted, as the fitted values run it."""
     problem, scene = outcome.problem, outcome.problem.scene
-    longest = max(
-        (e for e in problem.experiments if not e.hold_out), key=lambda e: e.times[-1] if e.times.size else 0.0
-    )
+    longest = max(problem.fitted, key=lambda e: e.times[-1] if e.times.size else 0.0)
     fitted = {name: p.value for name, p in outcome.fit.parameters.items() if name in scene.quantities}
     params = {name: x for name, x in {**problem.params, **longest.fixed, **fitted}.items() if name in scene.quantities}
     return plausibility.at(scene, params, longest.times) if longest.times.size else []

@@ -33,7 +33,7 @@ from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
-from calibration.problem import NUISANCES, Experiment, Problem, nuisances
+from calibration.problem import NUISANCES, Problem, nuisances
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, by_cost, referred, screen, search
@@ -183,8 +183,7 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
     influence.refuse_data(problem)
     for doubt in problem.doubts:
         log.info("before the fit: %s", doubt.text)
-    fitted = _fitted(problem)
-    model = build(problem, fitted)
+    model = build(problem, problem.fitted)
     ahead(partial(evaluation, model))
     if wanted.systematic:
         ahead(partial(law_errors.get_ready, model))
@@ -193,14 +192,15 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
         why = commonest_failure(model, screened.design[:_ASKED])
         raise AllStartsFailed(f"none of {len(screened.costs)} starting points simulates: {why}")
     checked = _checked(problem, model, screened, given)
-    model, ends = search(model, screened, given, starts, wanted.journal)
+    problem, model, ends, said = search(problem, model, screened, given, starts, wanted.journal)
+    fitted = problem.fitted
     ends = tuple(replace(end, failure=failure(model, end.point)) if end.failure else end for end in ends)
     if ends[0].failure:
         why = commonest_failure(model, np.array([end.point for end in ends[:_ASKED]]))
         raise AllStartsFailed(f"all {len(ends)} starts failed: {why}")
     model, ends, noise = settle(model, fitted, ends, problem.accuracy)
     spread = fit_tests.spread(ends[0], sum(e.samples for e in fitted), noise.moved, model.loss)
-    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, wanted.intervals, checked)
+    at, asked = Optimum(model, fitted, ends[0], noise, spread), _Asked(seed, wanted.intervals, checked, said)
     if tell:
         tell(_untested(at, ends, asked))
     with stage("testing the fit"):
@@ -246,10 +246,6 @@ def _counted(problem: Problem, starts: int) -> int:
     if starts < 4:
         raise InputError("starts", f"{starts}", "use at least 4: agreement of fewer proves nothing")
     return starts
-
-
-def _fitted(problem: Problem) -> tuple[Experiment, ...]:
-    return tuple(e for e in problem.experiments if not e.hold_out)
 
 
 def _doubted(problem: Problem, found: Fit) -> Fit:
@@ -375,7 +371,7 @@ def _checked(problem: Problem, model: Model, screened: Screen, given: list[np.nd
     """The check at the start that was given, or at the best of the design."""
     values = given[0] if given else model.values(screened.design[int(np.nanargmin(screened.costs))])
     model = referred(model, by_cost(screened.design, screened.costs))
-    labels = tuple(axis.label(_fitted(problem)) for axis in model.coordinates)
+    labels = tuple(axis.label(problem.fitted) for axis in model.coordinates)
     told = influence.at_start(problem, model, labels, model.point(values), screened.reach)
     told["scales"] = untold(model, labels, model.point(values))
     for scale in told["scales"]:
@@ -443,6 +439,7 @@ class _Asked(NamedTuple):
     seed: int
     intervals: str
     checked: dict[str, Any]
+    said: list[str]
 
 
 def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
@@ -481,6 +478,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     # The same as before the fit, now with the moves at the estimates.
     scales = untold(model, at.labels, at.end.point) if asked.checked.get("scales") else []
     said = [
+        *asked.said,
         *seen.notes,
         *(f"{s['text']}. What helps: {s['remedy']}" for s in scales),
         *intervals.of_integrator(at.noise),

@@ -226,6 +226,12 @@ class Experiment:
             changed["span"] = given.not_negative(where, "span", "s", self.span)
         given.fill(self, changed)
 
+    def until(self, end: float) -> Experiment:
+        """The record up to a time [s]."""
+        inside = self.times <= end
+        channels = tuple(replace(c, values=c.values[inside]) for c in self.channels)
+        return replace(self, times=self.times[inside], channels=channels)
+
     @property
     def samples(self) -> int:
         """Number of readings and features."""
@@ -449,7 +455,7 @@ class Problem:
 
     def _too_few(self) -> Iterator[_Fault]:
         """There are more samples than unknowns, and records that determine every noise which is to be estimated."""
-        fitted = [e for e in self.experiments if not e.hold_out]
+        fitted = self.fitted
         samples = sum(e.samples for e in fitted)
         if samples <= self.unknowns:
             found = f"{samples} samples for {self.unknowns} free parameters"
@@ -493,9 +499,19 @@ class Problem:
                 yield self.where, found, "take one of them out"
 
     @property
+    def fitted(self) -> tuple[Experiment, ...]:
+        """The experiments that are not held out."""
+        return tuple(e for e in self.experiments if not e.hold_out)
+
+    def until(self, ends: Iterable[float]) -> Problem:
+        """The problem of each fitted record up to a time, ``ends`` [s] in their order."""
+        last = iter(ends)
+        return replace(self, experiments=tuple(e if e.hold_out else e.until(next(last)) for e in self.experiments))
+
+    @property
     def unknowns(self) -> int:
         """Numbers that are searched: of each fitted record its own."""
-        count = sum(not e.hold_out for e in self.experiments)
+        count = len(self.fitted)
         return sum(count if f.per_experiment else 1 for f in self.free)
 
     @property

@@ -82,7 +82,7 @@ def at_start(
     jacobian = np.where(np.isfinite(jacobian), jacobian, 0.0)
     lengths = np.linalg.norm(jacobian, axis=0)
     # Where noise is to be estimated 1 % of the largest reading is assumed (``Channel.deviation``); it may be far less.
-    estimated = any(c.sigma is None for e in problem.experiments if not e.hold_out for c in e.channels)
+    estimated = any(c.sigma is None for e in problem.fitted for c in e.channels)
     for label, size in zip(labels, (0.01 / _FINEST if estimated else 1.0) * np.maximum(reach, lengths), strict=True):
         if size < 1.0:
             found = f"'{label}' moves no residual by more than {size:.1g} of the noise over its whole range"

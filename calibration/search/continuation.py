@@ -1,7 +1,7 @@
 """All starts through a growing horizon, in batches of one size: ordered by cost and thinned after every leg.
 
 On the way a run is integrated loosely. The horizon grows as far as the model, fitted up to here, meets the contacts to
-come; where it misses the next one, to that one only.
+come; where it misses the next one, to that one only. Of a body that tumbles it stops where the model no longer follows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bcfj_jax.io.stop import check
 from calibration.forward.model import Model
 from calibration.search.descent import Descents, Evaluate, adam, cost_of, levenberg
 from calibration.search.evaluate import evaluator, loosened
-from calibration.search.horizon import impulses, meets, stages, until
+from calibration.search.horizon import impulses, meets, stages, tumbles, until
 from calibration.solver_budget import budget
 
 log = logging.getLogger("calibration")
@@ -32,6 +32,9 @@ _DRAWS, _FARTHEST = 48, 0.3
 _ROUNDS, _HIT = 4, 0.1
 # Given up after a leg: starts that cost so much more than the best, on that leg's data, but for some.
 _HOPELESS = 4.0
+# A body that tumbles is followed no further where a sample costs so many times what it did on the data before, or, if that is
+# more, what it would at a tenth of the variance that is assumed of noise.
+_LOST, _LITTLE = 3.0, 0.1
 
 
 class Interrupted(KeyboardInterrupt):
@@ -59,8 +62,18 @@ class _Leg(NamedTuple):
         return "the optimum" if self.last else f"{self.reached + 1} of {stages}"
 
 
-def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Descents:
-    """Where all starts (B, P) end, in their order, with costs on all data.
+class Ends(NamedTuple):
+    """Where starts end, in their order, with costs on all data; or on those up to ``followed`` (E,) [s], where they are
+    followed no further, and what a sample costs there and farther, ``shares``.
+    """
+
+    found: Descents
+    followed: np.ndarray | None = None
+    shares: tuple[float, float] = (0.0, 0.0)
+
+
+def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Ends:
+    """Where all starts (B, P) end.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -68,6 +81,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
+    tumbling, known = tumbles(model), Ends(Descents(at, costs, converged))
     leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
@@ -93,6 +107,13 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
             more = f", {len(given_up)} given up before" if len(given_up) else ""
             title = first + len(rows), len(going), more, least
             log.info("stage %s: %d of %d starts done%s, best chi2 %.6g", stage, *title)
+        if tumbling and not leg.last:
+            share = least / max(np.count_nonzero(part.data.weights), 1)
+            if known.followed is not None and share > _LOST * max(known.shares[0], _LITTLE):
+                return known._replace(shares=(known.shares[0], share))
+            # Those given up cost that much on less data.
+            sums = np.where(np.isin(np.arange(count), going), costs, np.maximum(costs, costs[going].max()))
+            known = Ends(Descents(at.copy(), sums, converged.copy()), ends[leg.reached], (share, share))
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
             hopeless = np.arange(len(going)) >= budget(model).kept
@@ -105,7 +126,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
         name = f"given up from {first}"
         costs[rows] = _once(journal, name, at[rows], size, lambda b: _evaluated(model, b)).costs
         converged[rows] = False
-    return Descents(at, costs, converged)
+    return Ends(Descents(at, costs, converged))
 
 
 def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray) -> _Leg | None:
@@ -119,9 +140,9 @@ def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray) -
         return _Leg(leg.reached + 1, False, False)
     residuals, _ = evaluator(loosened(model))(points)
     met = meets(model, residuals, ends)
-    # The farthest stage up to which most starts meet every contact.
-    reached = leg.reached
-    while reached < whole and np.mean(met[:, leg.reached + 1 : reached + 2].all(axis=1)) > 0.5:
+    # The farthest stage up to which most starts meet every contact; the next of a body that tumbles.
+    reached, farthest = leg.reached, leg.reached + 1 if tumbles(model) else whole
+    while reached < farthest and np.mean(met[:, leg.reached + 1 : reached + 2].all(axis=1)) > 0.5:
         reached += 1
     return _Leg(reached, False, False) if reached > leg.reached else _Leg(leg.reached + 1, True, False)
 

@@ -54,6 +54,17 @@ def _at_rest(values: np.ndarray) -> float:
     return 1.4826 / np.sqrt(2.0) * float(np.median(steps)) if steps.size else 0.0
 
 
+def _pulses(model: Model) -> list[int]:
+    """Which readings show contacts as pulses: normal forces, or else others that contacts make pulse."""
+    normal = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
+    return normal or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
+
+
+def tumbles(model: Model) -> bool:
+    """Whether a body's attitude is fitted, and no pulse: where it goes after some contacts hangs on all of them."""
+    return not _pulses(model) and bool(attitudes(model.channels))
+
+
 def stages(model: Model) -> list[np.ndarray]:
     """Ends of the data (E,) [s] to fit one after the other: the 1st contact, all before the 3rd, the 5th, ..., all.
 
@@ -64,9 +75,7 @@ def stages(model: Model) -> list[np.ndarray]:
     if not model.scene.traits.history:
         return [np.asarray(model.data.times)[:, -1]]
     times, values, weights = (np.asarray(a) for a in (model.data.times, model.data.values, model.data.weights))
-    pulsing = [j for j, name in enumerate(model.channels) if name.endswith(".normal")]
-    pulsing = pulsing or [j for j, name in enumerate(model.channels) if name.split(".")[1] in _PULSING]
-    tumbling, ends = not pulsing and bool(attitudes(model.channels)), []
+    pulsing, tumbling, ends = _pulses(model), tumbles(model), []
     for i in range(len(times)):
         clock = times[i][(weights[i] > 0).any(axis=0)]
         most = [clock[0] + x * np.ptp(clock) for x in _SHARES] if tumbling and clock.size else list[float]()

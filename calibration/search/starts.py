@@ -9,13 +9,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
-from calibration.forward.model import Model
+from calibration.forward.model import Model, build
 from calibration.forward.runs import instants, params_at, ran, refusal
+from calibration.problem import Problem
 from calibration.search.continuation import Interrupted, blocks, continued, named
 from calibration.search.descent import Descents, levenberg
 from calibration.search.evaluate import evaluator, loosened
@@ -83,17 +85,31 @@ def _reach(jacobians: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(jacobians), np.abs(jacobians), 0.0).max(axis=(0, 1), initial=0.0)
 
 
+class Searched(NamedTuple):
+    """The problem, its model at the reference penetration that the best end gives, and all starts' ends, best first.
+
+    Where a body tumbles and the model goes another way after some time, it is the problem up to there; ``said`` says so.
+    """
+
+    problem: Problem
+    model: Model
+    ends: tuple[End, ...]
+    said: list[str]
+
+
 def search(
-    model: Model, screened: Screen, starts: list[np.ndarray], count: int, journal: Journal | None = None
-) -> tuple[Model, tuple[End, ...]]:
+    problem: Problem,
+    model: Model,
+    screened: Screen,
+    starts: list[np.ndarray],
+    count: int,
+    journal: Journal | None = None,
+) -> Searched:
     """Descend to optima from the best spread of a screened design.
 
     Args:
         starts: parameter values (SI, one a coordinate) that must be among the starts.
         count: number of starts that descend, >= 2.
-
-    Returns:
-        The model at the reference penetration that the best end gives, and all starts' ends, best first.
 
     Raises:
         Interrupted: on Ctrl-C.
@@ -102,18 +118,34 @@ def search(
     chosen = np.array([*starts, *model.values(_spread(design, costs, count))])[: max(count, len(starts))]
     model = referred(model, by_cost(design, costs))
     points = np.clip(model.point(chosen), 1e-3, 1 - 1e-3)
-    found = continued(model, points, batch_size(len(points)), journal)
-    found = _straight(model, points[: len(starts)], found)
+    found, followed, shares = continued(model, points, batch_size(len(points)), journal)
+    said = []
+    if followed is None:
+        found = _straight(model, points[: len(starts)], found)
+    else:
+        problem, said = problem.until(followed), [_lost(followed, shares)]
+        model = build(problem, problem.fitted)
     old, model = model, referred(model, by_cost(found.points, found.costs))
     if model is not old:
         points, moved = (model.point(old.values(u)) for u in (points, found.points))
         found = found._replace(points=np.clip(moved, 0.0, 1.0))
     try:
-        return model, refined(model, points, found)
+        return Searched(problem, model, refined(model, points, found), said)
     except KeyboardInterrupt:
         k = int(np.argmin(found.costs))
         values, all_of_them = named(model, found.points[k]), f"{len(points)} of {len(points)}"
         raise Interrupted(all_of_them, values, float(found.costs[k]), "refinement") from None
+
+
+def _lost(followed: np.ndarray, shares: tuple[float, float]) -> str:
+    """Up to where records are fitted, and why no farther."""
+    times = sorted({f"{t:.3g}" for t in followed}, key=float)
+    upto = times[0] if len(times) == 1 else f"{times[0]} to {times[-1]}"
+    return (
+        f"records are fitted up to {upto} s: farther on a sample costs {shares[1] / shares[0]:.2g} times as much. Where a body "
+        "that tumbles falls next hangs on all its contacts before: a little change of the law or of a first state leads "
+        "elsewhere. What helps: records that begin between two contacts"
+    )
 
 
 def _straight(model: Model, points: np.ndarray, found: Descents) -> Descents:

@@ -132,7 +132,7 @@ def choose(
 def rival(name: str, problem: Problem, found: Fit) -> Rival:
     """A model's scores: likelihood, held-out error, seconds a prediction."""
     at = found.optimum
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    fitted = problem.fitted
     likelihood = None if problem.loss != "linear" else likelihood_of(fitted, at.model, at.end.residuals, at.noise)
     errors = [e["rms_error_of_peak"] for e in (found.held_out or {}).values()]
     score = float(np.sqrt(np.mean(np.square(errors)))) if errors else None

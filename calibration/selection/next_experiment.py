@@ -111,7 +111,7 @@ def predicted(problem: Problem, values: Mapping[str, float], candidates: Sequenc
     """As ``next_experiment``, at values [SI] by the names that a fit gives its parameters."""
     if not candidates:
         raise InputError("candidates", "none", "give one or more experiments that might be made")
-    fitted = tuple(e for e in problem.experiments if not e.hold_out)
+    fitted = problem.fitted
     model = build(problem, fitted)
     own = np.array([values[axis.label(fitted)] for axis in model.coordinates])
     point = model.point(own)

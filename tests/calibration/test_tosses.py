@@ -118,6 +118,28 @@ def test_a_tumbling_record_is_fitted_from_its_beginning_on_and_many_of_them_spar
     assert (budget(many).apart, budget(many).bends) == (True, False)
     # What eight tosses of a cube ask for is explicit: friction that barely is no stiff one.
     assert not problem.scene.traits.stiff
+    held = replace(one, name="held out", hold_out=True)
+    first, last = replace(problem, experiments=(one, held)).until([0.3]).experiments
+    assert (
+        first.times.size == first.channels[0].values.size == np.count_nonzero(one.times <= 0.3)
+        and last.times.size == one.times.size
+    )
+
+
+@pytest.mark.slow
+def test_a_toss_that_goes_another_way_is_fitted_up_to_there_and_says_so(tmp_path):
+    places, attitudes = toss()
+    # As where the next corner falls otherwise.
+    other = toss(1, vx=-0.2, wy=3.0)
+    part = slice(int(0.6 * TIMES.size), None)
+    places[:, part], attitudes[:, part] = other[0][:, part], other[1][:, part]
+    init.run(write(tmp_path / "toss.csv", places, attitudes), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), print)
+    problem = load(tmp_path / "toss.toml")
+    found = fit(problem, starts=4)
+    assert any("records are fitted up to 0.447 s" in note for note in found.notes), found.notes
+    assert found.records[0].times[-1] < 0.45 < problem.experiments[0].times[-1]
+    low, high = found.parameters["friction_dynamic"].ci95 or (np.nan, np.nan)
+    assert low < FRICTION < high
 
 
 @pytest.mark.slow
