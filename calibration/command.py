@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.growing import Growing
 from bcfj_jax.io.journal import NAME, Journal, key_of
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Rows, Table, Verdict, bounded, brief, percent
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Rows, Table, Verdict, bounded, brief, percent, span
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si
@@ -71,6 +71,8 @@ _ERRORS = (
     "combined uncertainty over that without the error. What costs most is what to measure or buy first"
 )
 _HEAD = ["to quote", "value", "95 % interval", "which allows for", "noise alone", "remark"]
+# More numbers that each run has of its own, such as first states, are shown by their range; fit.json has each.
+_MANY_OWN = 24
 # Of intervals that hold on a condition.
 _IF_SO = "95 % interval, if so"
 
@@ -165,8 +167,9 @@ class _Told:
         self.growing.write(found.stage, as_json(found))
         if found.stage == UNTESTED:
             head = "best fit, not tested yet" if not found.notes else f"best fit, not tested yet; {found.notes[0]}"
-            values = [[name, brief(p.value, p.unit)] for name, p in found.parameters.items()]
-            rows = [head, report.text([["parameter", "value"], *values]), _residual(found)]
+            one_by_one, ranges = _own(found.parameters)
+            values = [[name, brief(found.parameters[name].value, found.parameters[name].unit)] for name in one_by_one]
+            rows = [head, report.text([["parameter", "value"], *values, *ranges]), _residual(found)]
         else:
             known = [row[:4] + row[5:] for row in (_head(found), *_rows(found))]
             rows = [f"verdict so far: {found.verdict}", report.text(known)]
@@ -340,7 +343,8 @@ def _interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
 def _rows(result: Fit) -> list[list[str]]:
     """What to quote, first the force that the data know best; the interval of the noise alone beside."""
     rows, shown = [], _shown(result)
-    for name in _in_order(shown):
+    one_by_one, ranges = _own(shown)
+    for name in _in_order(one_by_one):
         p = shown[name]
         allowed, remark = MEANING.get(p.headline, ""), _remark(p)
         if name == REFERENCE:
@@ -349,7 +353,21 @@ def _rows(result: Fit) -> list[list[str]]:
             allowed, remark = MEANING[quote.KIND] if p.with_budget else "", "the power law where the data are"
         ends = _ends(p.ci95, p.unit), allowed, _ends(p.intervals.get("noise"), p.unit)
         rows.append([_called(name, p), *bounded([p.value], p.ci95 or (), p.unit), *ends, remark])
-    return rows
+    return rows + [[*row, "", "", "", "each in fit.json"] for row in ranges]
+
+
+def _own(shown: Mapping[str, Parameter]) -> tuple[list[str], list[list[str]]]:
+    """Which estimates are shown one by one; of the others, many that each run has of its own, name and range."""
+    own: dict[str, list[Parameter]] = {}
+    for name, p in shown.items():
+        if name.endswith("]"):
+            own.setdefault(name.partition("[")[0], []).append(p)
+    if sum(map(len, own.values())) <= _MANY_OWN:
+        return list(shown), []
+    ranges = [
+        [f"{name} of {len(each)} runs", span((p.value for p in each), each[0].unit)] for name, each in own.items()
+    ]
+    return [name for name in shown if not name.endswith("]")], ranges
 
 
 def _remark(p: Parameter) -> str:

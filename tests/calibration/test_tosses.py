@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
 from bcfj_jax import InputError
-from calibration import fit, init, load
+from calibration import command, fit, init, load
 from calibration.forward.model import build
 from calibration.impacts import tosses
 from calibration.search.horizon import stages
 from calibration.solver_budget import budget
+from calibration.uncertainty.estimates import Parameter
 
 HALF, MASS, FRICTION, STIFFNESS, DAMPING = 0.05, 0.4, 0.25, 2e4, 3.0
 START = dict(x=0.1, y=-0.2, z=0.16, vx=-0.9, vy=0.5, vz=0.2, wx=3.0, wy=-2.0, wz=1.0, q0=0.8, q1=0.3, q2=-0.4, q3=0.33)
@@ -124,6 +125,14 @@ def test_a_tumbling_record_is_fitted_from_its_beginning_on_and_many_of_them_spar
         first.times.size == first.channels[0].values.size == np.count_nonzero(one.times <= 0.3)
         and last.times.size == one.times.size
     )
+
+
+def test_many_first_states_are_shown_by_their_range():
+    runs = {f"body.x[toss_{k}]": Parameter(0.1 + 0.01 * k, "m", None, True, "") for k in range(25)}
+    shown = {"damping": Parameter(4.0, "s/m", None, True, ""), **runs}
+    assert command._own(shown) == (["damping"], [["body.x of 25 runs", "100 to 340 mm"]])
+    runs.popitem(), shown.popitem()
+    assert command._own(shown) == (["damping", *runs], [])
 
 
 @pytest.mark.slow
