@@ -22,8 +22,9 @@ from bcfj_jax.models.joint.scene import Joint
 
 # Longest step of any unknown [m], about the range over which a contact's stiffness is what it was.
 _REACH = 5e-5
-# A Newton step shorter than this [m] is the last: its square over any penetration is below rounding.
-_CLOSE = 1e-10
+# A Newton step shorter than this [m] is the last, where the forces that are missing are less than the grounding's over this
+# length [m], a ten-thousandth of the load: what the step leaves goes with the square of that share, however stiff contacts are.
+_CLOSE, _BALANCED = 1e-10, 1e-2
 # A step is cut where the slope along it has turned and grown by this factor; down to the shortest fraction.
 _TURNED, _SHORTEST = 3.0, 0.01
 # Evaluations an instant may take, and how many of them from its neighbours' places; then it starts again from zero.
@@ -145,7 +146,7 @@ class _Search:
         slope = jnp.sum(out * lanes.step, 0)
         turned = (slope < -_TURNED * lanes.slope) & (lanes.slope > 0) & (lanes.part > _SHORTEST)
         longest = jnp.max(jnp.abs(step), 0)
-        good = ~turned & (longest < _CLOSE)
+        good = ~turned & (longest < _CLOSE) & (jnp.max(jnp.abs(out), 0) < _BALANCED * here.spring)
         ended = good | (trials >= _TRIALS) | ~jnp.isfinite(longest)
         # Where stiffness is negative along it, Newton's step leads up the energy, to the top of a hill: the other way.
         down = jnp.where(jnp.sum(out * step, 0) < 0, -step, step)
