@@ -38,7 +38,7 @@ from calibration.selection.next_experiment import said as candidates_said
 from calibration.selection.next_experiment import table as candidates_table
 from calibration.uncertainty import intervals as uncertainty
 from calibration.uncertainty import quote, unstated_filter
-from calibration.uncertainty.estimates import REFERENCE, Reference
+from calibration.uncertainty.estimates import REFERENCE, Reference, one_by_one
 from calibration.uncertainty.intervals import check_kind
 from calibration.uncertainty.law_miss import NEXT_RUN
 
@@ -71,8 +71,6 @@ _ERRORS = (
     "combined uncertainty over that without the error. What costs most is what to measure or buy first"
 )
 _HEAD = ["to quote", "value", "95 % interval", "which allows for", "noise alone", "remark"]
-# More numbers that each run has of its own, such as first states, are shown by their range; fit.json has each.
-_MANY_OWN = 24
 # Of intervals that hold on a condition.
 _IF_SO = "95 % interval, if so"
 
@@ -357,17 +355,12 @@ def _rows(result: Fit) -> list[list[str]]:
 
 
 def _own(shown: Mapping[str, Parameter]) -> tuple[list[str], list[list[str]]]:
-    """Which estimates are shown one by one; of the others, many that each run has of its own, name and range."""
-    own: dict[str, list[Parameter]] = {}
-    for name, p in shown.items():
-        if name.endswith("]"):
-            own.setdefault(name.partition("[")[0], []).append(p)
-    if sum(map(len, own.values())) <= _MANY_OWN:
-        return list(shown), []
-    ranges = [
-        [f"{name} of {len(each)} runs", span((p.value for p in each), each[0].unit)] for name, each in own.items()
-    ]
-    return [name for name in shown if not name.endswith("]")], ranges
+    """Which estimates are shown one by one; of the others, that each run has of its own, name and range."""
+    alone, own = one_by_one(list(shown)), dict[str, list[Parameter]]()
+    for name in shown.keys() - set(alone):
+        own.setdefault(name.partition("[")[0], []).append(shown[name])
+    found = sorted(own.items())
+    return alone, [[f"{name} of {len(each)} runs", span((p.value for p in each), each[0].unit)] for name, each in found]
 
 
 def _remark(p: Parameter) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from bcfj_jax.io.page import Picture, counted
 from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain, sheet
 from calibration.fit import Fit
+from calibration.uncertainty.estimates import one_by_one
 from calibration.uncertainty.posterior import Posterior
 from calibration.uncertainty.profile import Profile
 
@@ -34,9 +35,10 @@ def draw(fit: Fit, folder: Path) -> list[Picture]:
         posterior(evidence.posterior, units, folder / FILES[1])
         shows = f"Draws from the posterior of {', '.join(evidence.posterior.labels)}; 95 % shaded."
         found.append(Picture(FILES[1], "Posterior", shows))
-    if fit.correlation is not None and len(fit.labels) > 1:
-        names = ["reference_force" if p.kind == "derived" else name for name, p in fit.parameters.items()]
-        correlation(fit.correlation, names, folder / FILES[2])
+    names = ["reference_force" if p.kind == "derived" else name for name, p in fit.parameters.items()]
+    few = [names.index(name) for name in one_by_one(names)]
+    if fit.correlation is not None and len(few) > 1:
+        correlation(fit.correlation[np.ix_(few, few)], [names[k] for k in few], folder / FILES[2])
         apart = np.abs(np.asarray(fit.correlation) - np.eye(len(names)))
         i, k = np.unravel_index(int(np.argmax(apart)), apart.shape)
         most = f"{fit.correlation[i, k]:+.2f}, of {names[i]} and {names[k]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,7 +24,15 @@ from calibration.solver_budget import budget
 REFERENCE = "reference force"
 # In half-widths of an interval.
 _NEAR = 0.1
+# More numbers that each run has of its own, such as first states, are not shown one by one; fit.json has each.
+_MANY_OWN = 24
 Ends = tuple[float, float]
+
+
+def one_by_one(names: Sequence[str]) -> list[str]:
+    """Which estimates are shown one by one: all, or those that runs share, where each run has many of its own."""
+    shared = [name for name in names if not name.endswith("]")]
+    return shared if len(names) - len(shared) > _MANY_OWN else list(names)
 
 
 @dataclass(frozen=True)
