@@ -150,6 +150,7 @@ class JointFriction(CoordinateLoad):
         return self._law.reach(self._told(p))
 
     def holding(self, slip: Array, p: Params, time: float) -> tuple[Array, Array]:
+        """The law's."""
         return self._law.holding(slip * slip, self._told(p), time)
 
     def parameters(self, turns: bool = True) -> Parameters:

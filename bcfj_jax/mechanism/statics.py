@@ -167,15 +167,13 @@ class _Search:
 
         return -jax.jacfwd(forces)(jnp.zeros(self.count))
 
-    def newton(self, at: tuple[Array, Slips], p: Params, beside: Array | None = None) -> tuple[Array, Slips]:
+    def newton(self, at: tuple[Array, Slips], p: Params, beside: Array) -> tuple[Array, Slips]:
         """One step with s at its largest from places and slips; ``beside``: a move of the places given (0)."""
-        (places, held), push = at, 0.0
-        if beside is not None:
-            held = self.slid(places, held, -beside, p)
-            push = beside / _MOST
+        places = at[0]
+        held = self.slid(places, at[1], -beside, p)
         force, _, mass = self.forces(places, held, p)
         matrix = jnp.diag(mass / _MOST) + self.stiffness(places, held, p)
-        move = jnp.linalg.solve(matrix, force + mass * push)
+        move = jnp.linalg.solve(matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(places, held, move, p)
 
     def creep(self, at: tuple[Array, Slips], p: Params) -> Array:
@@ -234,8 +232,8 @@ def initial_state(m: Dynamics, p: Params, begun: Array) -> Array:
     ways = jax.jacfwd(partial(search.moved, found[0]))(jnp.zeros(search.count))
     # 0, with the derivatives of the places given: they stay where nothing holds a body.
     beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (search.given - placed))
-    found = search.newton(found, search.read, beside)
-    found = search.newton(found, search.read)
+    # A loop compiles one of both steps.
+    found, _ = lax.scan(lambda at, x: (search.newton(at, search.read, x * beside), None), found, jnp.array([1.0, 0.0]))
     places, speeds = found[0], begun[found[0].size : found[0].size + search.count]
     if search.held:
         speeds = speeds + search.creep(found, search.read)
@@ -247,7 +245,9 @@ def rest(m: Dynamics, p: Params) -> Rest:
     """What is found of one set of parameters."""
     search = _Search(m, p)
     crept, balanced = _crept(search, search.given, search.read)
-    found, held = jax.tree.map(partial(jnp.where, balanced), search.newton(crept, search.read), crept)
+    found, held = jax.tree.map(
+        partial(jnp.where, balanced), search.newton(crept, search.read, jnp.zeros(search.count)), crept
+    )
     force, sizes, mass = search.forces(found, held, search.read)
     scaled = 1.0 / jnp.sqrt(jnp.maximum(mass, 1e-300))
     matrix = search.stiffness(found, held, search.read) * scaled[:, None] * scaled
