@@ -104,16 +104,17 @@ class _Search:
     """
 
     def __init__(self, m: Dynamics, p: Params, bound: bool = True) -> None:
-        held = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
+        fixed = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
                 for b in m.bodies]  # fmt: skip
-        self.scene = replace(m, bodies=tuple(held), start="", one_by_one=True)
+        self.scene = replace(m, bodies=tuple(fixed), start="", one_by_one=True)
         self.placed, self.free = [k for *_, k in m._placed], [k for *_, k in m._free]
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
         self.bound, still = bound, jnp.zeros(self.count)
         read = _Read(p)
-        self.held = stuck.slips(self.scene, self.given, still, read, bound)
-        self.held = stuck.added(self.scene, self._at(self.given, read), self.held, self.held, read, bound)
+        held = stuck.slips(self.scene, self.given, still, read, bound)
+        held = stuck.added(self.scene, self._at(self.given, read), held, held, read, bound)
+        self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
         self._forces(self.given, self.held, read)
         # As functions of their own they are traced once, however often asked for; of what they read, and no more.
         self.read, self.forces, self.slid = read.read, jax.jit(self._forces), jax.jit(self._slid)
