@@ -82,7 +82,7 @@ def test_a_standing_cylinder_tips_over_its_rim():
     way = (np.cos(np.pi / n), np.sin(np.pi / n), 0.0)
     for tall in (0.9, 1.1):
         load = Force("push", "log", way, tall * M * G * lever / height, (0.0, 0.0, height - A))
-        # What keeps it from sliding is on the floor: at rest friction gives nothing.
+        # It has no friction: what keeps it from sliding is a bush on the floor.
         foot = Bush("foot", (GROUND, "log"), (1e6, 1e6, 0.0), at=((0, 0, 0), (0, 0, -A)))
         made = scene(gaps.CylinderOnPlane("z", points=n), {"z": A}, [load, foot], friction=None)[0]
         made = replace(made, start="static")
