@@ -27,7 +27,7 @@ from calibration.impacts import slow_tests, tosses
 from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
-from calibration.impacts.otherwise import InMotion
+from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
 from calibration.impacts.plausible import effective
 from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
@@ -106,6 +106,10 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
         if said.scene:
             raise
         return tosses.draft(moved, record, said, path, file)
+    except Steady as curve:
+        if said.scene:
+            raise
+        return slow_tests.steady(curve, path)
     if not said.scene and (slow_tests.pulls(found.records[0], str(record)) or slow_tests.is_slow(found.records[0])):
         return slow_tests.draft(found, said, path, file)
     kind = said.scene or _kind(found)

@@ -15,8 +15,9 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from bcfj_jax.contact.elastic import Coefficients
 from bcfj_jax.contact.part import Part
@@ -88,6 +89,28 @@ class Plain(bj.laws.AbstractFriction):
     def reach(self, c: Coefficients) -> Array:
         """Size of the state, in which its errors are measured; of a law without a state nobody reads it."""
         return jnp.ones(())
+
+    def crest(self, c: Coefficients) -> Array:
+        """Slip speed up to which the coefficient rises [m/s], to a thousandth; 1000 where it never falls."""
+        coefficient = jax.vmap(lambda v: self.coefficient(v, c))
+        grid, best = jnp.geomspace(1e-9, 1e3, 241), jnp.ones(())
+        for _ in range(2):
+            values = coefficient(best * grid.reshape(-1, *(1 for _ in best.shape)))
+            falls = jnp.concatenate([values[1:] < values[:-1], jnp.ones_like(values[:1], bool)])
+            best, grid = best * grid[jnp.argmax(falls, axis=0)], jnp.linspace(0.85, 1.15, 301)
+        return lax.stop_gradient(best)
+
+    def holding(self, squared: Array, c: Coefficients, time: float) -> tuple[Array, Array]:
+        """Of a contact that has moved by s ``time`` [m]: mobility [s/m], and the share of s that stays (``mechanism.stuck``).
+
+        ``squared`` is s.s [m^2/s^2]. What is beyond the greatest coefficient, or a bristle's break-away, has slid.
+        """
+        most = self.reach(c) / time if self.bristles else self.crest(c)
+        beyond = squared > most**2
+        share = jnp.where(beyond, most / jnp.sqrt(jnp.where(beyond, squared, 1.0)), 1.0)
+        if self.bristles:
+            return time * self.bond(jnp.zeros_like(squared), c)[1], share
+        return self.mobility(squared * share * share, c), share
 
     @classmethod
     def lacking(cls) -> list[str]:

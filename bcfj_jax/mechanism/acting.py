@@ -150,6 +150,10 @@ class CoordinateLoad(AbstractLoad):
         """What errors of that are measured in."""
         return jnp.ones(())
 
+    def holding(self, slip: Array, p: Params, time: float) -> tuple[Array, Array]:
+        """As ``AbstractFriction.holding`` of a rate [m/s, rad/s]; nothing is held by a load that is not dry friction."""
+        return jnp.zeros_like(slip), jnp.ones_like(slip)
+
     @abstractmethod
     def parameters(self, turns: bool = True) -> Parameters:
         """Its parameters with their defaults; ``turns``: whether the coordinate is an angle."""

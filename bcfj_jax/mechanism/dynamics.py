@@ -278,17 +278,18 @@ class Dynamics(AbstractModel):
         moving = [*flat(q, [k for *_, k in self._placed]), *flat(v, [k for *_, k in self._free])]
         return jnp.stack(moving) if moving else jnp.zeros(0)
 
-    def recalling(self, start: Array, params: Params) -> Array:
-        """The state at time 0 of coordinates and velocities: with what contacts remember."""
+    def recalling(self, start: Array, params: Params, bent: Mapping[str, Any] | None = None) -> Array:
+        """The state at time 0 of coordinates and velocities: with what contacts remember; ``bent``: bristles by owner."""
         if not self._memory:
             return start
         unknown = jnp.zeros(sum(k or 1 for _, k in self._memory))
         found = self.instant(jnp.zeros(()), jnp.concatenate([start, unknown]), params, laws=False)
         memory: list[Number] = []
         for c in self.contacts:
-            for face, touch in self.faces_of(found, c.name):
-                memory += c.first(face, touch, params)
-        memory += [0.0] * len(self._bristly)
+            for i, (face, touch) in enumerate(self.faces_of(found, c.name)):
+                first = c.first(face, touch, params)
+                memory += [*first[:-3], *bent[c.name][i]] if bent and c.bristles else first
+        memory += [bent[load.name] if bent else 0.0 for load in self._bristly]
         return jnp.concatenate([start, flat(memory, [k for _, k in self._memory])])
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:

@@ -149,6 +149,10 @@ class JointFriction(CoordinateLoad):
     def reach(self, p: Params) -> Array:
         return self._law.reach(self._told(p))
 
+    def holding(self, slip: Array, p: Params, time: float) -> tuple[Array, Array]:
+        """The law's."""
+        return self._law.holding(slip * slip, self._told(p), time)
+
     def parameters(self, turns: bool = True) -> Parameters:
         force, way = ("N m", "rad") if turns else ("N", "m")
         units = (force, force, f"{way}/s", f"{force}/{way}", f"{force} s/{way}")

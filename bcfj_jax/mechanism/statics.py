@@ -1,16 +1,16 @@
 """A start at rest: the places at which all forces balance, and their derivatives.
 
 Sought are coordinates q with Q(q, u = 0, t = 0) = 0, Q the force on every free velocity u (``equations``): weight, springs,
-preload and contacts; drives hold their places of time 0. Friction gives nothing at rest, and states of laws and bristles are
-as at a first touch. From the places of ``start`` the bodies move as if damped heavily (pseudo-transient continuation;
-Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508):
+preload, contacts; drives hold their places of time 0. Friction holds from where the search first touches (``stuck``, whose
+slips are found with the places); what laws remember is as at a first touch. From the places of ``start`` the bodies move as if
+damped heavily (pseudo-transient continuation; Kelley and Keyes, SIAM J. Numer. Anal. 35 (1998) 508):
 
     (M/s + K) d = Q,    K = -dQ/dq,    q <- q + d,
 
 M the diagonal of the mass matrix; s grows where a step loses energy, (Q + Q') . d >= 0, and falls where it gains. So a fall
 ends on what is below, and a pendulum hangs. With s large this is Newton's method. Steps of it beyond the
 solution carry the derivatives (implicit function theorem: dq = K^-1 dQ; two steps for second ones). Where K has no stiffness
-and nothing pulls, as along a floor, bodies stay where they are.
+and nothing pulls, as along a floor, bodies stay where they are. A change of the places given moves what friction holds with it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ import numpy as np
 from jax import Array, lax
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism import equations
+from bcfj_jax.mechanism import equations, stuck
 from bcfj_jax.mechanism.bodies import Drive, unit_of
 from bcfj_jax.mechanism.checks import asked
-from bcfj_jax.mechanism.dynamics import Dynamics
+from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.instruments import Forces
+from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.mechanism.stuck import TIME, Slips
 
 # Steps; a force is balanced to this share of all that act along it, or to what K makes of places so far off [m, rad].
-_STEPS, _BALANCED, _ROUNDED = 2000, 1e-9, 1e-14
+_STEPS, _BALANCED, _ROUNDED, _FAR = 2000, 1e-9, 1e-14, 1e3
 # s [s^2] at first and at most; a step's turn at most [rad].
 _FIRST, _MOST, _TURN = 1e-6, 1e4, 0.5
 # A motion is named whose force is so much of the greatest left; of K relative to M, below which it is none [1/s^2].
@@ -42,21 +44,21 @@ _NAMED, _SOFT = 1e-2, 1e-3
 
 
 class Rest(NamedTuple):
-    """What is found: coordinates; by velocity the force left, the sizes of all that act, and the least stiff motion.
+    """What is found: coordinates; by velocity the force left, the sizes of all that act; and how stiff it is.
 
     Attributes:
         places: (q,) coordinates.
         left, sizes: (n,) [N, N m].
         balanced: whether the forces balance.
-        softest: least eigenvalue of K over M [1/s^2], negative where the equilibrium is unstable; its ``mode`` (n,).
+        stiffness: K over M, (n, n) [1/s^2]; ``scaled`` (n,) the roots of 1/M.
     """
 
     places: Array
     left: Array
     sizes: Array
     balanced: Array
-    softest: Array
-    mode: Array
+    stiffness: Array
+    scaled: Array
 
 
 class _Held:
@@ -96,19 +98,26 @@ class _Read(Mapping):
 
 
 class _Search:
-    """The forces of one mechanism at rest; flat coordinates (q,), moves (n,) one a velocity."""
+    """The forces of one mechanism at rest; flat coordinates (q,), moves (n,) one a velocity.
 
-    def __init__(self, m: Dynamics, p: Params) -> None:
-        held = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
+    ``bound``: whether friction has limits.
+    """
+
+    def __init__(self, m: Dynamics, p: Params, bound: bool = True) -> None:
+        fixed = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
                 for b in m.bodies]  # fmt: skip
-        self.scene = replace(m, bodies=tuple(held), start="", one_by_one=True)
+        self.scene = replace(m, bodies=tuple(fixed), start="", one_by_one=True)
         self.placed, self.free = [k for *_, k in m._placed], [k for *_, k in m._free]
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
+        self.bound, still = bound, jnp.zeros(self.count)
         read = _Read(p)
-        self._forces(self.given, read)
-        # As a function of its own it is traced once, however often it is asked for; of what it reads, and no more.
-        self.read, self.forces = read.read, jax.jit(self._forces)
+        held = stuck.slips(self.scene, self.given, still, read, bound)
+        held = stuck.added(self.scene, self._at(self.given, read), held, held, read, bound)
+        self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
+        self._forces(self.given, self.held, read)
+        # As functions of their own they are traced once, however often asked for; of what they read, and no more.
+        self.read, self.forces, self.slid = read.read, jax.jit(self._forces), jax.jit(self._slid)
         turning = [unit_of(rate) == "rad/s" for _, rate, k in m._free for _ in range(k or 1)]
         self.turning = np.array(turning, bool)
 
@@ -124,14 +133,26 @@ class _Search:
                 q[i : i + 4] = [x / size for x in q[i : i + 4]]
         return equations.flat(q, self.placed)
 
-    def _forces(self, places: Array, p: Params) -> tuple[Array, Array, Array]:
+    def _at(self, places: Array, p: Params) -> Instant:
+        y = self.scene.recalling(jnp.concatenate([places, jnp.zeros(self.count)]), p)
+        return self.scene.instant(jnp.zeros(()), y, p)
+
+    def _slid(self, places: Array, held: Slips, move: Array, p: Params) -> Slips:
+        """Slips after a move."""
+        new = stuck.slips(self.scene, places, move / TIME, p, self.bound)
+        return stuck.added(self.scene, self._at(places, p), held, new, p, self.bound)
+
+    def _forces(
+        self, places: Array, held: Slips, p: Params, creeping: Slips | None = None
+    ) -> tuple[Array, Array, Array]:
         """Force on every free velocity, the sizes of all that act, the diagonal of the mass matrix; (n,) each."""
-        scene, t = self.scene, jnp.zeros(())
-        y = scene.recalling(jnp.concatenate([places, jnp.zeros(self.count)]), p)
-        now, found = scene.instant(t, y, p), _Sizes(scene._members)
+        scene, t, found = self.scene, jnp.zeros(()), _Sizes(self.scene._members)
+        now, dry = stuck.rubbed(scene, self._at(places, p), held, p, self.bound, creeping)
         scene._pressed(found, now, p)
         for load in scene.loads:
             scene._loaded(found, load, t, now, p)
+            if isinstance(load, CoordinateLoad) and load.name in dry:
+                found.push(scene._coordinate(load.body, t, now, p)[0], dry[load.name])
         n = len(self.free)
         for b in scene.ordered:
             part = now.bodies.parts[b.name]
@@ -139,15 +160,30 @@ class _Search:
         mass = [found.entry(j, j) for j in range(n)]
         return tuple(equations.flat(x[:n], self.free) for x in (found.forces, found.sizes, mass))  # pyright: ignore[reportReturnType]
 
-    def stiffness(self, places: Array, p: Params) -> Array:
+    def stiffness(self, places: Array, held: Slips, p: Params) -> Array:
         """K (n, n)."""
-        return -jax.jacfwd(lambda move: self.forces(self.moved(places, move), p)[0])(jnp.zeros(self.count))
 
-    def newton(self, places: Array, p: Params, beside: Array | float = 0.0) -> Array:
-        """One step with s at its largest, ``beside`` added to the forces."""
-        force, _, mass = self.forces(places, p)
-        matrix = jnp.diag(mass / _MOST) + self.stiffness(places, p)
-        return self.moved(places, jnp.linalg.solve(matrix, force + mass / _MOST * beside))
+        def forces(move: Array) -> Array:
+            return self.forces(self.moved(places, move), self.slid(places, held, move, p), p)[0]
+
+        return -jax.jacfwd(forces)(jnp.zeros(self.count))
+
+    def newton(self, at: tuple[Array, Slips], p: Params, beside: Array) -> tuple[Array, Slips]:
+        """One step with s at its largest from places and slips; ``beside``: a move of the places given (0)."""
+        places = at[0]
+        held = self.slid(places, at[1], -beside, p)
+        force, _, mass = self.forces(places, held, p)
+        matrix = jnp.diag(mass / _MOST) + self.stiffness(places, held, p)
+        move = jnp.linalg.solve(matrix, force + mass / _MOST * beside)
+        return self.moved(places, move), self.slid(places, held, move, p)
+
+    def creep(self, at: tuple[Array, Slips], p: Params) -> Array:
+        """Velocities (n,) at which friction bears what it bears."""
+        places, held = at
+        return stuck.velocities(
+            lambda new: self.forces(places, new, p, held)[0],
+            lambda v: stuck.slips(self.scene, places, v, p, self.bound), held, self.forces(places, held, p)[2],
+        )  # fmt: skip
 
 
 class _Moved(NamedTuple):
@@ -157,57 +193,73 @@ class _Moved(NamedTuple):
     v: list[Any]
 
 
-def _crept(search: _Search, places: Array, p: Params) -> tuple[Array, Array]:
-    """Coordinates where the bodies come to rest, and whether they do."""
+def _crept(search: _Search, places: Array, p: Params) -> tuple[tuple[Array, Slips], Array]:
+    """Coordinates and slips where the bodies come to rest, and whether they do."""
 
-    def step(carry: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        places, s, i, _ = carry
-        force, sizes, mass = search.forces(places, p)
-        matrix = search.stiffness(places, p)
-        # Forces of springs are rounded as their lengths are.
-        rounded = _ROUNDED * jnp.maximum(1.0, jnp.max(jnp.abs(places), initial=0.0)) * jnp.sum(jnp.abs(matrix), 1)
+    def step(carry: tuple[Array, Slips, Array, Array, Array]) -> tuple[Array, Slips, Array, Array, Array]:
+        places, held, s, i, _ = carry
+        force, sizes, mass = search.forces(places, held, p)
+        matrix = search.stiffness(places, held, p)
+        # Forces of springs are rounded as their lengths are; what is farther away flees.
+        far = jnp.clip(jnp.max(jnp.abs(places), initial=0.0), 1.0, _FAR)
+        rounded = _ROUNDED * far * jnp.sum(jnp.abs(matrix), 1)
         done = jnp.all(jnp.abs(force) <= _BALANCED * sizes + rounded)
         move = jnp.linalg.solve(jnp.diag(mass / s) + matrix, force)
         turn = jnp.max(jnp.where(search.turning, jnp.abs(move), 0.0), initial=0.0)
         move = move / jnp.maximum(turn / _TURN, 1.0)
-        there = search.moved(places, move)
-        after = search.forces(there, p)[0]
+        there, slid = search.moved(places, move), search.slid(places, held, move, p)
+        after = search.forces(there, slid, p)[0]
         lost = (jnp.dot(force, move) > 0.0) & (jnp.dot(force + after, move) >= 0.0)
         s = jnp.clip(jnp.where(lost, 4.0 * s, s / 8.0), 1e-30, _MOST)
-        return jnp.where(lost & ~done, there, places), s, i + 1, done
+        there, slid = jax.tree.map(partial(jnp.where, lost & ~done), (there, slid), (places, held))
+        return there, slid, s, i + 1, done
 
-    def more(carry: tuple[Array, Array, Array, Array]) -> Array:
-        return (carry[2] < _STEPS) & ~carry[3]
+    def more(carry: tuple[Array, Slips, Array, Array, Array]) -> Array:
+        return (carry[3] < _STEPS) & ~carry[4]
 
-    begin = places, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(False)
-    found, _, _, balanced = lax.while_loop(more, step, begin)
-    return found, balanced
+    begin = places, search.held, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(False)
+    found, held, _, _, balanced = lax.while_loop(more, step, begin)
+    return (found, held), balanced
 
 
 def initial_state(m: Dynamics, p: Params, begun: Array) -> Array:
-    """The state at rest, from the one at which the bodies are placed; velocities that a start gives stay. NaN without rest."""
+    """The state at rest, from the one at which the bodies are placed; NaN without rest.
+
+    Velocities that a start gives stay; those at which friction creeps are added.
+    """
     search = _Search(m, p)
     placed, still = lax.stop_gradient((search.given, search.read))
-    found, balanced = _crept(search, placed, still)
-    ways = jax.jacfwd(partial(search.moved, found))(jnp.zeros(search.count))
+    found, balanced = lax.stop_gradient(_crept(search, placed, still))
+    ways = jax.jacfwd(partial(search.moved, found[0]))(jnp.zeros(search.count))
     # 0, with the derivatives of the places given: they stay where nothing holds a body.
     beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (search.given - placed))
-    found = search.newton(found, search.read, beside)
-    found = search.newton(found, search.read)
-    moving = jnp.concatenate([jnp.where(balanced, found, jnp.nan), begun[found.size : found.size + search.count]])
-    return m.recalling(moving, p)
+    # A loop compiles one of both steps.
+    found, _ = lax.scan(lambda at, x: (search.newton(at, search.read, x * beside), None), found, jnp.array([1.0, 0.0]))
+    places, speeds = found[0], begun[found[0].size : found[0].size + search.count]
+    if search.held:
+        speeds = speeds + search.creep(found, search.read)
+    moving = jnp.concatenate([jnp.where(balanced, places, jnp.nan), speeds])
+    return m.recalling(moving, p, stuck.bent(search.scene, found[1]))
 
 
 def rest(m: Dynamics, p: Params) -> Rest:
     """What is found of one set of parameters."""
     search = _Search(m, p)
-    found, balanced = _crept(search, search.given, search.read)
-    found = jnp.where(balanced, search.newton(found, search.read), found)
-    force, sizes, mass = search.forces(found, search.read)
+    crept, balanced = _crept(search, search.given, search.read)
+    found, held = jax.tree.map(
+        partial(jnp.where, balanced), search.newton(crept, search.read, jnp.zeros(search.count)), crept
+    )
+    force, sizes, mass = search.forces(found, held, search.read)
     scaled = 1.0 / jnp.sqrt(jnp.maximum(mass, 1e-300))
-    matrix = search.stiffness(found, search.read) * scaled[:, None] * scaled
-    values, modes = jnp.linalg.eigh(0.5 * (matrix + matrix.T))
-    return Rest(found, force, sizes, balanced, values[0], modes[:, 0] * scaled)
+    matrix = search.stiffness(found, held, search.read) * scaled[:, None] * scaled
+    return Rest(found, force, sizes, balanced, matrix, scaled)
+
+
+def sticking(m: Dynamics, p: Params) -> tuple[Array, dict[str, tuple[Array, Array]]]:
+    """Whether friction without limits finds a rest; by contact and load what it needs there, and what friction has."""
+    search = _Search(m, p, bound=False)
+    (places, held), balanced = _crept(search, search.given, search.read)
+    return balanced, stuck.needed(search.scene, search._at(places, p), held, p)
 
 
 def check(m: Dynamics, p: Params, where: str) -> None:
@@ -227,7 +279,20 @@ def check(m: Dynamics, p: Params, where: str) -> None:
         remedy = (
             "hold it by a spring, a contact or a drive, place it nearer to where it rests, or take start = 'static' out"
         )
+        balanced, ratios = asked(sticking, m, dict(p))
+        lacking = [
+            f"{float(need):.3g} at '{name}' (it has {float(has):.3g})"
+            for name, (need, has) in ratios.items()
+            if float(need) > float(has)
+        ]
+        if bool(balanced) and lacking:
+            remedy = f"friction of {' and '.join(lacking)} would hold it; give that, or {remedy}"
         raise InputError(f"{where} start", f"{held}; {left[worst]:.3g} {units[worst]} are left", remedy)
-    if float(found.softest) < -_SOFT:
-        said = f"the equilibrium is unstable: {moving(np.abs(np.asarray(found.mode)))} would leave it"
+    # Friction's part of K is not symmetric.
+    values, modes = np.linalg.eig(np.asarray(found.stiffness))
+    rates = np.real(values)
+    softest = int(np.argmin(rates)) if rates.size else 0
+    if rates.size and rates[softest] < -_SOFT:
+        leaving = moving(np.abs(modes[:, softest]) * np.asarray(found.scaled))
+        said = f"the equilibrium is unstable: {leaving} would leave it"
         raise InputError(f"{where} start", said, "start it beside, or hold it")

@@ -31,6 +31,18 @@ class InMotion(InputError):
         self.table, self.columns = table, columns
 
 
+class Steady(InputError):
+    """A curve of steady states: friction against speed, without a clock; ``columns``: speed, friction, and "" or normal force."""
+
+    def __init__(self, table: Record, columns: tuple[str, str, str]) -> None:
+        super().__init__(
+            table.name,
+            f"'{columns[1]}' against '{columns[0]}' is a curve of steady states, without a time",
+            "propose a scene that is driven from state to state with bcfj init calibration, without --scene",
+        )
+        self.table, self.columns = table, columns
+
+
 def refuse_motion(table: Record) -> None:
     """Refuse a record of places and attitudes, scalar first, whatever else it holds."""
     found: dict[str, str] = {}
@@ -43,17 +55,20 @@ def refuse_motion(table: Record) -> None:
         raise InMotion(table, found)
 
 
-def without_time(header: tuple[str, ...], kinds: Mapping[str, str], where: str) -> InputError | None:
+def without_time(table: Record, kinds: Mapping[str, str]) -> InputError | None:
     """What a table without a clock is, by its headers and by the readings found, header by unit; None for nothing known."""
+    header, where = table.header, table.name
     names = {h: column(h)[0].replace("_", " ") for h in header}
     named = {key: next((h for h, name in names.items() if w.search(name)), "") for key, w in _WORDS.items()}
     if h := named["rebound"]:
         e = 'of heights e = sqrt(rebound/drop); "contact.impulse" is m v (1 + e)'
         remedy = _EACH.format('parameters = { drop_height = "100 mm" }', '"contact.impulse" = "0.9 N s"')
         return InputError(where, f"'{h}' is a result of each impact, and no column is a time", f"{remedy} ({e})")
-    if (h := named["friction"]) and (speed := kinds.get("m/s", named["speed"])):
-        remedy = _EACH.format("its speed as a parameter of a driven scene", '"contact.mean" = "5 N"')
-        return InputError(where, f"'{h}' against '{speed}' is a curve of steady states, without a time", remedy)
+    # A ratio named as one goes before forces, of which the second is friction.
+    force = kinds.get("tangential", kinds.get("N", ""))
+    ratio = "" if named["friction"] in kinds.values() else named["friction"]
+    if (h := ratio or force) and (speed := kinds.get("m/s", named["speed"])):
+        return Steady(table, (speed, h, kinds.get("N", "") if h == kinds.get("tangential") else ""))
     if {"N", "m"} <= kinds.keys():
         found = f"'{kinds['N']}' against '{kinds['m']}' is a curve without a time"
         remedy = 'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command'

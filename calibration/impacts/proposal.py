@@ -170,7 +170,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
     headers = ", ".join(h for h in table.header if h)
     if "s" not in found:
-        if known := without_time(table.header, found, where):
+        if known := without_time(table, found):
             raise known
         bare = column(table.header[0])[0]
         remedy = f'head one as "time [s]", or say which it is: --time "{bare} [us]" of init calibration'

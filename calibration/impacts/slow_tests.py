@@ -8,7 +8,9 @@ from shlex import quote
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.io.units import column
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
+from calibration.impacts.otherwise import Steady
 from calibration.impacts.proposal import Run, Understood
 
 # A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
@@ -19,8 +21,12 @@ _ALIKE, _PULLS = 0.33, 0.1
 _RUBS = 0.5
 # Of a loop the share of the work that comes back from which on nothing is lost.
 _ELASTIC = 0.96
-# Rows of a table of places, and samples up to a peak by which a speed is told.
-_ROWS, _FEW = 300, 4
+# A steady force rises with speed where it ends by so much above its least beyond the peak.
+_RISES = 1.05
+# A curve falls from its slowest row on if it begins at this share of its greatest.
+_EARLY = 0.8
+# Rows of a table of places, samples up to a peak by which a speed is told, rows of a curve of steady states.
+_ROWS, _FEW, _STEADY = 300, 4, 8
 _DRIVEN = (
     'write a scene file whose body follows the measured displacement, drive = { kind = "table", table = [[times], [places]] }, '
     "and a calibration file that observes its force: docs/howto/problem_file.md"
@@ -107,8 +113,91 @@ def _motion(run: Run) -> str:
     rows = seen[np.unique(np.linspace(0, seen.size - 1, min(_ROWS, seen.size)).astype(int))]
     clock, values = run.clock[rows], run.readings[unit][rows]
     values = values - values[0] if unit == "m" else values
+    if clock[0] > 0.0:  # Steady states, the first of which is reached from time 0 on.
+        clock, values = np.r_[0.0, clock], np.r_[values[0], values]
     table = ", ".join("[" + ", ".join(f"{x:.6g}" for x in row) + "]" for row in (clock, values))
     return f'drive = {{ kind = "{"table" if unit == "m" else "speeds"}", table = [{table}] }}'
+
+
+def steady(curve: Steady, path: Path) -> Draft:
+    """The problem file at ``path`` of friction against speed: rows by their speed, states of a driven body, one a second."""
+    table, (speed, rubs, presses) = curve.table, curve.columns
+    unit = "N" if column(rubs)[1] is not None or presses else "1"
+    values = [table.numbers(h, u, table.name, True) for h, u in ((speed, "m/s"), (rubs, unit), (presses, "N")) if h]
+    speeds, forces = np.abs(values[0]), np.abs(values[1] / values[2] if presses else values[1])
+    # Where nothing slides friction is what it has to be.
+    seen = np.flatnonzero(np.isfinite(speeds) & np.isfinite(forces) & (speeds > 0.0))
+    seen = seen[np.argsort(speeds[seen], kind="stable")]
+    seen = seen[np.unique(np.linspace(0, seen.size - 1, min(_ROWS, seen.size)).astype(int))] if seen.size else seen
+    if seen.size < _STEADY:
+        few = f"{seen.size} rows hold a speed above 0 and friction"
+        raise InputError(table.name, few, f"give {_STEADY} or more")
+    speeds, forces, ratio = speeds[seen], forces[seen], bool(presses) or unit == "1"
+    run = Run("", 1.0 + np.arange(seen.size), {"m/s": speeds, "N": forces}, [])
+    data = path.with_name(f"{path.stem}_states.csv")
+    of = "ratio to a normal force of 1 N" if ratio else "force"
+    scene, free = _stribeck(run)
+    lines = [
+        f"# Friction against speed, {table.name}, as a {of}. Next: bcfj calibrate {quote(path.name)}",
+        Line(f"scene = {toml(scene_of(path).name)}", "in which the body goes from speed to speed"),
+        Line('sensor = "exact"', "steady states have no clock"),
+        "[[experiment]]",
+        Line(f"file = {toml(data.name)}", "the rows above speed 0, by their speed, one a second; no inertia counts"),
+        'time = "time [s]"',
+        'observe = { "body.drive" = "friction [N]" }',
+        NOISE,
+        Line("[instrument]", "a state is a second long: neither clock nor lag counts"),
+        'bandwidth = "1 kHz"',
+        'resonance = "1 kHz"',
+        'clock = "0 s"',
+        "[free]",
+        *free,
+    ]
+    kind = f"friction against speed without a clock: its rows are taken for steady states, the {of} is fitted"
+    found = with_scene(path, scene, lines, kind)
+    rows = "\n".join(f"{t:.0f},{v:.9g},{x:.9g}" for t, v, x in zip(run.clock, speeds, forces, strict=True))
+    return found._replace(files={data: f"time [s],speed [m/s],friction [N]\n{rows}\n", **found.files})
+
+
+def _stribeck(run: Run) -> tuple[str, list[Line]]:
+    """A scene of a body that is driven against friction which falls with speed, and with a viscous part if it rises again.
+
+    Friction that falls from the slowest row on is LuGre's, mu_d + (mu_s - mu_d) exp(-(v/v_s)^2) at steady slip, with
+    bristles that bend within a hundredth of a second; else the law begins at 0.
+    """
+    speeds, force = run.readings["m/s"], run.readings["N"]
+    smooth = np.median([force[:-2], force[1:-1], force[2:]], axis=0)
+    top = int(np.argmax(smooth[: max(smooth.size // 2, 1)]))
+    least, ends, most, fast = float(smooth[top:].min()), float(smooth[-1]), float(smooth[top]), float(speeds[-1])
+    rises, falls = ends > _RISES * least, float(smooth[0]) > _EARLY * most
+    half = top + int(np.argmax(smooth[top:] < 0.5 * (most + least)))
+    law, low = ("lugre", f"bristle_stiffness = {100.0 * most / speeds[0]:.3g}\n") if falls else ("brown_mcphee", "")
+    spring = f"""[[load]]
+kind = "spring"
+name = "oil"
+between = ["ground", "body"]
+damping = {(ends - least) / fast:.3g}
+"""
+    scene = f"""{_follows(run, "Friction against speed", 0)}[[load]]
+kind = "joint_friction"
+name = "friction"
+body = "body"
+friction = "{law}"
+breakaway = {most:.3g}
+sliding = {least:.3g}
+speed = {max(float(speeds[(half if falls else top) + 1]), 1e-3 * fast):.3g}
+{low}{spring if rises else ""}[time]
+end = {run.clock[-1]:.6g}
+samples = {run.clock.size}
+"""
+    ends_of = f"{0.3 * least:.1g}", f"{3 * most:.1g}"
+    free = [
+        box('"friction.breakaway"', ends_of, "N; the greatest, at the speed below"),
+        box('"friction.sliding"', ends_of, "N; of fast motion"),
+        box('"friction.speed"', (f"{1e-4 * fast:.1g}", f"{fast:.1g}"), "m/s"),
+    ]
+    viscous = box('"oil.damping"', ("0.0", f"{10 * (ends - least) / fast:.1g}"), "N s/m; it rises again")
+    return scene, [*free, viscous] if rises else free
 
 
 def _follows(run: Run, what: str, mass: object) -> str:

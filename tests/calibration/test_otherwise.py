@@ -110,15 +110,54 @@ OTHERS = {
         {"displacement [mm]": TIMES, "force [N]": 10 * np.maximum(TIMES - 1, 0)},
         r"'force \[N\]' against 'displacement \[mm\]' is a curve without a time; add a column \"time \[s\]\"",
     ),
-    "stribeck": (
-        {"speed [m/s]": TIMES, "friction coefficient": 0.3 - 0.05 * TIMES},
-        r"'friction coefficient' against 'speed \[m/s\]' is a curve of steady states.*features = ",
-    ),
     "rebound": (
         {"drop height [mm]": 10 + TIMES, "rebound height [mm]": 6 + TIMES},
         r"'rebound height \[mm\]' is a result of each impact.*drop_height.*features = .*contact\.impulse",
     ),
 }  # fmt: skip
+
+
+def steady(path, headers=("speed [mm/s]", "friction force [N]"), press=1.0):
+    """Stribeck's curve by other code, 12 N + 8 N exp(-(v/20 mm/s)^2) + 15 N s/m v, without a clock."""
+    speeds = np.geomspace(1e-4, 0.3, 60)
+    force = (12.0 + 8.0 * np.exp(-((speeds / 0.02) ** 2)) + 15.0 * speeds) * (1.0 + 0.01 * RNG.standard_normal(60))
+    columns = (1e3 * speeds, press * force, np.full(60, press) + 1e-9 * speeds)
+    return write(path, dict(zip(headers, columns, strict=False)))
+
+
+def test_friction_against_speed_is_proposed_without_a_clock(tmp_path):
+    """As a driven scene and the rows as states; beside a normal force as a coefficient; with --scene it is refused."""
+    said = []
+    init.run(steady(tmp_path / "a.csv"), tmp_path / "a.toml", init.Said(), said.append)
+    assert any("its rows are taken for steady states, the force is fitted" in line for line in said)
+    found = load(tmp_path / "a.toml")
+    assert [f.name for f in found.free] == ["friction.breakaway", "friction.sliding", "friction.speed", "oil.damping"]
+    assert 'friction = "lugre"' in (tmp_path / "a_scene.toml").read_text()
+    headers = ("slip speed [mm/s]", "friction force [N]", "normal force [N]")
+    init.run(steady(tmp_path / "b.csv", headers, 50.0), tmp_path / "b.toml", init.Said(), said.append)
+    assert np.median(load(tmp_path / "b.toml").experiments[0].channels[0].values) < 21.0
+    slow = {"speed [m/s]": TIMES, "friction coefficient": 0.3 - 0.05 * TIMES}
+    init.run(write(tmp_path / "c.csv", slow), tmp_path / "c.toml", init.Said(), said.append)
+    assert (tmp_path / "c_states.csv").read_text().count("\n") == min(TIMES.size, 301)
+    with pytest.raises(
+        InputError, match=r"'friction force \[N\]' against 'speed \[mm/s\]' is a curve of steady states"
+    ):
+        init.run(tmp_path / "a.csv", tmp_path / "d.toml", init.Said("impact"), said.append)
+    few = {"speed [m/s]": TIMES[:4], "friction coefficient": TIMES[:4]}
+    with pytest.raises(InputError, match="3 rows hold a speed above 0"):
+        init.run(write(tmp_path / "e.csv", few), tmp_path / "e.toml", init.Said(), said.append)
+
+
+@pytest.mark.slow
+def test_friction_against_speed_is_identified_as_proposed(tmp_path):
+    init.run(steady(tmp_path / "a.csv"), tmp_path / "a.toml", init.Said(), lambda line: None)
+    found = fit(load(tmp_path / "a.toml"))
+    assert found.verdict == "identified", found.reasons
+    for name, true in zip(
+        ("friction.breakaway", "friction.sliding", "friction.speed", "oil.damping"), (20, 12, 0.02, 15), strict=True
+    ):
+        low, high = found.parameters[name].ci95 or (np.nan, np.nan)
+        assert low < true < high and high - low < 0.3 * true, name
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -82,7 +82,7 @@ def test_a_standing_cylinder_tips_over_its_rim():
     way = (np.cos(np.pi / n), np.sin(np.pi / n), 0.0)
     for tall in (0.9, 1.1):
         load = Force("push", "log", way, tall * M * G * lever / height, (0.0, 0.0, height - A))
-        # What keeps it from sliding is on the floor: at rest friction gives nothing.
+        # It has no friction: what keeps it from sliding is a bush on the floor.
         foot = Bush("foot", (GROUND, "log"), (1e6, 1e6, 0.0), at=((0, 0, 0), (0, 0, -A)))
         made = scene(gaps.CylinderOnPlane("z", points=n), {"z": A}, [load, foot], friction=None)[0]
         made = replace(made, start="static")
@@ -185,6 +185,50 @@ def test_a_sphere_on_the_edge_of_a_box_and_of_a_wedge_is_pushed_along_the_normal
         want = K * 1e-4**1.5 * np.array([np.sin(angle), np.cos(angle), 0.0])
         np.testing.assert_allclose(pushes[0], want, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(pushes[1], want, rtol=1e-9, atol=1e-9)
+
+
+RIM = [((R - 1e-3) * np.cos(x), (R - 1e-3) * np.sin(x), -(A - 1e-3)) for x in 2.0 * np.pi * np.arange(6) / 6]
+CORNERS = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.01, 0.01)]
+
+
+@pytest.mark.parametrize(
+    ("points", "radius", "low", "bears"),
+    [(RIM, 1e-3, A, 6), (CORNERS, 1e-3, 0.011, 4), (((0.03, 0.0, 0.0), (-0.03, 0.0, 0.0)), 0.02, 0.02, 2)],
+    ids=["flat end", "box", "capsule"],
+)
+def test_a_body_of_points_stands_on_a_box_and_not_beyond_its_edge(points, radius, low, bears):
+    """Each point that is below bears m g/n, and dm of that; half beyond the edge, half of them bear and it tips."""
+    gap, stiff, half = (
+        gaps.SphereOnBox(points=points),
+        1e6,
+        {"half_length": 0.2, "half_width": 0.2, "half_height": 0.02},
+    )
+
+    def force(mass, x):
+        start = {"x": x, "z": 0.02 + low - M * G / (bears * stiff)}
+        body = Body("b", "free", mass=M, inertia=1e-3, start=start)
+        made = Mechanism("t", [body], [Contact("c", (GROUND, "b"), gap, "kelvin_voigt")], [Gravity("-z")])
+        given = {**NUMBERS, **half, "radius": radius, "stiffness": stiff}
+        p = made.parameters({key: v for key, v in given.items() if key in made.quantities})
+        y = made.initial_state(p).at[2].add(-(mass - M) * G / (bears * stiff))
+        moved = made.motions(jnp.zeros(()), y, {**p, "b.mass": mass})["b"]
+        return made.observe(jnp.zeros(()), y, p)["c"].force[:, 0], moved.acceleration, moved.spin_rate
+
+    held, pulled, turned = force(M, 0.0)
+    assert np.sum(np.asarray(held) > 0.0) == bears
+    np.testing.assert_allclose(held[held > 0.0], M * G / bears, rtol=1e-9)
+    np.testing.assert_allclose([*pulled, *turned], 0.0, atol=1e-8)
+    slope = jax.jacfwd(lambda m: force(m, 0.0)[0])(jnp.asarray(M))
+    np.testing.assert_allclose(slope[held > 0.0], G / bears, rtol=1e-9)
+    # A little turned rims have no point on the edge itself.
+    part, _, tips = force(M, 0.2001 + 1e-3)
+    assert np.sum(np.asarray(part) > 0.5 * M * G / bears) == bears // 2 and float(tips[1]) > 1.0
+
+
+def test_points_that_are_none_are_refused():
+    for wrong in ([(0.0, 1.0)], "abc", [(0.0, 0.0, np.inf)]):
+        with pytest.raises(InputError, match="list of points"):
+            gaps.SphereOnBox(points=wrong)
 
 
 @pytest.mark.full

@@ -32,6 +32,9 @@ def test_an_interference_fit():
         y, _, seen = at_rest(scene, **{"push.size": force})
         assert float(y[0]) == pytest.approx(place, rel=1e-7)
         assert float(seen["fit"].force[0]) == pytest.approx(force, rel=1e-7)
+    slope = jax.jacfwd(lambda p: scene.initial_state(p)[0])(scene.parameters())
+    assert float(slope["push.size"]) == pytest.approx(1.0 / 2e6, rel=1e-7)
+    assert float(slope["stiffness"]) == pytest.approx(-4.0 / 2e6 / 1e6, rel=1e-7)
     with pytest.raises(InputError, match="clearance"):  # A round gap has one face.
         Mechanism("pin", [Body("pin", "planar", mass=1.0, inertia=1.0)],
                   [Contact("pin_1", (GROUND, "pin"), gaps.PinInBearing(), "kelvin_voigt")],
@@ -116,6 +119,10 @@ def test_a_preloaded_bearing():
         moved = scene.motions(jnp.zeros(()), y, scene.parameters({"push.size": force}))["ring"].place
         np.testing.assert_allclose(moved, force / (0.25 * n * k) * np.array([0.8, 0.0, 0.6]), rtol=2e-3, atol=1e-12)
         assert float(np.mean([seen[f"outer_{j + 1}"].force[0] for j in range(n)])) == pytest.approx(k * i, rel=1e-3)
+    params = scene.parameters()
+    slope = jax.jacfwd(lambda f: scene.initial_state({**params, "push.size": f}))(jnp.asarray(1.0))
+    y = scene.initial_state(params)
+    np.testing.assert_allclose(np.hypot(*slope[n : n + 2]), np.hypot(*y[n : n + 2]), rtol=2e-3)
 
 
 @pytest.mark.slow
@@ -146,6 +153,15 @@ def test_a_bolted_flange_opens():
         share = load * bolt_k / (bolt_k + clamp_k)
         assert float(did["bolt"].pull) == pytest.approx(pre + share if load < opens else load, rel=1e-6)
         assert float(seen["flange"].force[0]) == pytest.approx(max(pre + share - load, 0.0), rel=1e-6, abs=1e-6)
+    params = scene.parameters({"load.size": 1500.0})
+
+    def bolt_pulls(p):
+        return scene.efforts(jnp.zeros(()), scene.initial_state(p), p)["bolt"].pull
+
+    slope = jax.jacfwd(bolt_pulls)(params)
+    assert float(slope["load.size"]) == pytest.approx(bolt_k / (bolt_k + clamp_k), rel=1e-6)
+    # Tightened by a shorter bolt: k_b k_c/(k_b + k_c) of its length.
+    assert float(slope["bolt.free_length"]) == pytest.approx(-bolt_k * clamp_k / (bolt_k + clamp_k), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -178,6 +194,26 @@ def test_a_weight_on_a_cable():
     # Then half a swing about the sag: the peak is m g + sqrt((m g)^2 + m k v^2).
     peak = 2.0 * 9.81 + np.sqrt((2.0 * 9.81) ** 2 + 2.0 * 1e5 * 9.0)
     assert run.readings["cable.pull"].max() == pytest.approx(peak, rel=2e-2)
+
+
+@pytest.mark.slow
+def test_a_cable_that_is_taut_again_has_its_derivative():
+    """From 2 v/g on: y = s (cos w u - 1) - v/w sin w u, u = t - 2 v/g, s = m g/k; the pull -k y and its derivative by v."""
+    mass = Body("mass", "slide", axis="y", at=(0, -1.0, 0), mass=2.0, start={"velocity": 3.0})
+    cable = Spring("cable", (GROUND, "mass"), 1e5, free_length=1.0, side="pull")
+    scene = Mechanism("cable", [mass], loads=[cable, bj.loads.Gravity()], end=0.63)
+    params, times = scene.parameters(), np.array([0.0, 6.0 / 9.81 + 0.004])
+
+    def pull(v):
+        now = {**params, "mass.velocity": v}
+        return bj.reading_history(scene, now, times, ["cable.pull"], accuracy=1e-5)["cable.pull"][-1]
+
+    def closed(v):
+        w, sag, u = jnp.sqrt(1e5 / 2.0), 2.0 * 9.81 / 1e5, times[1] - 2.0 * v / 9.81
+        return -1e5 * (sag * (jnp.cos(w * u) - 1.0) - v / w * jnp.sin(w * u))
+
+    found, want = (jax.jvp(f, (jnp.asarray(3.0),), (jnp.ones(()),)) for f in (pull, closed))
+    np.testing.assert_allclose(found, want, rtol=2e-3)
 
 
 def test_bushes_by_axes():

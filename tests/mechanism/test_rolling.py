@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -41,6 +42,11 @@ def test_torques_and_powers(names):
     moved = scene.motions(t, y, p)
     for name in names:
         np.testing.assert_allclose(moved[name].spin_rate, torque / INERTIA, rtol=1e-6)
+    # Each torque is proportional to its lever.
+    for key, across, along in (("rolling_length", 1.0, 0.0), ("drilling_length", 0.0, 1.0)):
+        slope = jax.jacfwd(lambda x, k=key: scene.motions(t, y, {**p, k: x})[names[0]].spin_rate)(p[key])
+        part = torque * np.array([across, across, along]) / INERTIA / float(p[key])
+        np.testing.assert_allclose(slope, part, rtol=1e-6, atol=1e-9 * np.abs(part).max())
     flows = scene.flows(t, y, p)
     assert float(flows.taken["friction"]) == pytest.approx(-len(names) * torque @ spin, rel=1e-6)
     # At rest nothing resists, and nothing is NaN.
@@ -62,3 +68,19 @@ def test_a_ball_rolls_out():
     np.testing.assert_allclose(
         run.readings["ball.spin.z"], np.maximum(5.0 - M * G * DRILL / INERTIA * times, 0.0), atol=0.01
     )
+
+
+@pytest.mark.slow
+def test_how_far_it_rolls_and_spins_has_its_derivative():
+    """dv/dr = -(5/7) g t/R of the lever r of rolling; of that of drilling b the spin's -N t/I."""
+    scene, p = ball(vx=0.2, wy=0.2 / R, wz=5.0)
+    times, names = np.array([0.0, 0.02]), ["ball.velocity.x", "ball.spin.z"]
+
+    def after(roll, drill):
+        now = {**p, "rolling_length": roll, "drilling_length": drill}
+        found = bj.reading_history(scene, now, times, names, accuracy=1e-3)
+        return jnp.stack([found[name][-1] for name in names])
+
+    slope = jax.jacfwd(after, (0, 1))(jnp.asarray(ROLL), jnp.asarray(DRILL))
+    assert float(slope[0][0]) == pytest.approx(-5.0 / 7.0 * G * 0.02 / R, rel=1e-2)
+    assert float(slope[1][1]) == pytest.approx(-M * G * 0.02 / INERTIA, rel=1e-2)

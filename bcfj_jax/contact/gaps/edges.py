@@ -169,12 +169,28 @@ class SphereOnBox(AbstractGap):
     Directions: normal is into the box. Axial is along a's z axis (its x axis where the normal is nearer than 45 degrees to z);
     tangential is across both.
     Coefficients: ``radius`` of the sphere, ``half_length``, ``half_width``, ``half_height`` of the box, along x, y, z [m].
+
+    Attributes:
+        points: centres of spheres in b's axes from its marker [m], side by side as members, in place of the one at the marker:
+            ends of a capsule; with a small radius the rounded corners of a box, or some of a cylinder's rims, whose flat end
+            then stands on a face. What of b is between them bears nothing: edges that cross pass through each other.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("radius", "half_length", "half_width", "half_height")
+    points: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=(), converter=lambda x: _points(x))
+
+    @property
+    def members(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.points)
+
+    def _arms(self, b: Frame) -> Vector:
+        """From b's marker to the centres."""
+        x, y, z = np.array(self.points).T if self.points else (0.0, 0.0, 0.0)
+        return turned(b.axes, (x, y, z))
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        place = [jnp.asarray(x) for x in seen(a.axes, subtract(b.place, a.place))]
+        arms = self._arms(b)
+        place = [jnp.asarray(x) for x in seen(a.axes, add(arms, subtract(b.place, a.place)))]
         beyond = [jnp.abs(x) - c[name] for x, name in zip(place, self.needs[1:], strict=True)]
         out = [jnp.maximum(x, 0.0) for x in beyond]
         distance, least = (
@@ -187,7 +203,7 @@ class SphereOnBox(AbstractGap):
         ]
         normal = negative(turned(a.axes, (way[0], way[1], way[2])))
         depth = c["radius"] - jnp.where(least > 0.0, distance, least)
-        return (Face(depth, normal, scale(c["radius"], normal)),)
+        return (Face(depth, normal, add(arms, scale(c["radius"], normal))),)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         (face,) = self.faces(a, b, c)
@@ -195,10 +211,11 @@ class SphereOnBox(AbstractGap):
         return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
 
     def bends(self, c: Coefficients) -> Bends:
-        return Bends(c["radius"])
+        return Bends(c["radius"], arm=float(np.max(np.linalg.norm(self.points, axis=1))) if self.points else 0.0)
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        return (shapes.box([c[name] for name in self.needs[1:]]),), (shapes.ball(c["radius"]),)
+        balls = [shapes.ball(c["radius"]).moved(x) for x in self.points] if self.points else [shapes.ball(c["radius"])]
+        return (shapes.box([c[name] for name in self.needs[1:]]),), tuple(balls)
 
 
 class SphereOnWedge(AbstractGap):
@@ -241,6 +258,18 @@ class SphereOnWedge(AbstractGap):
         lines = np.array([[middle, middle - tall * out + k * wide * aside] for k in (1.0, -1.0)])
         outward = np.array([np.sin(c["half_angle"]) * out + k * np.cos(c["half_angle"]) * aside for k in (1.0, -1.0)])
         return (shapes.wall(lines, outward, half),), (shapes.ball(c["radius"]),)
+
+
+def _points(given: Any) -> tuple[tuple[float, float, float], ...]:
+    """Points of an option, three numbers each."""
+    try:
+        found = np.asarray(given, dtype=float).reshape(-1, 3) if len(given) else np.zeros((0, 3))
+        right = all(len(x) == 3 for x in given) and np.isfinite(found).all()
+    except (TypeError, ValueError):
+        found, right = np.zeros((0, 3)), False
+    if not right:
+        raise InputError("gap, option 'points'", f"{given!r}", "give a list of points of three numbers [m]")
+    return tuple((float(x), float(y), float(z)) for x, y, z in found)
 
 
 def _ends(b: Frame, c: Coefficients) -> Vector:

@@ -1,0 +1,166 @@
+"""Friction that holds in a start at rest (``statics``): every contact is a tangential spring from where it touched.
+
+A contact that has moved by z [m] along itself since it touched bears what its friction law has at the slip s = z/T, with T = 1 us
+and with the normal force at rest N:
+
+    f = -N mobility(s . s) s,    |s| up to where the coefficient is greatest: there it slides, and s stays at that.
+
+So a stuck contact gives by T times its creep speed, below 0.1 um, and friction acts up to the law's greatest coefficient. It
+is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Computational Contact Mechanics, 2006, 5.2).
+Where several contacts could share a load in many ways, this is the one of equal slip. Then
+
+    velocities  u:  least in kinetic energy of those by which contacts slip by s  (least squares, weights N mobility);
+
+a law that creeps has these forces at once, and goes on creeping. Bristles bear z themselves, f = -N sigma_0 z up to
+break-away, and are at rest. Rolling and drilling resistance and friction in joints act in the same way, by the turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from bcfj_jax.contact.wrench import couple
+from bcfj_jax.core.vectors import Vector, add, dot, scale, spread, subtract
+from bcfj_jax.mechanism.alike import apart
+from bcfj_jax.mechanism.contacts import Contact
+from bcfj_jax.mechanism.dynamics import Dynamics, Instant
+from bcfj_jax.mechanism.loads import CoordinateLoad
+from bcfj_jax.mechanism.sizes import Params
+
+# By contact and face (slip [m/s], turn [rad/s]), world; by load on a joint the rate of its coordinate.
+Slips = dict[str, Any]
+
+# T [s]; of friction without a limit the mobility [s/m].
+TIME, _WITHOUT = 1e-6, 1e3
+# A slip [m/s] beyond every limit.
+_FAR = 1e6
+
+
+def _rubs(c: Contact, bound: bool) -> bool:
+    return c.friction is not None or c.rolling or not bound
+
+
+def _dry(m: Dynamics) -> list[CoordinateLoad]:
+    return [load for load in m.loads if isinstance(load, CoordinateLoad) and load.dry]
+
+
+def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips:
+    """What friction sees of velocities; ``bound``: whether it has limits, else contacts without friction are among them."""
+    t = jnp.zeros(())
+    now = m.instant(t, jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))]), p, laws=False)
+    found: Slips = {}
+    for c in m.bundles:
+        if not _rubs(c, bound):
+            continue
+        first, second = c.parts(now.bodies.parts)
+        turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
+        found[c.name] = [
+            tuple(tuple(spread(x, k) for x in vector) for vector in (touch.slide, turn))
+            for _, touch in now.faces[c.name]
+        ]
+    return found | {load.name: jnp.asarray(m._coordinate(load.body, t, now, p)[2]) for load in _dry(m)}
+
+
+def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Array, Array]:
+    """Mobility of a face, and the share of its slip that stays."""
+    squared = jnp.asarray(dot(slip, slip))
+    if not bound:
+        return jnp.full_like(squared, _WITHOUT), jnp.ones_like(squared)
+    if c.friction is None:
+        return jnp.zeros_like(squared), jnp.ones_like(squared)
+    return c.friction.holding(squared, read, TIME)
+
+
+def added(m: Dynamics, now: Instant, held: Slips, new: Slips, p: Params, bound: bool) -> Slips:
+    """Slips after further ones: none where nothing touches, and no more than friction holds."""
+    found: Slips = {}
+    for c in m.bundles:
+        if c.name not in held:
+            continue
+        read, found[c.name] = c.coefficients(p), []
+        for (face, touch), one, more in zip(now.faces[c.name], held[c.name], new[c.name], strict=True):
+            slip, turn = (add(x, y) for x, y in zip(one, more, strict=True))
+            slip = subtract(slip, scale(dot(face.normal, slip), face.normal))
+            share = _mobility(c, slip, read, bound)[1]
+            touching = jnp.asarray(touch.normal) > 0.0
+            kept = [[jnp.where(touching, x, 0.0) for x in vector] for vector in (scale(share, slip), turn)]
+            found[c.name].append(tuple(map(tuple, kept)))
+    for load in _dry(m):
+        slip = held[load.name] + new[load.name]
+        found[load.name] = slip * (load.holding(slip, p, TIME)[1] if bound else 1.0)
+    return found
+
+
+def rubbed(
+    m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool, creeping: Slips | None = None
+) -> tuple[Instant, dict[str, Array]]:
+    """An instant at rest with the friction of slips; and by load on a joint its force.
+
+    ``creeping``: slips whose mobilities are taken, so that forces are linear in ``held``; bristles then bear nothing.
+    """
+    at, faces = creeping or held, dict(now.faces)
+    for c in m.bundles:
+        if c.name not in held:
+            continue
+        read, faces[c.name] = c.coefficients(p), []
+        for (face, touch), (slip, turn), (near, spin) in zip(now.faces[c.name], held[c.name], at[c.name], strict=True):
+            mobility, _ = _mobility(c, near, read, bound)
+            if creeping is not None and c.bristles:
+                mobility = jnp.zeros_like(mobility)
+            drag = scale(-touch.normal * mobility, slip)
+            bears = touch._replace(force=add(touch.force, drag), drag=drag)
+            if c.rolling:
+                bears = bears._replace(couple=couple(touch, face.normal, turn, read, spin))
+            faces[c.name].append((face, bears))
+    forces = {}
+    for load in _dry(m):
+        near = at[load.name] if bound else jnp.zeros_like(at[load.name])
+        rests = creeping is not None and load.bristles
+        forces[load.name] = 0.0 * near if rests else -load.holding(near, p, TIME)[0] * held[load.name]
+    return now._replace(faces=faces), forces
+
+
+def velocities(forces: Callable[[Slips], Array], move: Callable[[Array], Slips], held: Slips, mass: Array) -> Array:
+    """u (n,) of the module docstring; ``forces`` (n,) linear in slips, ``move`` from velocities to slips; mass (n,)."""
+    none = forces(jax.tree.map(jnp.zeros_like, held))
+    rubbing = jax.jacfwd(lambda v: forces(move(v)))(jnp.zeros_like(mass))
+    # Without friction along it a velocity is 0; what friction damps is known to this share of a millisecond's.
+    return jnp.linalg.solve(jnp.diag(1e-6 * mass) - rubbing, none - forces(held))
+
+
+def bent(m: Dynamics, held: Slips) -> dict[str, Any]:
+    """Bristles [m, rad] by contact and face, and by load."""
+    found: dict[str, Any] = {}
+    for c in m.bundles:
+        if c.bristles:
+            found |= apart(c, [scale(TIME, slip) for slip, _ in held[c.name]])
+    return found | {load.name: TIME * held[load.name] for load in _dry(m) if load.bristles}
+
+
+def needed(m: Dynamics, now: Instant, held: Slips, p: Params) -> dict[str, tuple[Array, Array]]:
+    """Of slips without limits by contact the friction coefficient, by load its force: what they need and what there is."""
+    found: dict[str, tuple[Array, Array]] = {}
+    for c in m.bundles:
+        read = c.coefficients(p)
+        for (_, touch), (slip, _) in zip(now.faces[c.name], held[c.name], strict=True):
+            size = jnp.where(jnp.asarray(touch.normal) > 0.0, _WITHOUT * jnp.sqrt(jnp.asarray(dot(slip, slip))), 0.0)
+            mobility, share = _mobility(c, (_FAR, 0.0, 0.0), read, True)
+            for name, need in apart(c, size).items():
+                most = apart(c, jnp.broadcast_to(mobility * share * _FAR, size.shape))[name]
+                found[name] = max_of(found.get(name), (jnp.max(need), jnp.max(most)))
+    for load in _dry(m):
+        slip = jnp.abs(held[load.name])
+        mobility, share = load.holding(jnp.full_like(slip, _FAR), p, TIME)
+        need = load.holding(jnp.zeros_like(slip), p, TIME)[0] * slip
+        found[load.name] = jnp.max(need), jnp.max(mobility * share * _FAR)
+    return found
+
+
+def max_of(one: tuple[Array, Array] | None, other: tuple[Array, Array]) -> tuple[Array, Array]:
+    """The greater need of two."""
+    return other if one is None else (jnp.maximum(one[0], other[0]), other[1])
