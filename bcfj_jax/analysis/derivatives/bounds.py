@@ -34,6 +34,8 @@ from bcfj_jax.xla.threads import together
 SAFETY = 1.2
 # |C - T| over |R - T| above which solves are not seen to converge.
 _WELL = 0.5
+# Share of the target that a pitch may be off the one before, of derivatives that are read pitches earlier.
+_UNEVEN = 0.3
 # By whether the model is stiff: solves that a bound takes; the ratio of their tolerances; the tightest that there is.
 NEEDED, APART = {False: 3, True: 2}, {False: 16.0, True: 40.0}
 _TIGHTEST = {False: 1e-14, True: 2.5e-13}
@@ -73,6 +75,10 @@ class Climb(NamedTuple):
         """By how much the tightest solve's last pitch is off the one before, by parameter (P,); 0 of what was solved whole."""
         found = (self.beside[-1] if self.beside else self.last).uneven[1:]
         return found if found.size else np.zeros(count)
+
+    def repeats(self, problem: Problem) -> bool:
+        """Whether the last pitch repeats the one before well enough."""
+        return bool(np.all(self.uneven(len(problem.names)) <= _UNEVEN * target(problem.error)))
 
 
 class Budget:

@@ -13,16 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives.bounds import (
-    Budget,
-    Climb,
-    bounded,
-    climb,
-    feature_bounds,
-    first_plan,
-    luckless,
-    target,
-)
+from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, first_plan, luckless
 from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Comparison, apart, norm
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import beside, certified, unasked, witnessed
@@ -57,8 +48,6 @@ _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low
 _BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
 # In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, BDF).
 _BACKWARD = {False: 64.0, True: 8.0}
-# Share of the target that a pitch may be off the one before, of derivatives that are read pitches earlier.
-_UNEVEN = 0.3
 # Features that do not hang on where samples are, and samples in a turn that they need.
 _INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
@@ -200,7 +189,7 @@ def sensitivity(
         return _reverse(problem._replace(wanted=reversible(problem.wanted)), how, asked.certify)
     # Compiled beside the first solves.
     if asked.steady and scene.recurs(full):
-        ahead(partial(prepared, scene, full, problem.names, asked.max_steps))
+        ahead(partial(prepared, problem))
     elif asked.certify and asked.differences != "none" and asked.budget != 0.0:
         ahead(partial(compiled, scene, full, problem.times, Plan(how.tolerance)))
     return _forward(problem, how, asked)
@@ -242,13 +231,9 @@ class _First:
         self.turned = first_of_steady(problem, *self.late) if self.late else None
         if self.steady:
             spent = {"wall_s": self.steady.wall_s, "compile_s": self.steady.compile_s, "levels": 0}
-            empty = {name: {} for name in problem.names}
-            values = dict(zip(problem.names, map(float, problem.values), strict=True))
-            self.tell(
-                Sensitivity(
-                    problem.times, problem.names, {}, {}, {}, empty, None, "ok", "", NAN, spent, self.steady, values
-                )
-            )
+            empty, values = {name: {} for name in problem.names}, problem.named(problem.values)
+            nothing = Sensitivity(problem.times, problem.names, {}, {}, {}, empty, None, "ok", "", NAN, spent)
+            self.tell(nothing._replace(steady=self.steady, values=values))
 
     def of_run(self, problem: Problem, level: Level) -> None:
         if level.good:
@@ -280,11 +265,11 @@ def _forward(problem: Problem, how: Plan, asked: Deriving) -> Sensitivity:
     problem = problem._replace(fold=short[0]) if short else problem
     if steady and levels and short:
         # Compiled before the second solve begins beside it.
-        prepared(scene, problem.params, problem.names, problem.max_steps)
+        prepared(problem)
         climbed = climbed_of(problem, partial(first.of_steady, problem))
     else:
         climbed = climbed_of(problem)
-    if problem.fold and np.any(climbed.uneven(len(problem.names)) > _UNEVEN * target(problem.error)):
+    if problem.fold and not climbed.repeats(problem):
         # Derivatives forget their start later than the motion does.
         problem = problem._replace(fold=None)
         climbed = climbed_of(problem)
@@ -358,7 +343,7 @@ def _result(problem: Problem, levels: Sequence[Level], numbers: np.ndarray, slop
         {f.name: float(x) for f, x in zip(problem.wanted, numbers, strict=True)}, problem.by_name(slopes), None,
         "ok" if one.good else "failed", reason(one.code, problem.max_steps), NAN if one.good else one.end,
         {"accepted": one.accepted, "rejected": one.rejected, "tolerance": one.tolerance, **_spent(levels)},
-        values=dict(zip(names, map(float, problem.values), strict=True)),
+        values=problem.named(problem.values),
     )  # fmt: skip
 
 

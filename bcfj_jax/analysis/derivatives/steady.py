@@ -26,8 +26,8 @@ from bcfj_jax.analysis.derivatives.batch import places
 from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
-from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.derivatives.repeating import earlier
 from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK
@@ -191,22 +191,22 @@ def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
 
 def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[Steady, Callable[[], Steady]] | None:
     """As ``steady``, at the looser tolerance alone, with no verdicts; and what gives the whole."""
-    scene, params, wrt = problem.scene, problem.params, problem.names
+    scene, params, wrt, sizes = problem.scene, problem.params, problem.names, problem.sizes
     if not scene.recurs(params):
         return None
-    begin, sizes = clock(), problem.sizes
+    begin = clock()
     kinds = [f for f in problem.wanted if f.kind in OF_TURN]
     if not kinds:
         nothing = _none("it has none of these features")
         return nothing, lambda: nothing
-    solve, compile_s = prepared(scene, params, wrt, problem.max_steps)
-    orbits = _orbits(scene, params, state, time, wrt, solve)
+    solve, compile_s = prepared(problem)
+    orbits = _orbits(problem, state, time, solve)
 
     def found(solved: Sequence[_Orbit]) -> Steady:
         last, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
-        numbers, slopes = _features(scene, params, last, kinds)
+        numbers, slopes = _features(of_kinds, last)
         if len(solved) > 1:
-            loose = _features(scene, params, solved[0], kinds)[1]
+            loose = _features(of_kinds, solved[0])[1]
             named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
             last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
@@ -250,21 +250,18 @@ class Turn(NamedTuple):
     compile_s: float
 
 
-def turn(
-    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...], max_steps: int
-) -> Turn:
+def turn(problem: Problem, state: np.ndarray, time: float) -> Turn:
     """Histories of one turn of the steady motion to which a run has come; arguments are those of ``steady``."""
     nothing = Histories(None, None, None, None)
-    if not scene.recurs(params):
+    if not problem.scene.recurs(problem.params):
         return Turn(nothing, nothing, "its motion has no pitch", 0.0)
-    solve, compile_s = prepared(scene, params, wrt, max_steps)
+    solve, compile_s = prepared(problem)
     try:
-        *_, last = _orbits(scene, params, state, time, wrt, solve)
+        *_, last = _orbits(problem, state, time, solve)
     except _Restless as why:
         return Turn(nothing, nothing, str(why), compile_s)
-    value, slopes = _turn(scene, params, last)
-    unit = _sizes(params, wrt)
-    by = [x / unit.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
+    value, slopes = _turn(problem, last)
+    by = [x / problem.sizes.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
     return Turn(value, Histories(*by, state=None), "", compile_s)
 
 
@@ -304,32 +301,21 @@ def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Arr
     return found.states[:, -1], found.code, found.end, found.accepted + found.rejected, rounds
 
 
-def _orbits(
-    scene: AbstractModel,
-    params: Params,
-    state: np.ndarray,
-    time: float,
-    wrt: tuple[str, ...],
-    solve: Callable[..., _Pitch],
-) -> Iterator[_Orbit]:
-    """The orbit at two tolerances, the looser first.
-
-    Raises:
-        _Restless: where there is none.
-    """
+def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..., _Pitch]) -> Iterator[_Orbit]:
+    """The orbit at two tolerances, the looser first; ``_Restless`` where there is none."""
+    scene, params = problem.scene, problem.params
     settled = scene.settled_from(params)
     if time < settled:
         raise _Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
     pitches = np.asarray(time / scene.period(params)[1])
-    begin = _begin(state / np.asarray(scene.error_scale(params)), len(wrt), pitches)
+    begin = _begin(state / np.asarray(scene.error_scale(params)), len(problem.names), pitches)
     for tightened, wrong in ((1.0 / _LOOSER, 1.0), (1.0, _LOOSE)):
-        orbit = _orbit(lambda begin, by=tightened: solve(_sizes(params, wrt), begin, by), begin, wrong)
+        orbit = _orbit(lambda begin, by=tightened: solve(begin, by), begin, wrong)
         if orbit is None:
             raise _Restless("no motion was found that repeats itself every pitch")
         if not orbit.off <= _SETTLED or not orbit.memory < 1.0:
-            raise _Restless(
-                f"the motion does not repeat itself: a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
-            )
+            kept = f"a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
+            raise _Restless(f"the motion does not repeat itself: {kept}")
         yield orbit
         begin = orbit.end
 
@@ -340,18 +326,16 @@ def _begin(state: np.ndarray, parameters: int, pitches: np.ndarray) -> _Start:
     return _Start(state, np.full((len(state), parameters), np.nan), disturbance, pitches)
 
 
-def prepared(
-    scene: AbstractModel, params: Params, wrt: tuple[str, ...], max_steps: int
-) -> tuple[Callable[[np.ndarray, _Start, float], _Pitch], float]:
-    """The compiled map over a pitch, of sizes, a start and how much tighter than ``_ERROR``; the seconds of getting it."""
-    tight = plan(scene, _ERROR, max_steps)
+def prepared(problem: Problem) -> tuple[Callable[[_Start, float], _Pitch], float]:
+    """The compiled map over a pitch, of a start and how much tighter than ``_ERROR``; the seconds of getting it."""
+    scene, params, sizes, most = problem.scene, dict(problem.params), problem.sizes, problem.max_steps
+    tight = plan(scene, _ERROR, most)
     (count,) = jax.eval_shape(scene.initial_state, params).shape
-    begin = _begin(np.zeros(count), len(wrt), np.asarray(1.0))
-    arguments = (dict(params), _sizes(params, wrt), begin, _SHARES, tight)
-    solve, compile_s = program("pitch", _pitch, (scene, wrt), arguments, LONG)
+    begin = _begin(np.zeros(count), len(sizes), np.asarray(1.0))
+    solve, compile_s = program("pitch", _pitch, (scene, problem.names), (params, sizes, begin, _SHARES, tight), LONG)
 
-    def solved(sizes: np.ndarray, begin: _Start, tightened: float) -> _Pitch:
-        return solve(dict(params), sizes, begin, _SHARES, Plan(tight.tolerance / tightened, max_steps, tight.tangents))
+    def solved(begin: _Start, tightened: float) -> _Pitch:
+        return solve(params, sizes, begin, _SHARES, Plan(tight.tolerance / tightened, most, tight.tangents))
 
     return solved, compile_s
 
@@ -359,12 +343,6 @@ def prepared(
 def _none(why: str) -> Steady:
     nan = float("nan")
     return Steady(nan, nan, {}, {}, {}, {}, np.zeros((0, 0, 3)), np.zeros((0, 0, 0, 3)), nan, nan, why, 0, 0.0, 0.0)
-
-
-def _sizes(params: Params, wrt: Sequence[str]) -> np.ndarray:
-    """What a share of each parameter is a share of: its size, or 1 of its unit at 0."""
-    values = np.array([float(params[name]) for name in wrt])
-    return np.where(values == 0.0, 1.0, np.abs(values))
 
 
 def _orbit(solve: Callable[[_Start], _Pitch], begin: _Start, wrong: float) -> _Orbit | None:
@@ -396,19 +374,9 @@ def _pitches(scene: AbstractModel, params: Params) -> int:
     return round(whole / pitch)
 
 
-def _turn(scene: AbstractModel, params: Params, orbit: _Orbit) -> tuple[Histories, Histories]:
+def _turn(problem: Problem, orbit: _Orbit) -> tuple[Histories, Histories]:
     """Histories of a turn, pitch by pitch, members renumbered, and their derivatives by shares."""
-    contacts, turned = scene.members, scene.turned(params)
-    channel = np.arange(orbit.value.force.shape[1])
-    pieces = []
-    for k in range(_pitches(scene, params)):
-        # Pitches later member j does what member j + turned did.
-        later, first = channel.copy(), 0
-        for members in contacts.values():
-            if members:
-                later[first : first + members] = first + (np.arange(members) + turned * k) % members
-            first += members or 1
-        pieces.append(later)
+    pieces = earlier(problem.scene, problem.params, _pitches(problem.scene, problem.params))
 
     def unfolded(x: np.ndarray, axis: int) -> np.ndarray:
         whole = [np.take(x, piece, axis + 1) for piece in pieces]
@@ -419,13 +387,12 @@ def _turn(scene: AbstractModel, params: Params, orbit: _Orbit) -> tuple[Historie
     return value, Histories(*(unfolded(x, 1) for x in orbit.derivative[:3]), state=None)
 
 
-def _features(
-    scene: AbstractModel, params: Params, orbit: _Orbit, wanted: Sequence[Feature]
-) -> tuple[np.ndarray, np.ndarray]:
+def _features(problem: Problem, orbit: _Orbit) -> tuple[np.ndarray, np.ndarray]:
     """Features (F,) over one turn, and their derivatives (F, P) by shares."""
+    scene, params, wanted = problem.scene, problem.params, problem.wanted
     contacts, count = scene.members, _pitches(scene, params)
     times = count * orbit.pitch * shares(scene, params)
-    value, derivative = _turn(scene, params, orbit)
+    value, derivative = _turn(problem, orbit)
     found, slopes = measure(times, value, derivative, [f for f in wanted if f.kind != "period"], contacts, True)
     numbers, changes, rest = [], [], iter(zip(found, slopes, strict=True))
     for feature in wanted:

@@ -13,16 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.certificate import (
-    AVERAGED,
-    BROKEN,
-    LEAST,
-    NAN,
-    NOT,
-    TRUSTED,
-    Certificate,
-    of_feature,
-)
+from bcfj_jax.analysis.derivatives.certificate import AVERAGED, BROKEN, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.outputs import COMPONENTS
@@ -77,9 +68,9 @@ def ranking(found: Sensitivity, of_steady: bool = False) -> Ranking:
     apart = source.apart if of_steady else {p: check.features for p, check in checks.items()}
     names, wrt = list(source.features), list(found.wrt)
     f = np.array([source.features[name] for name in names], float)
-    p = np.array([NAN if x in checks and checks[x].lost else float(found.values[x]) or NAN for x in wrt])
+    p = np.array([np.nan if x in checks and checks[x].lost else float(found.values[x]) or np.nan for x in wrt])
     by = np.array([[source.feature_derivatives[x][name] for x in wrt] for name in names]).reshape(len(f), len(p))
-    off = np.array([[apart.get(x, {}).get(name, NAN) for x in wrt] for name in names]).reshape(by.shape)
+    off = np.array([[apart.get(x, {}).get(name, np.nan) for x in wrt] for name in names]).reshape(by.shape)
     with np.errstate(invalid="ignore", over="ignore"):
         table = p / np.where(np.isfinite(f) & (f != 0.0), f, np.nan)[:, None] * by
     size = np.nan_to_num(np.abs(table), nan=-2.0, posinf=1e300)

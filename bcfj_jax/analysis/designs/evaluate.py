@@ -21,6 +21,7 @@ from jax import Array
 from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.batch import jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
+from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
@@ -201,7 +202,7 @@ class Evaluator:
 
         def turned(i: int) -> Turn:
             one = {name: leaf[i] for name, leaf in params.items()}
-            return turn(self.scene, one, runs.state[i], end, names, self.how.max_steps)
+            return turn(Problem(self.scene, one, self.times, names, max_steps=self.how.max_steps), runs.state[i], end)
 
         # The first alone: it may compile, for which all others would wait.
         good = np.flatnonzero(runs.code == OK)

@@ -120,14 +120,11 @@ RESOLVED_UNITS = {"peak_of_samples": "N", "peak_time": "s", "least": "N", "least
 
 def resolved(run: Run) -> dict[str, dict[str, float]]:
     """By contact, members apart, what was found in the solver's steps; nothing where that was not asked for."""
-    columns: dict[str, dict[str, np.ndarray]] = {}
-    for name, found in run.extremes.items():
-        for key, x in found._asdict().items():
-            columns.setdefault(key, {})[name] = x[None]
     apart: dict[str, dict[str, float]] = {}
-    for key, each in columns.items():
-        for name, x in outputs.channels(each).items():
-            apart.setdefault(name, {})[key] = float(x[0])
+    for name, found in run.extremes.items():
+        for key, each in found._asdict().items():
+            for member, x in outputs.channels({name: each[None]}).items():
+                apart.setdefault(member, {})[key] = float(x[0])
     return apart
 
 
