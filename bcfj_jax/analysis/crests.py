@@ -109,11 +109,8 @@ def crest_with_error(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) 
     near = np.clip(top - 2, 0, max(last - 4, 0)) + np.arange(min(5, last + 1))
     high, place, _ = _summit(times, both, near, top)
     if last < 4 or float(high.value) != float(found.value):
-        return (
-            float(found.value),
-            found.slope,
-            np.abs(slopes[:, [top - 1, top + 1]] - slopes[:, [top]]).max(1, initial=0),
-        )
+        off = np.abs(slopes[:, [top - 1, top + 1]] - slopes[:, [top]]).max(1, initial=0)
+        return float(found.value), found.slope, off
     nodes = (times[near] - times[top]) / (times[top + 1] - times[top - 1])
     four = near[np.sort(np.argsort(np.abs(nodes - place), kind="stable")[:4])]
     coarse, _, good = _summit(times, both, four, top)

@@ -125,13 +125,8 @@ def climb(
 ) -> Climb:  # fmt: skip
     """Solve R, C and T, and go on until the averages of R are within ``target``, or nothing helps.
 
-    Args:
-        problem: what is differentiated.
-        how: what was asked for.
-        levels: most tightenings; 0 for R alone.
-        spend: time for what is tighter than the first two.
-        first: receives the first solve as soon as it has ended, beside the second.
-        before: what is done before the first solve, while the second, which is longer, is under way.
+    By ``levels`` tightenings at most; 0 for R alone. ``spend``: time for what is tighter than the first two. ``first``
+    receives the first solve as soon as it has ended, beside the second; ``before`` is done ahead of it.
     """
     scene, stiff = problem.scene, problem.scene.traits.stiff
     how = first_plan(scene, how, problem.error) if levels else how
@@ -196,17 +191,11 @@ def bounded(problem: Problem, climb: Climb) -> list[Comparison]:
         unknown = [[x._replace(relative=INF, broken=broken) for x in (c.pointwise, c.average)] for c in alone]
         return [c._replace(pointwise=x, average=y) for c, (x, y) in zip(alone, unknown, strict=True)]
     between, tight = climb.beside
-    far, near, uneven = (
-        problem.between(climb.last, tight),
-        problem.between(between, tight),
-        climb.uneven(len(problem.names)),
-    )
-    return [
-        a.with_relative(lambda x, own, off=off: SAFETY * x + own + off, b)._replace(
-            unbounded=b.average.relative > _WELL * a.average.relative
-        )
-        for a, b, off in zip(far, near, uneven, strict=True)
-    ]
+    stated, far, near = [], problem.between(climb.last, tight), problem.between(between, tight)
+    for a, b, off in zip(far, near, climb.uneven(len(problem.names)), strict=True):
+        one = a.with_relative(lambda x, own, off=off: SAFETY * x + own + off, b)
+        stated.append(one._replace(unbounded=b.average.relative > _WELL * a.average.relative))
+    return stated
 
 
 def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np.ndarray) -> np.ndarray:

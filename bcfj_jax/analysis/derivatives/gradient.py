@@ -34,11 +34,7 @@ from bcfj_jax.xla.programs import program
 
 
 def reversible(wanted: Sequence[Feature]) -> list[Feature]:
-    """Features that JAX differentiates backward.
-
-    Raises:
-        InputError: where there is none.
-    """
+    """Features that JAX differentiates backward; ``InputError`` where there is none."""
     good = [f for f in wanted if smooth(f.kind)]
     if not good:
         right = "periods, delays, times of a start and single contacts are differentiated with mode='forward'"
@@ -87,9 +83,8 @@ def reversed_certificate(
 ) -> Certificate:
     """Bounds of gradients (F, P) that were solved at three tolerances far apart, of features (F,)."""
     found, first = feature_bounds(slopes, numbers, problem.values), solved[0]
-    what = (
-        f"the same derivatives of features at a tolerance of {first.tolerance:.3g} against {solved[-1].tolerance:.3g}"
-    )
+    far = f"{first.tolerance:.3g} against {solved[-1].tolerance:.3g}"
+    what = f"the same derivatives of features at a tolerance of {far}"
     broken = next((s.end for s in solved if not s.good), NAN)
     checks, table = {}, problem.by_name(found)
     for k, name in enumerate(problem.names):
@@ -104,14 +99,9 @@ def reversed_certificate(
 
 @taking(Solving, accuracy="reference")
 def hessian_vector(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    feature: str,
-    wrt: Sequence[str],
-    vector: Float[ArrayLike, " P"],
-    **settings: Unpack[SolvingKeys],
-) -> Float[np.ndarray, " P"]:
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], feature: str, wrt: Sequence[str],
+    vector: Float[ArrayLike, " P"], **settings: Unpack[SolvingKeys],
+) -> Float[np.ndarray, " P"]:  # fmt: skip
     """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
 
     A peak is that of the parabola through the greatest sample and its neighbours: a fixed sample would leave out that

@@ -130,12 +130,8 @@ def _jacobian(scene: AbstractModel, wrt: tuple[str, ...], params: dict, times: A
 def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: Sequence[str]) -> tuple[Any, tuple]:
     """Derivatives (P, ...) of a pytree by the named parameters, per SI unit, and (it, what stands beside it). Pure.
 
-    By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %.
-
-    Args:
-        function: of all parameters; it returns the pytree, and what is not differentiated.
-        params: where.
-        wrt: names.
+    By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %. ``function`` of
+    all parameters returns the pytree, and what is not differentiated.
     """
     from bcfj_jax.solve.work_queue import shifted, sizes  # With diffrax, which a kept program does not need.
 

@@ -117,10 +117,7 @@ def settled(
 ) -> tuple[Fold, np.ndarray, float] | None:
     """The short run that stands for the one wanted, and a late state and its time [s]; None where motion does not repeat itself.
 
-    Args:
-        scene, params, times: as ``sensitivity``.
-        names: of the parameters; by one that moves the pitch no derivative repeats itself.
-        how: of a run of values.
+    By a parameter (``names``) that moves the pitch no derivative does. ``how``: of a run of values.
     """
     # What is read of a body that turns on does not repeat itself.
     if not scene.recurs(params) or len(times) < 4 * _PHASES or any(map(is_reading, scene.members)):

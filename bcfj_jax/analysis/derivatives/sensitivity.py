@@ -27,7 +27,7 @@ from bcfj_jax.analysis.derivatives.repeating import settled
 from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
 from bcfj_jax.core import presented
-from bcfj_jax.core.errors import InputError, nearest, quoted, texts
+from bcfj_jax.core.errors import InputError, one_of, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, scalar, whole
 from bcfj_jax.core.settings import taking
@@ -136,9 +136,8 @@ class Deriving(Bounding):
 
     def checked(self) -> Deriving:
         """With numbers in SI units and of their ranges; ``InputError`` for others."""
-        for what, value, known in (("mode", self.mode, MODES), ("differences", self.differences, DIFFERENCES)):
-            if value not in known:
-                raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
+        one_of("mode", "mode", self.mode, MODES)
+        one_of("differences", "differences", self.differences, DIFFERENCES)
         average = scalar("certificate", _AVERAGE, self.average)
         budget = None if self.budget is None else scalar("certificate", _BUDGET, self.budget)
         return replace(self, average=average, levels=whole("levels", self.levels, most=100), budget=budget)
@@ -146,12 +145,9 @@ class Deriving(Bounding):
 
 @taking(Deriving)
 def sensitivity(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    wrt: Sequence[str],
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], wrt: Sequence[str],
     **settings: Unpack[DerivingKeys],
-) -> Sensitivity:
+) -> Sensitivity:  # fmt: skip
     """Derivatives of force histories and features by named parameters, with a certificate.
 
     One compiled program per scene, number of times and ``wrt``; other values, times and accuracies reuse it. With a
@@ -422,15 +418,9 @@ class Step(NamedTuple):
 
 @taking(Bounding)
 def smoothing_ladder(
-    scene: AbstractModel,
-    params: Params,
-    times: ArrayLike,
-    wrt: Sequence[str],
-    values: Sequence[float],
-    *,
-    knob: Literal["smoothing", "friction_speed"] = "smoothing",
-    **settings: Unpack[BoundingKeys],
-) -> list[Step]:
+    scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], values: Sequence[float], *,
+    knob: Literal["smoothing", "friction_speed"] = "smoothing", **settings: Unpack[BoundingKeys],
+) -> list[Step]:  # fmt: skip
     """Derivatives and their certificates at several widths, the sharpest first.
 
     A wider regularisation of contact, or of friction, makes derivatives cheaper and better behaved, and biases the force: take
@@ -445,8 +435,7 @@ def smoothing_ladder(
         InputError: as ``sensitivity``; and for a knob the scene does not have, or a width out of range.
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
-    if knob not in KNOBS:
-        raise InputError("knob", f"no knob {quoted(knob)}", nearest(knob, KNOBS))
+    one_of("knob", "knob", knob, KNOBS)
     if knob not in scene.quantities:
         raise InputError("knob", f"scene '{scene.kind}' with these options has no {knob}", "switch it on in the scene")
     if isinstance(values, str) or not isinstance(values, Iterable):

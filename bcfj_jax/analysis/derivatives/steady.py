@@ -86,9 +86,8 @@ class _Pitch(NamedTuple):
     @property
     def good(self) -> bool:
         """Whether it was solved, with finite derivatives."""
-        return int(self.code) == OK and bool(
-            np.isfinite(self.end.slopes).all() and np.isfinite(self.force_slopes).all()
-        )
+        finite = np.isfinite(self.end.slopes).all() and np.isfinite(self.force_slopes).all()
+        return int(self.code) == OK and bool(finite)
 
 
 def _pitch(
@@ -122,9 +121,8 @@ def _pitch(
     left = scene.neutral(scale * value[0], scale * slopes[0][:, -1]) / scale
     size = jnp.linalg.norm(left)
     end = begin._replace(state=value[0], slopes=after, disturbance=left / jnp.where(size > 0.0, size, 1.0))
-    return _Pitch(
-        end, value[1], value[2], force, depth, size / jnp.linalg.norm(disturbance), value[3], pitch, code, steps
-    )
+    grown = size / jnp.linalg.norm(disturbance)
+    return _Pitch(end, value[1], value[2], force, depth, grown, value[3], pitch, code, steps)
 
 
 class Steady(NamedTuple):
@@ -228,11 +226,7 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
 
 
 def check_recurs(scene: AbstractModel, params: Params) -> None:
-    """Refuse a scene whose steady motion is not known to repeat itself.
-
-    Raises:
-        InputError: for such a scene, and for one whose level is not chosen.
-    """
+    """Refuse a scene whose steady motion is not known to repeat itself, and one whose level is not chosen."""
     if scene.traits.open or not scene.recurs(params):
         found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
         raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")

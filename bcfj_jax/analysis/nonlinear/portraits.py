@@ -10,7 +10,7 @@ Drawing raises ``InputError`` for a name that the run or the scene has not, and 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.features import contact_times
 from bcfj_jax.analysis.histories import Window, within
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.io import plots
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
@@ -66,11 +66,6 @@ def contact_modes(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike, imp
     return found
 
 
-def _known(name: str, names: Collection[str], what: str) -> None:
-    if name not in names:
-        raise InputError(what, f"no {what} '{name}'", nearest(name, names))
-
-
 def _states(run: Run) -> np.ndarray:
     if run.trajectory is None:
         raise InputError("run", "holds no states", "take one that simulate made")
@@ -79,10 +74,8 @@ def _states(run: Run) -> np.ndarray:
 
 def _phases(path: Path, curves: _Curves, title: str, names: tuple[str, str], unit: str) -> Path:
     """Rates against places, with each curve's name where there are several."""
-    (x_scale, x_prefix), (v_scale, v_prefix) = (
-        plots.engineering(np.concatenate([curve[k] for curve in curves.values()])) for k in (0, 1)
-    )
-    several = len(curves) > 1
+    every = (np.concatenate(parts) for parts in zip(*curves.values(), strict=True))
+    (x_scale, x_prefix), (v_scale, v_prefix) = map(plots.engineering, every)
     with plots.panels(1, 1, path, 5.5, 4.4) as (axis,):
         for name, (place, rate) in curves.items():
             axis.plot(place * x_scale, rate * v_scale, lw=0.7, alpha=0.8, label=name)
@@ -90,9 +83,8 @@ def _phases(path: Path, curves: _Curves, title: str, names: tuple[str, str], uni
             axis.axvline(0.0, color="#4a4a4a", lw=0.8, ls="--")
         axis.set(title=title, xlabel=plots.label(names[0], unit, x_prefix))
         axis.set_ylabel(plots.label(names[1], f"{unit}/s", v_prefix))
-        if several:
-            under = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16)}
-            axis.legend(ncols=min(len(curves), 3), fontsize=8, **under)
+        if len(curves) > 1:
+            axis.legend(ncols=min(len(curves), 3), fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16))
     return path
 
 
@@ -101,7 +93,7 @@ def contact_portrait(run: Run, contact: str, path: Path, *, window: Window = Non
 
     d < 0 is the gap. Every loop around d = 0 is an impact; its loss of speed is the damping's.
     """
-    _known(contact, run.penetration, "contact")
+    one_of("contact", "contact", contact, run.penetration)
     part = within(run.times, window)
     depth, rate = (channels({contact: x[contact][part]}) for x in (run.penetration, run.rate))
     curves = {name: (depth[name], rate[name]) for name in depth}
@@ -115,7 +107,7 @@ def state_portrait(run: Run, scene: AbstractModel, coordinate: str, path: Path, 
     ``coordinate``: of a joint "cage.x", "head.z", "ball[1].y", "head_turn" and the like; else the name of a body.
     """
     places = scene.coordinates()
-    _known(coordinate, places, "coordinate")
+    one_of("coordinate", "coordinate", coordinate, places)
     part, unit = within(run.times, window), "rad" if coordinate.endswith("turn") else "m"
     place, rate = (_states(run)[part, k] for k in places[coordinate])
     return _phases(path, {"": (place, rate)}, f"{coordinate}: rate against place", ("x", "x'"), unit)
@@ -137,8 +129,7 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
     rows = {name: contact_modes(run.times, depth[name], rate[name], impact_time)[part] for name in depth}
     scale, prefix = plots.engineering(times)
     edges = np.concatenate([[times[0]], 0.5 * (times[1:] + times[:-1]), [times[-1]]]) * scale
-    with plots.style():
-        drawing, (axis,) = plots.figure(1, height=1.4 + 0.26 * len(rows))
+    with plots.sheet(path, height=1.4 + 0.26 * len(rows)) as (axis,):
         table = np.ma.masked_less(np.array(list(rows.values())), 0)
         colours = ListedColormap([_SHADES[mode] for mode in MODES])
         axis.pcolormesh(edges, np.arange(len(rows) + 1), table, cmap=colours, vmin=-0.5, vmax=2.5, rasterized=True)
@@ -154,7 +145,6 @@ def contact_raster(run: Run, path: Path, *, impact_time: float, window: Window =
         axis.set_xlabel(plots.label("time", "s", prefix))
         above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderpad": 0.2}
         axis.legend([Patch(color=_SHADES[mode]) for mode in MODES], MODES, ncols=3, fontsize=8, **above)
-        plots.save(drawing, path)
     return path
 
 
@@ -170,7 +160,7 @@ def ball_loads(
     members = {name: count for name, count in scene.members.items() if count}
     if not (scene.drive_coordinate and members):
         raise InputError("scene", f"'{scene.kind}' has no members around a drive", "give a joint: it has balls")
-    _known(contact, members, "contact of a ball")
+    one_of("contact of a ball", "contact of a ball", contact, members)
     part = within(run.times, window)
     turn = _states(run)[part, scene.coordinates()[scene.drive_coordinate][0]]
     load = np.abs(run.force[contact][part, :, 0])
