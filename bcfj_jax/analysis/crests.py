@@ -39,13 +39,8 @@ class Curve(NamedTuple):
 UNKNOWN = Curve(*[np.nan] * 4)
 
 
-def size_of(curve: Curve) -> Curve:
-    """The curve of the size of a force that has two signs."""
-    return curve._replace(peak=_top(curve))
-
-
-def _top(curve: Curve) -> Any:
-    """Greatest size of the force."""
+def top(curve: Curve) -> Any:
+    """Greatest size of a force that has two signs."""
     xp, peak, least = backend(*curve), still(curve.peak), still(curve.least)
     lower = -least > xp.where(peak > 0, peak, 0.0)
     return either(lower, lambda: -curve.least, lambda: curve.peak)
@@ -53,7 +48,7 @@ def _top(curve: Curve) -> Any:
 
 def summit(highest: Any, curve: Curve, size: bool = False) -> Any:
     """Summit of the continuous force, or of its ``size``; NaN where it is not known: none whose greatest sample is higher."""
-    found = _top(curve) if size else curve.peak
+    found = top(curve) if size else curve.peak
     return either(still(highest) <= (1.0 + _HIGHER) * still(found), lambda: found, lambda: np.nan)
 
 

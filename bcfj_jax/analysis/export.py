@@ -141,15 +141,9 @@ class Export:
 
 
 def drop(law: normal.AbstractLaw, values: Mapping[str, float], mass: float, speed: float, lasting: float) -> Outcome:
-    """A mass [kg] meets a fixed surface at a speed [m/s], without weight.
+    """A mass [kg] meets a fixed surface at a speed [m/s], without weight; the contact is sharp (without regularisation).
 
-    Args:
-        law, values: of the contact, sharp (without regularisation).
-        mass, speed: see above.
-        lasting: duration of an undamped contact of this kind [s].
-
-    Raises:
-        InputError: where the run fails.
+    ``lasting``: duration of an undamped contact of this kind [s]. ``InputError`` where the run fails.
     """
     scene = SCENES["impact"](law, smoothing=False)
     given: dict[str, Any] = {k: v for k, v in values.items() if k in law.needs}
@@ -305,8 +299,7 @@ TOOLS: dict[str, tuple[Callable[[Source, Outcome], _Law], str]] = {
 def source(what: str | Path, contact: str = "", mass: str | float = "", speed: str | float = "") -> Source:
     """The contact of a scene file, of a built-in scene, or of the folder or fit.json of a calibration.
 
-    Raises:
-        InputError: for a scene without such a contact, a law that no tool has, and a mass or speed that is not known.
+    ``InputError`` for a scene without such a contact, a law that no tool has, and a mass or speed that is not known.
     """
     path = Path(what)
     folder = path.parent if path.name == "fit.json" else path
@@ -340,11 +333,7 @@ def _stated(name: str, text: str | float, known: float | None) -> float:
 
 
 def export(given: Source, tool: str) -> Export:
-    """A contact in the terms of a tool, with the drop run with either law.
-
-    Raises:
-        InputError: for an unknown tool.
-    """
+    """A contact in the terms of a tool, with the drop run with either law; ``InputError`` for an unknown tool."""
     if tool not in TOOLS:
         raise InputError("--to", f"'{tool}'", f"give one of {', '.join(TOOLS)}{nearest(tool, TOOLS)}")
     lasting = float(undamped_duration(*given.spring, given.mass, given.speed))

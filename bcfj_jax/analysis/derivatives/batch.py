@@ -83,9 +83,13 @@ def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
     What fills up is the first run again, which is computed only where there is no work queue.
     """
     devices = jax.local_devices()
-    size = -(-size // len(devices)) * len(devices)
     mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
-    return np.where(np.arange(size) < count, np.arange(size), 0), mesh
+    return filling(count, -(-size // len(devices)) * len(devices)), mesh
+
+
+def filling(count: int, size: int) -> np.ndarray:
+    """(size,) numbers of so many runs, the first again in the places that are left."""
+    return np.where(np.arange(size) < count, np.arange(size), 0)
 
 
 def divided(part: Callable[..., tuple], mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:

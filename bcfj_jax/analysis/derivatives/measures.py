@@ -33,7 +33,7 @@ def seen(times: np.ndarray, reading: Any, force: Any, depth: Any, rate: Any, cur
     duals.
     """
     known = UNKNOWN if curve is None else Curve(*(curve[k] for k in range(len(Curve._fields))))
-    whole = known._replace(peak=either(reading, lambda: known.peak, lambda: crests.size_of(known).peak))
+    whole = known._replace(peak=either(reading, lambda: known.peak, lambda: crests.top(known)))
     turned = (still(force) < 0) & (not reading if isinstance(reading, bool) else ~reading)
     return Seen(times, force * backend(force).where(turned, -1.0, 1.0), depth, rate, whole)
 

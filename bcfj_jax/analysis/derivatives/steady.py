@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.batch import places
+from bcfj_jax.analysis.derivatives.batch import filling, places
 from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
@@ -277,8 +277,7 @@ class Ends(NamedTuple):
 
 def to_the_end(scene: AbstractModel, params: Mapping[str, np.ndarray], last: np.ndarray, how: Plan, size: int) -> Ends:
     """Run N points, at most ``size``, to their ends (N,) [s] in one batch; leaves of ``params`` are (N,)."""
-    count = len(last)
-    fill = np.where(np.arange(size) < count, np.arange(size), 0)
+    count, fill = len(last), filling(len(last), size)
     given = {name: leaf[fill] for name, leaf in params.items()}
     arguments = given, last[fill], Plan(how.tolerance, how.max_steps), np.asarray(count)
     batch, compile_s = program("batch to the end", _ends, (scene,), arguments)

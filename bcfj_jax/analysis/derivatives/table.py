@@ -286,9 +286,8 @@ def told(found: Sensitivity) -> Told:
 def frame(found: Sensitivity) -> tuple[dict[str, Any], str]:
     """A feature and a parameter a row: value, derivative per SI unit, % per %, verdict."""
     checks = found.certificate.parameters if found.certificate else {}
-    table: dict[str, list[Any]] = {
-        key: [] for key in ("feature", "parameter", "value", "unit", "derivative", "percent_per_percent", "verdict")
-    }
+    keys = ("feature", "parameter", "value", "unit", "derivative", "percent_per_percent", "verdict")
+    table: dict[str, list[Any]] = {key: [] for key in keys}
     for feature, value in found.features.items():
         for name in found.wrt:
             slope = found.feature_derivatives[name][feature]
@@ -325,9 +324,8 @@ def dataset(found: Sensitivity) -> Dataset:
     variables["value"] = (("feature",), [found.features[name] for name in names], "")
     variables["feature_derivative"] = (("parameter", "feature"), np.reshape(slopes, (len(found.wrt), len(names))), "")
     about = {"status": found.status, "reason": found.reason}
-    return Dataset(
-        variables, coordinates, about | ({"verdict": found.certificate.verdict} if found.certificate else {})
-    )
+    about |= {"verdict": found.certificate.verdict} if found.certificate else {}
+    return Dataset(variables, coordinates, about)
 
 
 def figures(found: Sensitivity) -> dict[str, Callable[[Any], Any]]:

@@ -51,7 +51,7 @@ def design(
 
     Starts (the given design, and points of a scrambled Sobol design) descend by L-BFGS-B in one compiled batch; the
     best is refined by Newton's method on the gradient to 1e-6 of every range; an independent run confirms the gain.
-    Runs compile once per scene, number of times, names and starts; another objective compiles in a second.
+    Runs compile once per scene, number of times, names and starts; another objective compiles nothing.
 
     Args:
         scene: any model but an open one (fidelity "auto"). A dynamic joint is chaotic over long times: take "quasistatic", or a

@@ -23,12 +23,11 @@ import numpy as np
 from scipy.stats import norm as normal
 from scipy.stats import qmc
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories
+from bcfj_jax.analysis.derivatives.jacobian import of_run
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
 from bcfj_jax.analysis.designs.objective import Objective, measured
 from bcfj_jax.analysis.designs.space import SIGMAS, Search
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import LEVELS, force_error
 from bcfj_jax.solve.simulation import Run, simulate
@@ -99,12 +98,10 @@ def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objec
     """The true objective of a run, and the features it is made of by name; NaN where it failed."""
     if run.status != "ok":
         return float("nan"), {f.name: float("nan") for f in objective.features}
-    tables = (run.force, 1), (run.penetration, 0), (run.rate, 0)
-    value = [np.stack(list(channels(table, axes).values()), axis=1) for table, axes in tables]
+    value = of_run(run)
     # Designs of explicit models are compared by summits, which a crest between samples stands for here.
     norm = np.inf if scene.traits.history and not scene.traits.stiff else None
-    histories = Histories(*value, state=None), Histories(*(x[None][:0] for x in value), state=None)
-    values = measured(times, *histories, objective, scene.members, norm)
+    values = measured(times, value, value.constant, objective, scene.members, norm)
     found = {f.name: float(x.value) for f, x in zip(objective.features, values, strict=True)}
     return float(objective.of(values).value), found
 

@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
-from bcfj_jax.analysis.derivatives.batch import jacobians, possible
+from bcfj_jax.analysis.derivatives.batch import filling, jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
@@ -223,7 +223,7 @@ class Evaluator:
         parts = [points[share] for share in np.array_split(np.arange(len(points)), shares)]
         sizes = [len(part) for part in parts]
         given = [
-            _Given(dict(self.params), part[self._filled(size)], self.times, self.how, np.asarray(size), near)
+            _Given(dict(self.params), part[filling(size, self.batch)], self.times, self.how, np.asarray(size), near)
             for part, size in zip(parts, sizes, strict=True)
         ]
         runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), (given[0],))
@@ -232,7 +232,7 @@ class Evaluator:
 
         def joined(*shared: Any) -> np.ndarray:
             wanted = [x[:size] for x, size in zip(shared, sizes, strict=True)]
-            return np.concatenate(wanted)[self._filled(len(points))]
+            return np.concatenate(wanted)[filling(len(points), self.batch)]
 
         value, slopes, code, near = jax.tree.map(joined, *found)
         self.spent.batch(time.perf_counter() - begin, compile_s)
@@ -242,10 +242,6 @@ class Evaluator:
             for force, depth, curve in (value, slopes)
         )
         return _Read(histories, tangents, code, [""] * len(code), near)
-
-    def _filled(self, count: int) -> np.ndarray:
-        """Rows of a batch of which so many are wanted: the first stands for the others."""
-        return np.array([i if i < count else 0 for i in range(self.batch)])
 
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""

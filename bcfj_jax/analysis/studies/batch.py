@@ -19,7 +19,7 @@ from jax.sharding import Mesh
 from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.derivatives.contact_events import TIGHTER
 from bcfj_jax.analysis.derivatives.contact_events import filled as with_events
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, of_run
 from bcfj_jax.analysis.derivatives.measures import measure, vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.problem import Problem
@@ -29,7 +29,6 @@ from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.status import NO_FORCE, OK, reason
-from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
@@ -136,8 +135,8 @@ def measured(
     slopes: Histories | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Features (F,) of a finished run, and their derivatives (F, P); by no parameter without ``slopes``."""
-    none = Histories(*(None if x is None else x[None][:0] for x in value))
-    return measure(times, value, none if slopes is None else slopes, wanted, scene.members, scene.traits.turning)
+    by = value.constant if slopes is None else slopes
+    return measure(times, value, by, wanted, scene.members, scene.traits.turning)
 
 
 def _program(scene: AbstractModel, asked: tuple, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
@@ -200,9 +199,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             why = reason(found.code, given.max_steps)
         else:
             single = simulated(given, one, times, safety)
-            read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
-            force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
-            value = Histories(force, depth, rate, None)
+            value = of_run(single)
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
         numbers, by = measured(scene, study.features, times, value, slopes)
