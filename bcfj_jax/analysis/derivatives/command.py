@@ -11,8 +11,8 @@ import numpy as np
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.analysis.derivatives import table
 from bcfj_jax.analysis.derivatives.certificate import TRUSTED
-from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
-from bcfj_jax.analysis.derivatives.sensitivity import DerivingKeys, Sensitivity, sensitivity
+from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
+from bcfj_jax.analysis.derivatives.sensitivity import Deriving, DerivingKeys, Sensitivity, posed, sensitivity
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
@@ -21,7 +21,6 @@ from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.xla.programs import keep_asked
 from bcfj_jax.xla.threads import begun
 
@@ -175,10 +174,8 @@ def answer(found: Sensitivity) -> Verdict:
 def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
     """Full names of the parameters and the features that ``run`` would take; it raises what ``run`` would raise."""
     given = shown(load(what))
-    _, names = complete(given.scene, given.params, wrt)
-    scene = observing(given.scene, list(features))
-    wanted = [feature(name, scene.members) for name in features] or default_features(scene.members)
-    return names, [one.name for one in wanted]
+    problem = posed(given.scene, given.params, given.times, wrt, Deriving(features=features))
+    return problem.names, [one.name for one in problem.wanted]
 
 
 def _tables(found: Sensitivity, mark: str) -> Tables:
@@ -236,12 +233,9 @@ def certificate_json(found: Sensitivity, scene: AbstractModel) -> dict[str, Any]
         | (checks[name]._asdict() if name in checks else {})
         for name in found.wrt
     }
+    by = found.feature_derivatives
     content["features"] = {
-        name: {
-            "value": value,
-            "unit": feature_unit(name),
-            "derivatives": {p: found.feature_derivatives[p][name] for p in found.wrt},
-        }
+        name: {"value": value, "unit": feature_unit(name), "derivatives": {p: by[p][name] for p in found.wrt}}
         for name, value in found.features.items()
     }
     # Histories of the orbit are long, and for Python.

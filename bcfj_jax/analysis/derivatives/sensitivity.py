@@ -178,7 +178,7 @@ def sensitivity(
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
     asked = Deriving(**settings).checked()
-    problem = _posed(scene, params, times, wrt, asked)
+    problem = posed(scene, params, times, wrt, asked)
     scene, full = problem.scene, problem.params
     how = plan(scene, asked.accuracy, asked.max_steps)
     if asked.mode == "reverse" or (asked.mode == "auto" and len(problem.names) > _MANY):
@@ -191,7 +191,7 @@ def sensitivity(
     return _forward(problem, how, asked)
 
 
-def _posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], asked: Deriving) -> Problem:
+def posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], asked: Deriving) -> Problem:
     """What is differentiated, checked."""
     scene, params, t = ready(scene, params, times)
     full, names = complete(scene, params, wrt)

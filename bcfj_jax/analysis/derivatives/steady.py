@@ -172,7 +172,7 @@ class _Orbit(NamedTuple):
     steps: int
 
 
-class _Restless(Exception):
+class Restless(Exception):
     """Why a motion has no derivatives of its own."""
 
 
@@ -217,7 +217,7 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     def tried(*earlier: _Orbit) -> tuple[Steady, _Orbit | None]:
         try:
             one = next(orbits)
-        except _Restless as why:
+        except Restless as why:
             return _none(str(why)), None
         return found([*earlier, one]), one
 
@@ -232,31 +232,19 @@ def check_recurs(scene: AbstractModel, params: Params) -> None:
         raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
 
 
-class Turn(NamedTuple):
-    """One turn of steady motion at even shares of it, both ends included; the reason why there is none, or "".
+def turn(problem: Problem, state: np.ndarray, time: float) -> tuple[Histories, Histories, float]:
+    """One turn of the steady motion to which a run has come, at even shares of it, both ends included.
 
-    ``derivative`` is per SI unit, at a fixed share of the turn.
+    Its histories, their derivatives per SI unit at a fixed share of the turn, and the seconds of compiling; arguments are those
+    of ``steady``. ``Restless`` where there is none.
     """
-
-    value: Histories
-    derivative: Histories
-    reason: str
-    compile_s: float
-
-
-def turn(problem: Problem, state: np.ndarray, time: float) -> Turn:
-    """Histories of one turn of the steady motion to which a run has come; arguments are those of ``steady``."""
-    nothing = Histories(None, None, None, None)
     if not problem.scene.recurs(problem.params):
-        return Turn(nothing, nothing, "its motion has no pitch", 0.0)
+        raise Restless("its motion has no pitch")
     solve, compile_s = prepared(problem)
-    try:
-        *_, last = _orbits(problem, state, time, solve)
-    except _Restless as why:
-        return Turn(nothing, nothing, str(why), compile_s)
+    *_, last = _orbits(problem, state, time, solve)
     value, slopes = _turn(problem, last)
     by = [x / problem.sizes.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
-    return Turn(value, Histories(*by, state=None), "", compile_s)
+    return value, Histories(*by, state=None), compile_s
 
 
 def shares(scene: AbstractModel, params: Params) -> np.ndarray:
@@ -295,20 +283,20 @@ def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Arr
 
 
 def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..., _Pitch]) -> Iterator[_Orbit]:
-    """The orbit at two tolerances, the looser first; ``_Restless`` where there is none."""
+    """The orbit at two tolerances, the looser first; ``Restless`` where there is none."""
     scene, params = problem.scene, problem.params
     settled = scene.settled_from(params)
     if time < settled:
-        raise _Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
+        raise Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
     pitches = np.asarray(time / scene.period(params)[1])
     begin = _begin(state / np.asarray(scene.error_scale(params)), len(problem.names), pitches)
     for tightened, wrong in ((1.0 / _LOOSER, 1.0), (1.0, _LOOSE)):
         orbit = _orbit(lambda begin, by=tightened: solve(begin, by), begin, wrong)
         if orbit is None:
-            raise _Restless("no motion was found that repeats itself every pitch")
+            raise Restless("no motion was found that repeats itself every pitch")
         if not orbit.off <= _SETTLED or not orbit.memory < 1.0:
             kept = f"a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
-            raise _Restless(f"the motion does not repeat itself: {kept}")
+            raise Restless(f"the motion does not repeat itself: {kept}")
         yield orbit
         begin = orbit.end
 

@@ -22,7 +22,7 @@ from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.batch import filling, jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
 from bcfj_jax.analysis.derivatives.problem import Problem
-from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
+from bcfj_jax.analysis.derivatives.steady import Restless, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.engine import columns, refusal
@@ -204,16 +204,22 @@ class Evaluator:
         none = [Histories(None, None, None, None)] * count
         read, compile_s = _Read(none, list(none), np.array(runs.code), [""] * count), runs.compile_s
 
-        def turned(i: int) -> Turn:
+        def turned(i: int) -> tuple[Histories, Histories, float] | str:
             one = {name: leaf[i] for name, leaf in params.items()}
-            return turn(Problem(self.scene, one, self.times, names, max_steps=self.how.max_steps), runs.state[i], end)
+            problem = Problem(self.scene, one, self.times, names, max_steps=self.how.max_steps)
+            try:
+                return turn(problem, runs.state[i], end)
+            except Restless as why:
+                return str(why)
 
         # The first alone: it may compile, for which all others would wait.
         good = np.flatnonzero(runs.code == OK)
         for i, found in zip(good, [*map(turned, good[:1]), *each(turned, good[1:])], strict=True):
-            compile_s += found.compile_s
-            read.value[i], read.derivative[i], read.whys[i] = found.value, found.derivative, found.reason
-            read.code[i] = NOT_FINITE if found.reason else OK
+            if isinstance(found, str):
+                read.code[i], read.whys[i] = NOT_FINITE, found
+                continue
+            read.value[i], read.derivative[i] = found[:2]
+            compile_s += found[2]
         self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
         return read
 
