@@ -171,15 +171,13 @@ def resolution_warnings(run: Run) -> list[str]:
         lengths = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
         if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
             shortest[name] = int(lengths.min())
-    found = []
-    if not (run.force or run.readings):
-        found.append("the scene has no contact; name readings in [[read]] tables")
+    found = [] if run.force or run.readings else ["the scene has no contact; name readings in [[read]] tables"]
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
         count = sum(missed.values())
-        short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
+        one, several = ("1 short contact begins and ends", "it"), (f"{count} short contacts begin and end", "them")
+        short, them = one if count == 1 else several
         what = "histories and pictures" if run.extremes else "peak, mean, impulse and work"
-        them = "it" if count == 1 else "them"
         found.append(f"{_several(missed)}: {short} between two samples; {what} do not include {them}; {more}")
     if shortest:
         samples = counted(min(shortest.values()), "sample")

@@ -15,7 +15,6 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -124,7 +123,7 @@ def trial(given: SceneFile, repeated: bool = True) -> Trial:
         how = Plan(tolerance, given.max_steps, solver=given.solver)
         return lambda: timed(scene, given.params, given.times, how)
 
-    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), again if repeated else None)
+    return repeatedly(lambda: simulated(given, resolved_peaks=False), again if repeated else None)
 
 
 def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] | None) -> Trial:
