@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.core.quantities import scalar
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -80,20 +80,12 @@ class Axis(NamedTuple):
 def bounded(
     where: str, scene: AbstractModel, params: Params, axis: Axis, scales: tuple[str, ...] = SCALES
 ) -> Axis:  # fmt: skip
-    """An axis whose bounds may be texts with a unit, checked and in SI.
+    """An axis whose bounds may be texts with a unit, checked and in SI; ``where``: its place in a file or a call.
 
-    Args:
-        where: the place of the axis in a file or a call, for messages.
-        scene, params: whose parameter it is; a stiffness' unit depends on the exponent.
-        axis: as it was given.
-        scales: those that there are.
-
-    Raises:
-        InputError: for an unknown scale, bounds that are no range or leave the parameter's own, and a logarithmic one
-            that reaches 0.
+    ``params``: of the scene, since a stiffness' unit depends on the exponent. ``InputError`` for an unknown scale, bounds that
+    are no range or leave the parameter's own, and a logarithmic one that reaches 0.
     """
-    if axis.scale not in scales:
-        raise InputError(f"{where} scale", f"no scale {quoted(axis.scale)}", nearest(axis.scale, scales))
+    one_of(f"{where} scale", "scale", axis.scale, scales)
     quantity, power = scene.quantities[axis.name], inputs.exponent(scene, axis.name, params)
     lower, upper = (scalar(f"{where} {end}", quantity, getattr(axis, end), power) for end in ("lower", "upper"))
     if not lower < upper:

@@ -25,7 +25,7 @@ from bcfj_jax.analysis import features
 from bcfj_jax.io.outputs import channels
 from bcfj_jax.io.page import brief, percent
 from bcfj_jax.mechanism.model import AbstractModel, Params
-from bcfj_jax.solve.extremes import Extremes, Totals, sampled
+from bcfj_jax.solve.extremes import Totals, sampled
 from bcfj_jax.solve.simulation import Run
 from bcfj_jax.xla.programs import QUICK, program
 
@@ -93,25 +93,6 @@ class Balance(NamedTuple):
         }  # fmt: skip
 
 
-class Summed(NamedTuple):
-    """What a run's samples and its solver's steps add up to.
-
-    Attributes:
-        duration: of the run [s].
-        samples, steps: by account, of the samples and of the solver's steps; no steps where they were not looked at.
-        tops: by contact, greatest size of the normal force at a sample [N].
-        extremes: by contact, of the steps; nothing likewise.
-        hidden: contacts that begin and end between two samples.
-    """
-
-    duration: float
-    samples: Mapping[str, Totals]
-    steps: Mapping[str, Totals]
-    tops: Mapping[str, np.ndarray]
-    extremes: Mapping[str, Extremes]
-    hidden: list[str]
-
-
 def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Balance:
     """The balances of a run that has its trajectory; ``asked``: force error, a fraction of the peak."""
     if run.trajectory is None or not np.all(np.isfinite(run.trajectory)):
@@ -122,23 +103,22 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
             UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
     arguments = dict(params), run.times, run.trajectory
-    samples = jax.device_get(program("accounts", sampled, (model,), arguments, QUICK)[0](*arguments))
-    depth, rate = channels(run.penetration), channels(run.rate)
+    return _judged(asked, run, jax.device_get(program("accounts", sampled, (model,), arguments, QUICK)[0](*arguments)))
+
+
+def _judged(asked: float, run: Run, samples: Mapping[str, Totals]) -> Balance:
+    """The balances of a run, whose samples add up to ``samples``."""
+    # Contacts that begin and end between two samples.
+    depth, rate, steps = channels(run.penetration), channels(run.rate), run.totals
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
-    tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}
-    return judged(asked, Summed(float(run.times[-1]), samples, run.totals, tops, run.extremes, hidden))
-
-
-def judged(asked: float, summed: Summed) -> Balance:
-    """The balances of what was summed up; ``asked``: force error, a fraction of the peak."""
-    samples, steps, hidden = summed.samples, summed.steps, summed.hidden
     if not samples:
         return Balance(UNKNOWN, "The balance is not known: the model has neither momenta nor an energy balance.")
     quadrature = "steps" if steps else "samples"
     errors: dict[str, dict[str, Error]] = {}
     said, few = [], False
-    for (body, what), names in _groups(samples).items():
-        rows = [(steps or samples)[name] for name in names]
+    # The directions of one momentum are measured by the largest.
+    for body, what in dict.fromkeys(map(_subject, samples)):
+        rows = [(steps or samples)[name] for name in samples if _subject(name) == (body, what)]
         scale = max(_top(x) for row in rows for x in (row.first, row.last, row.size)) or 1.0
         worst = max(rows, key=lambda row: _top(row.miss))
         coarse = _top(worst.coarse) / scale
@@ -147,21 +127,13 @@ def judged(asked: float, summed: Summed) -> Balance:
         errors.setdefault(body, {})[what] = one
         if not one.closed:
             said.append(_missed(body, what, worst, one))
-    over = _stepped_over(asked, summed)
+    over = _stepped_over(asked, run, samples)
     if over or (said and (steps or not hidden)):
         return Balance(MISSED, " ".join([*over, *said][:1]), quadrature, errors)
     if said or (few and not steps):
         why = f"contacts of {hidden[0]} begin and end between two samples" if hidden else "the samples are too few"
         return Balance(UNKNOWN, f"The balance is not known: {why}.", quadrature, errors)
     return Balance(CLOSED, "", quadrature, errors)
-
-
-def _groups(accounts: Mapping[str, Any]) -> dict[tuple[str, str], list[str]]:
-    """Names of accounts by body and quantity: the directions of one momentum are measured by the largest."""
-    found: dict[tuple[str, str], list[str]] = {}
-    for name in accounts:
-        found.setdefault(_subject(name), []).append(name)
-    return found
 
 
 def _subject(name: str) -> tuple[str, str]:
@@ -187,12 +159,12 @@ def _missed(body: str, what: str, row: Totals, error: Error) -> str:
     )
 
 
-def _stepped_over(asked: float, summed: Summed) -> list[str]:
+def _stepped_over(asked: float, run: Run, samples: Mapping[str, Totals]) -> list[str]:
     """What samples show and no step of the solver has met, in sentences."""
-    duration, samples, steps, tops, extremes, _ = summed
-    found, most = [], max((_top(x) for x in tops.values()), default=0.0)
-    for name in extremes:
-        met = np.asarray(extremes[name].peak)
+    tops = {name: np.max(np.abs(force[..., 0]), axis=0) for name, force in run.force.items()}
+    found, most, duration = [], max((_top(x) for x in tops.values()), default=0.0), float(run.times[-1])
+    for name, extremes in run.extremes.items():
+        met = np.asarray(extremes.peak)
         beyond = tops[name] > _BEYOND * met + asked * most
         if np.any(beyond):
             k = np.unravel_index(int(np.argmax(np.where(beyond, tops[name], -np.inf))), beyond.shape)
@@ -200,7 +172,7 @@ def _stepped_over(asked: float, summed: Summed) -> list[str]:
             found.append(
                 f"A sample shows {shown} in {name}, the solver's steps {seen} at most: the solver stepped over a contact."
             )
-    for name, row in steps.items():
+    for name, row in run.totals.items():
         shown, (body, what) = samples[name], _subject(name)
         stronger = shown.greatest > _BEYOND * row.greatest + (_MEAN / duration * row.size if duration > 0.0 else 0.0)
         more = shown.size - shown.coarse > _BEYOND * row.size + asked * np.maximum(np.abs(row.first), np.abs(row.last))

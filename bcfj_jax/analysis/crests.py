@@ -39,13 +39,8 @@ class Curve(NamedTuple):
 UNKNOWN = Curve(*[np.nan] * 4)
 
 
-def size_of(curve: Curve) -> Curve:
-    """The curve of the size of a force that has two signs."""
-    return curve._replace(peak=_top(curve))
-
-
-def _top(curve: Curve) -> Any:
-    """Greatest size of the force."""
+def top(curve: Curve) -> Any:
+    """Greatest size of a force that has two signs."""
     xp, peak, least = backend(*curve), still(curve.peak), still(curve.least)
     lower = -least > xp.where(peak > 0, peak, 0.0)
     return either(lower, lambda: -curve.least, lambda: curve.peak)
@@ -53,7 +48,7 @@ def _top(curve: Curve) -> Any:
 
 def summit(highest: Any, curve: Curve, size: bool = False) -> Any:
     """Summit of the continuous force, or of its ``size``; NaN where it is not known: none whose greatest sample is higher."""
-    found = _top(curve) if size else curve.peak
+    found = top(curve) if size else curve.peak
     return either(still(highest) <= (1.0 + _HIGHER) * still(found), lambda: found, lambda: np.nan)
 
 
@@ -109,11 +104,8 @@ def crest_with_error(times: np.ndarray, values: np.ndarray, slopes: np.ndarray) 
     near = np.clip(top - 2, 0, max(last - 4, 0)) + np.arange(min(5, last + 1))
     high, place, _ = _summit(times, both, near, top)
     if last < 4 or float(high.value) != float(found.value):
-        return (
-            float(found.value),
-            found.slope,
-            np.abs(slopes[:, [top - 1, top + 1]] - slopes[:, [top]]).max(1, initial=0),
-        )
+        off = np.abs(slopes[:, [top - 1, top + 1]] - slopes[:, [top]]).max(1, initial=0)
+        return float(found.value), found.slope, off
     nodes = (times[near] - times[top]) / (times[top + 1] - times[top - 1])
     four = near[np.sort(np.argsort(np.abs(nodes - place), kind="stable")[:4])]
     coarse, _, good = _summit(times, both, four, top)

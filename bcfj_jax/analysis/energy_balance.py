@@ -79,12 +79,9 @@ def _instants(times: np.ndarray, step: float) -> tuple[np.ndarray, int]:
 
 
 def balance(
-    model: AbstractModel,
-    params: Params,
-    times: ArrayLike,
-    accuracy: str | float | Plan = "balanced",
+    model: AbstractModel, params: Params, times: ArrayLike, accuracy: str | float | Plan = "balanced",
     step: float = 1e-5,
-) -> EnergyBalance:
+) -> EnergyBalance:  # fmt: skip
     """Run a model and sum up its energy.
 
     Compiles once per model and number of instants.

@@ -28,14 +28,15 @@ def planned(given: SceneFile, safety: float = 1.0) -> Plan:
 
 
 def simulated(
-    given: SceneFile, params: Mapping[str, Any] | None = None, times: np.ndarray | None = None, safety: float = 1.0
-) -> Run:
-    """A run of a scene file, with parameters and times in place of its own, at so much of its force error."""
-    return simulate(
-        given.scene, given.params if params is None else params, given.times if times is None else times,
-        accuracy=max(_TIGHTEST, force_error(given.accuracy) * safety), max_steps=given.max_steps, solver=given.solver,
-        resolved_peaks=given.resolved_peaks,
-    )  # fmt: skip
+    given: SceneFile, params: Mapping[str, Any] | None = None, times: np.ndarray | None = None, safety: float = 1.0,
+    **more: Any,
+) -> Run:  # fmt: skip
+    """A run of a scene file, with parameters, times and ``more`` in place of its own, at so much of its force error."""
+    accuracy = given.accuracy if safety == 1.0 else max(_TIGHTEST, force_error(given.accuracy) * safety)
+    own: dict[str, Any] = {"accuracy": accuracy, "max_steps": given.max_steps, "solver": given.solver}
+    params, times = given.params if params is None else params, given.times if times is None else times
+    own |= {"resolved_peaks": given.resolved_peaks, **more}
+    return simulate(given.scene, params, times, **own)
 
 
 def differentiated(

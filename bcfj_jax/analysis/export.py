@@ -141,15 +141,9 @@ class Export:
 
 
 def drop(law: normal.AbstractLaw, values: Mapping[str, float], mass: float, speed: float, lasting: float) -> Outcome:
-    """A mass [kg] meets a fixed surface at a speed [m/s], without weight.
+    """A mass [kg] meets a fixed surface at a speed [m/s], without weight; the contact is sharp (without regularisation).
 
-    Args:
-        law, values: of the contact, sharp (without regularisation).
-        mass, speed: see above.
-        lasting: duration of an undamped contact of this kind [s].
-
-    Raises:
-        InputError: where the run fails.
+    ``lasting``: duration of an undamped contact of this kind [s]. ``InputError`` where the run fails.
     """
     scene = SCENES["impact"](law, smoothing=False)
     given: dict[str, Any] = {k: v for k, v in values.items() if k in law.needs}
@@ -163,16 +157,8 @@ def drop(law: normal.AbstractLaw, values: Mapping[str, float], mass: float, spee
     return Outcome(float(seen.peak), float(seen.touching), max(-float(run.rate["contact"][-1]) / speed, 0.0))
 
 
-@dataclass(frozen=True)
-class _Law:
-    """A translated law: itself, coefficients, the tool's terms, rows."""
-
-    law: normal.AbstractLaw
-    values: dict[str, float]
-    terms: dict[str, float]
-    rows: tuple[Row, ...]
-
-
+# A translated law: itself, its coefficients, the tool's terms, rows.
+_Law = tuple[normal.AbstractLaw, dict[str, float], dict[str, float], tuple[Row, ...]]
 _EXACT_SPRING = Row("spring K d^n", "exact", "stiffness and exponent as they are")
 
 
@@ -224,10 +210,8 @@ def _mujoco(source: Source, before: Outcome) -> _Law:
     """
     values, rows = _linear(source, before)
     terms = {"stiffness": values["stiffness"] / source.mass, "damping": values["dashpot"] / source.mass}
-    mass = Row(
-        "force at another mass", "lost", f"solref is per unit of mass: these numbers hold for {source.mass:.4g} kg"
-    )
-    return _Law(normal.KelvinVoigt(), values, terms, (*rows, mass))
+    remark = f"solref is per unit of mass: these numbers hold for {source.mass:.4g} kg"
+    return normal.KelvinVoigt(), values, terms, (*rows, Row("force at another mass", "lost", remark))
 
 
 def _adams(source: Source, before: Outcome) -> _Law:
@@ -238,10 +222,8 @@ def _adams(source: Source, before: Outcome) -> _Law:
     else:
         values = _damped(source, source.spring, normal.AdamsImpact(), before, damping_depth=source.depth)
         rows = (_EXACT_SPRING, _loss_row(source, "cmax reached at the undamped depth"))
-    terms = {
-        "k": values["stiffness"], "e": values["exponent"], "cmax": values["dashpot"], "d": values["damping_depth"]
-    }  # fmt: skip
-    return _Law(normal.AdamsImpact(), values, terms, rows)
+    names = {"k": "stiffness", "e": "exponent", "cmax": "dashpot", "d": "damping_depth"}
+    return normal.AdamsImpact(), values, {key: values[name] for key, name in names.items()}, rows
 
 
 def _exudyn(source: Source, before: Outcome) -> _Law:
@@ -258,18 +240,16 @@ def _exudyn(source: Source, before: Outcome) -> _Law:
         speed = "; of this speed: a d' of another speed has another coefficient" if kept else ""
         law = normal.Restitution(factor=_hunt_crossley)
         values = {**source.spring._asdict(), "restitution": e}
-        more = {"restitutionCoefficient": e, "impactModel": 1.0, "contactDamping": 0.0}
-        return _Law(law, values, terms | more, (_EXACT_SPRING, Row("loss", "exact", remark + speed)))
+        terms |= {"restitutionCoefficient": e, "impactModel": 1.0, "contactDamping": 0.0}
+        return law, values, terms, (_EXACT_SPRING, Row("loss", "exact", remark + speed))
     law = normal.KelvinVoigt(elastic=Power(), tension=True)  # type: ignore[arg-type]
     if isinstance(source.law, normal.KelvinVoigt) and source.law.tension:
         values, row = {**source.spring._asdict(), "dashpot": source.values["dashpot"]}, Row("loss", "exact", "c d'")
     else:
-        values, row = (
-            _damped(source, source.spring, law, before),
-            _loss_row(source, "a dashpot from touch on, which pulls before the surfaces part"),
-        )
-    more = {"contactDamping": values["dashpot"], "restitutionCoefficient": 1.0, "impactModel": 0.0}
-    return _Law(law, values, terms | more, (_EXACT_SPRING, row))
+        values = _damped(source, source.spring, law, before)
+        row = _loss_row(source, "a dashpot from touch on, which pulls before the surfaces part")
+    terms |= {"contactDamping": values["dashpot"], "restitutionCoefficient": 1.0, "impactModel": 0.0}
+    return law, values, terms, (_EXACT_SPRING, row)
 
 
 def _hunt_crossley(restitution: Any) -> Any:
@@ -284,9 +264,8 @@ def _modelica(source: Source, before: Outcome) -> _Law:
     else:
         values = _damped(source, source.spring, normal.ElastoGap(), before)
         rows = (_EXACT_SPRING, _loss_row(source, "a dashpot within the spring's force"))
-    return _Law(
-        normal.ElastoGap(), values, {"c": values["stiffness"], "n": values["exponent"], "d": values["dashpot"]}, rows
-    )
+    terms = {"c": values["stiffness"], "n": values["exponent"], "d": values["dashpot"]}
+    return normal.ElastoGap(), values, terms, rows
 
 
 def _chrono(source: Source, before: Outcome) -> _Law:
@@ -294,18 +273,17 @@ def _chrono(source: Source, before: Outcome) -> _Law:
 
     Chrono's source, ChContactSMC: normal force kn delta - gn v, cut off at 0; m is the effective mass.
     """
-    if source.spring.exponent < 1.25:
+    n, hertz = source.spring.exponent, source.spring.exponent >= 1.25
+    if hertz:
+        values = _damped(source, source.spring.like(source.depth, 1.5), ChronoHertz(), before)
+        remark = f"of exponent 1.5 and the same force at {source.depth:.3g} m, in place of {n:.4g}"
+        spring = _EXACT_SPRING if n == 1.5 else Row("spring K d^n", "approximate", remark)
+        rows = spring, _loss_row(source, "G d^0.5 d'")
+    else:
         values, rows = _linear(source, before)
-        terms = {"kn": values["stiffness"], "gn": values["dashpot"] / source.mass, "hertz": 0.0}
-        return _Law(normal.KelvinVoigt(), values, terms, rows)
-    n = source.spring.exponent
-    values = _damped(source, source.spring.like(source.depth, 1.5), ChronoHertz(), before)
-    remark = f"of exponent 1.5 and the same force at {source.depth:.3g} m, in place of {n:.4g}"
-    rows = (_EXACT_SPRING if n == 1.5 else Row("spring K d^n", "approximate", remark), _loss_row(source, "G d^0.5 d'"))
     # The drop's sphere has a radius of 1 m, so that R kn = K.
-    return _Law(
-        ChronoHertz(), values, {"kn": values["stiffness"], "gn": values["dashpot"] / source.mass, "hertz": 1.0}, rows
-    )
+    terms = {"kn": values["stiffness"], "gn": values["dashpot"] / source.mass, "hertz": float(hertz)}
+    return ChronoHertz() if hertz else normal.KelvinVoigt(), values, terms, rows
 
 
 # By tool: what translates a contact, and the file that runs the drop there; its form is in the folder ``peers``.
@@ -321,75 +299,58 @@ TOOLS: dict[str, tuple[Callable[[Source, Outcome], _Law], str]] = {
 def source(what: str | Path, contact: str = "", mass: str | float = "", speed: str | float = "") -> Source:
     """The contact of a scene file, of a built-in scene, or of the folder or fit.json of a calibration.
 
-    Raises:
-        InputError: for a scene without such a contact, a law that no tool has, and a mass or speed that is not known.
+    ``InputError`` for a scene without such a contact, a law that no tool has, and a mass or speed that is not known.
     """
     path = Path(what)
     folder = path.parent if path.name == "fit.json" else path
     given = scenefile.load(folder / "fitted_scene.toml" if (folder / "fitted_scene.toml").is_file() else what)
-    known = [c.name for c in given.scene.contacts]
-    name = contact or known[0]
+    known: dict[str, Any] = {c.name: c for c in given.scene.contacts}
+    name = contact or next(iter(known))
     if name not in known:
         raise InputError("--contact", f"'{name}'", f"this scene has {', '.join(known)}{nearest(name, known)}")
-    found: Any = next(c for c in given.scene.contacts if c.name == name)
+    found = known[name]
     if type(found.law) not in _OURS or not isinstance(found.law.elastic, (Power, Linear, Reference)):
         law = f"{type(found.law).__name__} with {type(getattr(found.law, 'elastic', None)).__name__}"
         remedy = "the nearest that leaves is law = 'memory_free' with elastic = 'power': fit that to the same records"
         raise InputError(f"contact '{name}'", f"no tool here has the law {law}", remedy)
     p = {key: float(value) for key, value in given.params.items() if not np.ndim(value)}
-    own = {key: p.get(f"{name}.{key}", p.get(key, math.nan)) for key in (*found.law.needs, *_of_friction(found))}
+    rubbing = () if found.friction is None else tuple(found.friction.needs)
+    own = {key: p.get(f"{name}.{key}", p.get(key, math.nan)) for key in (*found.law.needs, *rubbing)}
     struck = p.get("struck_mass", math.inf)
     body = p["mass"] / (1.0 + p["mass"] / struck) if "mass" in p else None
     fall = math.sqrt(2.0 * p["gravity"] * p["drop_height"]) if "drop_height" in p else None
     m = _stated("mass", mass, body)
     v = _stated("approach_speed", speed, p.get("approach_speed", fall))
-    return Source(name, found.law, own, m, v, {k: own[k] for k in _of_friction(found)})
-
-
-def _of_friction(contact: Any) -> tuple[str, ...]:
-    return tuple(contact.friction.needs) if contact.friction is not None else ()
+    return Source(name, found.law, own, m, v, {k: own[k] for k in rubbing})
 
 
 def _stated(name: str, text: str | float, known: float | None) -> float:
-    option = "--mass" if name == "mass" else "--speed"
+    option, example = ("--mass", "1 kg") if name == "mass" else ("--speed", "1 m/s")
     value = known if text == "" else scalar(option, CATALOGUE[name], text)
     if value is None or not value > 0.0:
-        raise InputError(
-            option, "the scene does not say it", f'give the drop\'s: {option} "{"1 kg" if name == "mass" else "1 m/s"}"'
-        )
+        raise InputError(option, "the scene does not say it", f'give the drop\'s: {option} "{example}"')
     return value
 
 
 def export(given: Source, tool: str) -> Export:
-    """A contact in the terms of a tool, with the drop run with either law.
-
-    Raises:
-        InputError: for an unknown tool.
-    """
+    """A contact in the terms of a tool, with the drop run with either law; ``InputError`` for an unknown tool."""
     if tool not in TOOLS:
         raise InputError("--to", f"'{tool}'", f"give one of {', '.join(TOOLS)}{nearest(tool, TOOLS)}")
     lasting = float(undamped_duration(*given.spring, given.mass, given.speed))
     values = {**given.values, "approach_speed": given.speed}
     before = drop(given.law, values, given.mass, given.speed, lasting)
     translate, name = TOOLS[tool]
-    law = translate(given, before)
-    after = drop(law.law, law.values, given.mass, given.speed, lasting)
-    rows = law.rows
+    law, values, terms, rows = translate(given, before)
+    after = drop(law, values, given.mass, given.speed, lasting)
     if given.friction:
         mu = given.friction.get("friction_dynamic", math.nan)
         rows += (Row("friction", "lost", f"the file has none; Coulomb's coefficient is {mu:.4g}"),)
     if given.values.get("smoothing", 0.0) != 0.0:
         rows += (Row("regularisation at touch", "lost", "the translated contact is sharp"),)
     form = resources.files("bcfj_jax.analysis").joinpath("peers", f"{name}.txt").read_text(encoding="utf-8")
-    told = {
-        "mass": given.mass,
-        "speed": given.speed,
-        "lasting": lasting,
-        "fine": lasting / 2000,
-        "coarse": lasting / 500,
-    }
-    told |= {"span": _SPAN * lasting, "model": "Hertz" if law.terms.get("hertz") else "Hooke"}
-    return Export(tool, name, form.format(**told, **law.terms), law.terms, rows, before, after)
+    told = {"mass": given.mass, "speed": given.speed, "model": "Hertz" if terms.get("hertz") else "Hooke"}
+    told |= {"lasting": lasting, "fine": lasting / 2000, "coarse": lasting / 500, "span": _SPAN * lasting}
+    return Export(tool, name, form.format(**told, **terms), terms, rows, before, after)
 
 
 def tables(found: Export) -> tuple[list[list[str]], list[list[str]], list[list[str]]]:

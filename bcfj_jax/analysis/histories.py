@@ -179,7 +179,9 @@ def settling_time(times: ArrayLike, force: ArrayLike, period: float, tolerance: 
         return float("nan")
     slack = 1e-9 * (t[-1] - t[0])
     early = t + period <= t[-1] + slack
-    apart = np.abs(np.interp(t[early] + period, t, f) - f[early]) > tolerance * _settled_peak(t, np.abs(f), period)
+    # Over the last full period.
+    peak = np.max(np.abs(f)[t >= t[-1] - period * (1 + 1e-9)])
+    apart = np.abs(np.interp(t[early] + period, t, f) - f[early]) > tolerance * peak
     settled = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     return float(t[settled]) if t[settled] <= t[-1] - 2 * period + slack else float("nan")
 
@@ -193,11 +195,6 @@ def _check_period(t: np.ndarray, period: float, times: int = 1) -> None:
     if not (period > 0 and times * period <= span * (1 + 1e-9)):
         found = f"{period:g} s in a history of {span:g} s"
         raise InputError("period", found, f"give one above 0 and at most {span / times:g} s, or a longer history")
-
-
-def _settled_peak(t: np.ndarray, magnitude: np.ndarray, cycle: float) -> float:
-    """Greatest sample of the last full period."""
-    return float(np.max(magnitude[t >= t[-1] - cycle * (1 + 1e-9)]))
 
 
 def _repeat(t: np.ndarray, values: np.ndarray) -> float:

@@ -59,14 +59,9 @@ def archard(times: ArrayLike, normal: ArrayLike, slip: ArrayLike, coefficient: A
 
 
 def wear_volume(
-    scene: AbstractModel,
-    params: Params,
-    times: ArrayLike,
-    contact: str,
-    *,
-    coefficient: ArrayLike = STEEL["wear_coefficient"],
-    hardness: ArrayLike = STEEL["hardness"],
-) -> Array:
+    scene: AbstractModel, params: Params, times: ArrayLike, contact: str, *,
+    coefficient: ArrayLike = STEEL["wear_coefficient"], hardness: ArrayLike = STEEL["hardness"],
+) -> Array:  # fmt: skip
     """``archard`` of a contact of a scene, as a pure function of its parameters [m^3]: jit, vmap, jvp and grad go through.
 
     Args:

@@ -218,12 +218,8 @@ def export(
     create(path, found.text)
     shown = leaving.tables(found)
     typer.echo("\n\n".join(text(rows) for rows in shown))
-    off = (
-        ""
-        if found.same
-        else f"; peak or rebound differ by more than {100 * leaving.AGREES:g} %: this law cannot say it"
-    )
-    typer.echo(f"\nwrote {path}{off}")
+    off = f"; peak or rebound differ by more than {100 * leaving.AGREES:g} %: this law cannot say it"
+    typer.echo(f"\nwrote {path}{'' if found.same else off}")
     keys = "before", "after", "terms"
     result({"file": str(path), "same": found.same, **{k: getattr(found, k) for k in keys}, "rows": shown[1]})
     return DONE

@@ -96,6 +96,7 @@ def sensitivity(
     """Differentiate a run: sensitivity.csv, certificate.json, a ranked table, pictures and report.html."""
     ready(code, scene)
     from bcfj_jax.analysis.derivatives import command
+    from bcfj_jax.analysis.derivatives.sensitivity import DerivingKeys
     from bcfj_jax.cli import plan
 
     names, wanted = split(wrt), split(features)
@@ -109,7 +110,8 @@ def sensitivity(
         ]
         return plan.of_scene("sensitivity", scene, out, rows)
     begin = time.perf_counter()
-    text, good = command.run(scene, command.Wanted(names, wanted, certify, budget), out, say, typer.echo)
+    asked = DerivingKeys(features=wanted, certify=certify, budget=budget)
+    text, good = command.run(scene, names, asked, out, say, typer.echo)
     typer.echo(text)
     return plan.ended("sensitivity", scene, begin, good)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -29,6 +29,13 @@ _RUN = "bcfj study run clearance --out study"
 _SPREAD = "bcfj study run examples/impact_spread.toml --out spread"
 
 
+def _command(study: str, code: list[Path] | None) -> Any:
+    ready(code, study)
+    from bcfj_jax.analysis.studies import command
+
+    return command
+
+
 def _told(found: tuple[str, int]) -> int:
     text, code = found
     typer.echo(text)
@@ -41,9 +48,7 @@ def study_run(
     code: Code = None,
 ) -> int:  # fmt: skip
     """Run a study: results.parquet, study.json, a picture and report.html; goes on with what its folder holds."""
-    ready(code, study)
-    from bcfj_jax.analysis.studies import command
-
+    command = _command(study, code)
     if dry_run:
         return _told((command.dry(study, out, (workers, scheduler)), command.DONE))
     return _told(command.run(study, out, (workers, scheduler), say, typer.echo))
@@ -54,19 +59,13 @@ def study_resume(
     study: StudyFile, out: StudyOut = None, workers: Workers = None, scheduler: Scheduler = None, code: Code = None
 ) -> int:
     """Compute what is missing of a study that was cut off."""
-    ready(code, study)
-    from bcfj_jax.analysis.studies import command
-
-    return _told(command.run(study, out, (workers, scheduler), say, typer.echo, True))
+    return _told(_command(study, code).run(study, out, (workers, scheduler), say, typer.echo, True))
 
 
 @_of_study("status", example=f"{_RUN}\nbcfj study status clearance --out study")
 def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> int:
     """Say what is finished, what failed and what is left (then the exit code is 5)."""
-    ready(code, study)
-    from bcfj_jax.analysis.studies import command
-
-    return _told(command.status(study, out))
+    return _told(_command(study, code).status(study, out))
 
 
 @_of_study(
@@ -76,10 +75,7 @@ def study_status(study: StudyFile, out: StudyOut = None, code: Code = None) -> i
 )
 def study_merge(study: StudyFile, out: StudyOut = None, other: Others = None, code: Code = None) -> int:
     """Take in blocks that were computed elsewhere, and write results.parquet when none is missing."""
-    ready(code, study)
-    from bcfj_jax.analysis.studies import command
-
-    return _told(command.merge(study, out, other or []))
+    return _told(_command(study, code).merge(study, out, other or []))
 
 
 Features = Annotated[list[str] | None, typer.Option("--feature", help="Such as contact.peak; by default every one.")]

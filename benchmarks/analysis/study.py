@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax import scenes, simulate
+from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.studies import api, batch
 from bcfj_jax.analysis.studies.block import Blocks
@@ -104,7 +105,7 @@ def study(table: dict[str, Any]) -> dict[str, Any]:
             found = {
                 "points": result.table.num_rows, "failed": result.failed, "whole_s": took["wall_s"], "blocks": len(blocks),
                 "size": blocks.size, "rate": many * blocks.size / seconds,
-                "efficiency": steps / (rounds * min(blocks.size, batch.places())) if rounds else None,
+                "efficiency": steps / (rounds * min(blocks.size, derivatives.places())) if rounds else None,
             }  # fmt: skip
     return found
 
@@ -115,15 +116,15 @@ def by_places(count: int) -> list[dict[str, float]]:
     params = {name: np.full(count, float(x)) for name, x in scene.parameters().items()}
     params["clearance_seat_cage"] = np.geomspace(LOW, HIGH, count)
     wanted = [feature(name, {"seat_cage": 0, "seat_ball": 6}) for name in FEATURES]
-    given = batch.places
+    given = derivatives.places
     for places in (1, 2, 4, 8, 16, 32, 64, 128):
-        batch.places = lambda places=places: places
+        derivatives.places = lambda places=places: places
         # Another size for each: the program's key does not know the slots.
         args = (scene, batch.Points(params, np.full(count, 0.6), TIMES / 0.6), wanted, plan(scene), count + places)
         batch.run(*args)
         rows.append({"slots": places, "rate": count / clocked(lambda args=args: batch.run(*args))[1]["wall_s"]})
         print(rows[-1], flush=True)
-    batch.places = given
+    derivatives.places = given
     return rows
 
 
@@ -144,7 +145,7 @@ def spread() -> dict[str, Any]:
     last = np.geomspace(3.0, 0.3, count)
     points = batch.Points(params, last, np.linspace(0, 1, 101))
     found = batch.run(scene, points, [feature("contact.peak", {"contact": 0})], plan(scene), count)
-    share = float(found.steps.sum() / (found.rounds * batch.places()))
+    share = float(found.steps.sum() / (found.rounds * derivatives.places()))
     return {"largest_over_least": float(found.steps.max() / found.steps.min()), "efficiency": share}
 
 

@@ -15,6 +15,7 @@ from bcfj_jax.analysis.designs.evaluate import Values
 from bcfj_jax.analysis.designs.objective import _norm
 from bcfj_jax.analysis.designs.refine import minimax, refine, stationarity
 from bcfj_jax.analysis.designs.result import Design
+from bcfj_jax.core.dual import Dual
 
 
 def quadratic(values):
@@ -99,8 +100,10 @@ def test_crest_and_norm():
     # ||t||_q over 0 to 1 is (q + 1)^(-1/q).
     fine = np.linspace(0.0, 1.0, 20001)
     for q in (2.0, 40.0):
-        found = _norm(fine, jnp.asarray(fine)[:, None], jnp.asarray(q))
-        assert float(found) == pytest.approx((q + 1.0) ** (-1.0 / q), rel=1e-6)
+        # Of p t it is p times that.
+        found = _norm(fine, [Dual(fine, fine[None])], q)
+        assert float(found.value) == pytest.approx((q + 1.0) ** (-1.0 / q), rel=1e-6)
+        assert float(found.slope[0]) == pytest.approx(float(found.value), rel=1e-9)
 
 
 class Lines:

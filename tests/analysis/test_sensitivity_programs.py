@@ -19,8 +19,8 @@ missed = []
 jax.monitoring.register_event_listener(lambda name, **_: missed.append(name) if name.endswith("cache_misses") else None)
 from bcfj_jax.analysis.derivatives import command
 from bcfj_jax.xla import programs
-wanted = command.Wanted(sys.argv[2].split(","), [], True, 60.0)
-text, good = command.run(sys.argv[1], wanted, Path(sys.argv[3]), lambda _: None, print)
+wanted = {"features": [], "certify": True, "budget": 60.0}
+text, good = command.run(sys.argv[1], sys.argv[2].split(","), wanted, Path(sys.argv[3]), lambda _: None, print)
 csv = (Path(sys.argv[3]) / "sensitivity.csv").read_text()
 found = {"good": good, "csv": csv, "traced": programs.traced, "fetched": programs.fetched, "missed": len(missed)}
 print(json.dumps(found))

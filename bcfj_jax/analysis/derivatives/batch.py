@@ -33,8 +33,8 @@ _PLACES = 32
 MANY = 16384
 # Samples that are read at once.
 _SAMPLES = 64
-# Runs that are read at once: on a CPU, on an accelerator.
-_AT_ONCE = {True: 1, False: 64}
+# Runs that are read at once on an accelerator.
+_AT_ONCE = 64
 
 
 class Runs(NamedTuple):
@@ -61,15 +61,9 @@ def possible(scene: AbstractModel, how: Plan) -> bool:
 
 
 def run(scene: AbstractModel, points: Points, wrt: tuple[str, ...], how: Plan, size: int, whole: bool = False) -> Runs:
-    """Run N points, N at most ``size``, with derivatives by ``wrt``.
+    """Run N points of a scene whose level is chosen, as ``possible`` allows, with derivatives by ``wrt``.
 
-    Args:
-        scene: one whose level is chosen.
-        points: the runs.
-        wrt: names that the parameters have values of.
-        how: as ``possible`` allows.
-        size: of the program; fewer points need no other one.
-        whole: whether all of a force is given back.
+    N is at most the ``size`` of the program: fewer points need no other one. ``whole``: whether all of a force is given back.
     """
     count = len(points.ends)
     fill, mesh = filled(count, size)
@@ -89,9 +83,13 @@ def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
     What fills up is the first run again, which is computed only where there is no work queue.
     """
     devices = jax.local_devices()
-    size = -(-size // len(devices)) * len(devices)
     mesh = Mesh(np.array(devices), ("runs",)) if len(devices) > 1 else None
-    return np.where(np.arange(size) < count, np.arange(size), 0), mesh
+    return filling(count, -(-size // len(devices)) * len(devices)), mesh
+
+
+def filling(count: int, size: int) -> np.ndarray:
+    """(size,) numbers of so many runs, the first again in the places that are left."""
+    return np.where(np.arange(size) < count, np.arange(size), 0)
 
 
 def divided(part: Callable[..., tuple], mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
@@ -121,11 +119,6 @@ def _program(
 def places() -> int:
     """Runs under way at one time."""
     return _PLACES if backend.on_cpu() else MANY
-
-
-def _at_once(count: int) -> int | None:
-    few = min(_AT_ONCE[backend.on_cpu()], count)
-    return few if few > 1 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,17 +193,11 @@ class _Sharing:
 def jacobians(
     scene: AbstractModel, wrt: Sequence[str], points: Points, how: Plan, count: Array, whole: bool = False
 ) -> tuple:
-    """Force, penetration and rate of N runs with their derivatives per SI unit. Pure.
+    """Force, penetration and rate of N runs (as ``work_queue.integrate_queue``) with their derivatives per SI unit. Pure.
 
-    Args:
-        scene, points, how, count: as ``work_queue.integrate_queue``.
-        wrt: names that the parameters have values of.
-        whole: whether all of a force is given back; else the normal part alone.
-
-    Returns:
-        Values (N, T, C, 3 or 1), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); derivatives (N, T, P, C)
-        of normal force, penetration and rate, (N, P, C, 4) of the curve; then (N,) codes and ends, the rounds of all places,
-        and (N,) attempted steps.
+    Values (N, T, C, 3), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); of a force (N, T, C, 1), the normal
+    part, unless ``whole``. Derivatives (N, T, P, C) of normal force, penetration and rate, (N, P, C, 4) of the curve. Then (N,)
+    codes and ends, the rounds of all places, and (N,) attempted steps.
     """
     from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program needs not.
 
@@ -231,9 +218,8 @@ def jacobians(
     elif scene.traits.history:
         width = min(places(), ends.size)
         solution, rounds = integrate_queue(scene, points, how, count, width, wrt)
-        value, slopes, lost, steep = jax.lax.map(
-            each.look, (params, ends, solution.states), batch_size=_at_once(ends.size)
-        )
+        few = None if backend.on_cpu() else min(_AT_ONCE, ends.size)
+        value, slopes, lost, steep = jax.lax.map(each.look, (params, ends, solution.states), batch_size=few)
     else:
         near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
         if jax.tree.leaves(near) and backend.on_cpu():

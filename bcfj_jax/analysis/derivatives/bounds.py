@@ -34,6 +34,8 @@ from bcfj_jax.xla.threads import together
 SAFETY = 1.2
 # |C - T| over |R - T| above which solves are not seen to converge.
 _WELL = 0.5
+# Share of the target that a pitch may be off the one before, of derivatives that are read pitches earlier.
+_UNEVEN = 0.3
 # By whether the model is stiff: solves that a bound takes; the ratio of their tolerances; the tightest that there is.
 NEEDED, APART = {False: 3, True: 2}, {False: 16.0, True: 40.0}
 _TIGHTEST = {False: 1e-14, True: 2.5e-13}
@@ -73,6 +75,10 @@ class Climb(NamedTuple):
         """By how much the tightest solve's last pitch is off the one before, by parameter (P,); 0 of what was solved whole."""
         found = (self.beside[-1] if self.beside else self.last).uneven[1:]
         return found if found.size else np.zeros(count)
+
+    def repeats(self, problem: Problem) -> bool:
+        """Whether the last pitch repeats the one before well enough."""
+        return bool(np.all(self.uneven(len(problem.names)) <= _UNEVEN * target(problem.error)))
 
 
 class Budget:
@@ -119,13 +125,8 @@ def climb(
 ) -> Climb:  # fmt: skip
     """Solve R, C and T, and go on until the averages of R are within ``target``, or nothing helps.
 
-    Args:
-        problem: what is differentiated.
-        how: what was asked for.
-        levels: most tightenings; 0 for R alone.
-        spend: time for what is tighter than the first two.
-        first: receives the first solve as soon as it has ended, beside the second.
-        before: what is done before the first solve, while the second, which is longer, is under way.
+    By ``levels`` tightenings at most; 0 for R alone. ``spend``: time for what is tighter than the first two. ``first``
+    receives the first solve as soon as it has ended, beside the second; ``before`` is done ahead of it.
     """
     scene, stiff = problem.scene, problem.scene.traits.stiff
     how = first_plan(scene, how, problem.error) if levels else how
@@ -190,17 +191,11 @@ def bounded(problem: Problem, climb: Climb) -> list[Comparison]:
         unknown = [[x._replace(relative=INF, broken=broken) for x in (c.pointwise, c.average)] for c in alone]
         return [c._replace(pointwise=x, average=y) for c, (x, y) in zip(alone, unknown, strict=True)]
     between, tight = climb.beside
-    far, near, uneven = (
-        problem.between(climb.last, tight),
-        problem.between(between, tight),
-        climb.uneven(len(problem.names)),
-    )
-    return [
-        a.with_relative(lambda x, own, off=off: SAFETY * x + own + off, b)._replace(
-            unbounded=b.average.relative > _WELL * a.average.relative
-        )
-        for a, b, off in zip(far, near, uneven, strict=True)
-    ]
+    stated, far, near = [], problem.between(climb.last, tight), problem.between(between, tight)
+    for a, b, off in zip(far, near, climb.uneven(len(problem.names)), strict=True):
+        one = a.with_relative(lambda x, own, off=off: SAFETY * x + own + off, b)
+        stated.append(one._replace(unbounded=b.average.relative > _WELL * a.average.relative))
+    return stated
 
 
 def feature_bounds(slopes: Sequence[np.ndarray], numbers: np.ndarray, values: np.ndarray) -> np.ndarray:

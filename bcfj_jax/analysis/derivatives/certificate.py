@@ -94,13 +94,10 @@ class Difference(NamedTuple):
 
 
 def difference(times: np.ndarray, found: np.ndarray, other: np.ndarray, floor: float, limit: float) -> Difference:
-    """How far ``found`` (T, M) is from ``other``, relative to the larger of the two.
+    """How far ``found`` (T, M) is from ``other``, of one parameter, relative to the larger of the two.
 
-    Args:
-        times, found, other: of one parameter.
-        floor: in N per unit; the running ratio's denominator is at least this times sqrt(horizon), so that what is
-            nearly nothing at the start breaks nothing down.
-        limit: the running ratio above which the derivative has broken down, if it stays above to the end.
+    The running ratio's denominator is at least ``floor`` [N per unit] times sqrt(horizon), so that what is nearly nothing at the
+    start breaks nothing down. The derivative has broken down where the ratio stays above ``limit`` to the end.
     """
     w = weights(times)
     # Not Python's max, which loses a NaN that comes second.

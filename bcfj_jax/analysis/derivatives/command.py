@@ -4,26 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bcfj_jax.analysis import plausibility
+from bcfj_jax.analysis.derivatives import table
 from bcfj_jax.analysis.derivatives.certificate import TRUSTED
-from bcfj_jax.analysis.derivatives.names import complete, default_features, derivative_unit, feature, feature_unit
-from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity, sensitivity
-from bcfj_jax.analysis.derivatives.table import (
-    bands,
-    certificate_rows,
-    drivers,
-    in_steady,
-    legend,
-    ranked_rows,
-    ranking,
-    said,
-    tornado,
-    unknown,
-)  # fmt: skip
+from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
+from bcfj_jax.analysis.derivatives.sensitivity import Deriving, DerivingKeys, Sensitivity, posed, sensitivity
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
@@ -32,7 +21,6 @@ from bcfj_jax.io.scenefile import load, shown
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import is_reading, unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.mechanism.observed import observing
 from bcfj_jax.xla.programs import keep_asked
 from bcfj_jax.xla.threads import begun
 
@@ -56,15 +44,6 @@ _MOST_ROWS = 12
 Tables = list[tuple[str, list[list[str]]]]
 
 
-class Wanted(NamedTuple):
-    """What is asked of a run, as of ``sensitivity``; budget: seconds for the runs that derivatives are compared with."""
-
-    wrt: Sequence[str]
-    features: Sequence[str]
-    certify: bool
-    budget: float
-
-
 class _Told:
     """What is written and shown of a result as it grows; ``judged`` gives what is not plausible of the run itself."""
 
@@ -79,8 +58,7 @@ class _Told:
     @property
     def doubts(self) -> list[str]:
         """What is said before all else, or nothing."""
-        absurd = self.judged()
-        return [plausibility.headline(absurd)] if absurd else []
+        return list(filter(None, [plausibility.headline(self.judged())]))
 
     def write(self, found: Sensitivity, stage: str) -> Tables:
         """The files; tables as they are shown."""
@@ -96,7 +74,7 @@ class _Told:
         """Write and show what is new; how far the result has come."""
         stage = BOUNDED if found.certificate else UNCHECKED if found.derivative else STEADY
         tables = self.write(found, stage)
-        self.growing.tell([*self.doubts, *_driven(found), *_texts(tables)], _NEXT[stage].format(said(found)))
+        self.growing.tell([*self.doubts, *_driven(found), *_texts(tables)], _NEXT[stage].format(table.said(found)))
         # Drawing comes last; its import would have kept the first answer waiting.
         plots.get_ready()
         return stage
@@ -104,36 +82,26 @@ class _Told:
     def at_last(self, found: Sensitivity) -> tuple[str, Tables]:
         """The outcome in words, with tables that the comparison has changed; and all tables."""
         tables = self.write(found, COMPLETE)
-        certificate = [("Certificate", certificate_rows(found.certificate))] if found.certificate else []
-        again = bool(self.growing.new(_texts(tables)))
-        drives, again = (_driven(found), tables) if again else ([], [])
-        return "\n\n".join([*self.doubts, *drives, said(found), *_texts([*certificate, *again])]), tables
+        certificate = [("Certificate", table.certificate_rows(found.certificate))] if found.certificate else []
+        drives, again = (_driven(found), tables) if self.growing.new(_texts(tables)) else ([], [])
+        return "\n\n".join([*self.doubts, *drives, table.said(found), *_texts([*certificate, *again])]), tables
 
 
 def run(
-    what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
-) -> tuple[str, bool]:
-    """Differentiate a scene file's run; write and show what is known as soon as it is.
+    what: str, wrt: Sequence[str], wanted: DerivingKeys, out: Path | None, say: Callable[[str], None],
+    show: Callable[[str], None],
+) -> tuple[str, bool]:  # fmt: skip
+    """Differentiate a scene file's run, or a built-in scene's, by parameters; in words, and whether the run ended well.
 
-    Args:
-        what: a scene file, or a built-in scene's name.
-        wanted: parameters, features and checks.
-        out: folder for the results, None for one made up.
-        say: receives the progress; show: what is known before the result is complete.
-
-    Returns:
-        The results in words, and whether the simulation ended well.
-
-    Raises:
-        InputError: for bad input, and where something would be overwritten.
+    ``wanted``: settings of ``sensitivity``, a budget among them; ``out``: the folder, None for one made up; ``say`` receives
+    the progress, ``show`` what is known before the result is complete.
     """
     given = shown(load(what))
-    params, names = complete(given.scene, given.params, wanted.wrt)
+    params, names = complete(given.scene, given.params, wrt)
     stem = given.source.stem if given.source else what
     folder = outputs.open_folder(out, stem, outputs.Claim("sensitivity", FILES))
-    options = {**wanted._asdict(), "wrt": list(names), "features": list(wanted.features)}
-    resolved, known = {**given.resolved, "sensitivity": options}, outputs.environment(data=given.sources)
-    outputs.write_origin(folder, resolved, f"{what}, every default, SI", known)
+    resolved = {**given.resolved, "sensitivity": {"wrt": list(names), **wanted}}
+    outputs.write_origin(folder, resolved, f"{what}, every default, SI", outputs.environment(data=given.sources))
     say(f"differentiating {what} by {', '.join(names)}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     plots.load_fonts()
 
@@ -146,12 +114,10 @@ def run(
     told = _Told(folder, given.scene, begun(judged), show)
 
     def so_far(found: Sensitivity) -> None:
-        say(_NOW[told.so_far(found)].format(wanted.budget))
+        say(_NOW[told.so_far(found)].format(wanted.get("budget")))
 
-    found = sensitivity(
-        given.scene, params, given.times, names, accuracy=given.accuracy, features=wanted.features, mode="forward",
-        certify=wanted.certify, max_steps=given.max_steps, steady=True, budget=wanted.budget, tell=so_far,
-    )  # fmt: skip
+    how = DerivingKeys(accuracy=given.accuracy, max_steps=given.max_steps, mode="forward", steady=True, tell=so_far)
+    found = sensitivity(given.scene, params, given.times, names, **(wanted | how))
     stats = found.stats
     say(
         f"{counted(int(stats['levels']), 'solve')}, the last of {stats['accepted']} steps, {stats['wall_s']:.2f} s, "
@@ -159,7 +125,8 @@ def run(
     )
     text, tables = told.at_last(found)
     with stage("drawing"):
-        drawn = tornado(ranking(found), folder / "tornado.png"), bands(found, folder / "histories.png")
+        bars = table.tornado(table.ranking(found), folder / "tornado.png")
+        drawn = bars, table.bands(found, folder / "histories.png")
     report.write(folder, page(f"Sensitivity of {stem}", found, tables, drawn, told.judged()), given.scene.model_form)
     keep_asked()
     return f"{text}\n\nresults in {folder}", found.status == "ok"
@@ -168,23 +135,15 @@ def run(
 def page(
     title: str, found: Sensitivity, tables: Tables, drawn: tuple[Picture, ...], absurd: Sequence[plausibility.Finding]
 ) -> Page:
-    """The report: which parameter drives which feature, and how far the derivatives can be trusted.
-
-    Args:
-        title: its heading.
-        found: the derivatives.
-        tables: of features, as on the screen.
-        drawn: the pictures.
-        absurd: what is not plausible of the run itself.
-    """
-    shown = [
-        _strongest(head if k else "Percent change of features per percent change of parameters", rows, legend(found))
-        for k, (head, rows) in enumerate(tables)
-    ]
+    """The report: which parameter drives which feature, how far the derivatives can be trusted; ``tables`` as on the screen."""
+    legend = table.legend(found)
+    shown = [_strongest(head.removesuffix(f". {legend}").removesuffix("."), rows, legend) for head, rows in tables]
     if found.certificate:
         note = "Pointwise and averaged: the relative error at most, over the whole run. "
         note += "Tangent growth: how much a small change grows over the run."
-        shown.append(Table("Certificate of the histories' derivatives", certificate_rows(found.certificate), note))
+        shown.append(
+            Table("Certificate of the histories' derivatives", table.certificate_rows(found.certificate), note)
+        )
     solver = report.solver_table(found.stats, [["solves", str(found.stats["levels"])]])
     return Page(title, plausibility.judged(absurd, answer(found)), drawn, tables=tuple(shown), folded=(solver,))
 
@@ -199,44 +158,42 @@ def _strongest(title: str, rows: list[list[str]], note: str) -> Table:
 def answer(found: Sensitivity) -> Verdict:
     """Which parameter drives which feature, and whether to trust it."""
     if found.status != "ok":
-        return Verdict(BAD, "Failed", said(found))
-    sentences = drivers(found)
-    sentence = f"{'; '.join(sentences) or unknown(found)}."
+        return Verdict(BAD, "Failed", table.said(found))
+    sentences = table.drivers(found)
+    sentence = f"{'; '.join(sentences) or table.unknown(found)}."
     if found.certificate is None:
-        return Verdict(PLAIN, "Not certified", f"{sentence} {said(found)}")
-    known = np.isfinite(ranking(found).known).any() or bool(sentences)
+        return Verdict(PLAIN, "Not certified", f"{sentence} {table.said(found)}")
+    known = np.isfinite(table.ranking(found).known).any() or bool(sentences)
     checks = found.certificate.parameters.values()
     verdicts, whole = {check.verdict for check in checks}, not any(check.unchecked for check in checks)
     kind = GOOD if verdicts == {TRUSTED} else FAIR if known else BAD
     word = "Trusted" if kind == GOOD else "Partly trusted" if kind == FAIR else "Not differentiable here"
-    return Verdict(kind, word, f"{sentence} {'' if kind == GOOD and whole else said(found)}".strip())
+    return Verdict(kind, word, f"{sentence} {'' if kind == GOOD and whole else table.said(found)}".strip())
 
 
 def checked(what: str, wrt: Sequence[str], features: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
     """Full names of the parameters and the features that ``run`` would take; it raises what ``run`` would raise."""
     given = shown(load(what))
-    _, names = complete(given.scene, given.params, wrt)
-    scene = observing(given.scene, list(features))
-    wanted = [feature(name, scene.members) for name in features] or default_features(scene.members)
-    return names, [one.name for one in wanted]
+    problem = posed(given.scene, given.params, given.times, wrt, Deriving(features=features))
+    return problem.names, [one.name for one in problem.wanted]
 
 
 def _tables(found: Sensitivity, mark: str) -> Tables:
     """Of the run's features, with a mark in every row, and of those of steady motion."""
     tables = []
     if found.features:
-        head = f"Percent change of features per percent change of parameters. {legend(found)}".strip()
-        tables.append((head, ranked_rows(ranking(found), found.sampled, mark)))
-    if found.steady is not None and in_steady(found):
+        head = f"Percent change of features per percent change of parameters. {table.legend(found)}".strip()
+        tables.append((head, table.ranked_rows(table.ranking(found), found.sampled, mark)))
+    if found.steady is not None and table.in_steady(found):
         turn = format_si(found.steady.turn, "s", 4)
         head = f"Percent change per percent change of parameters in steady motion, over one turn of {turn}, whatever the start"
         pending = "" if found.steady.verdicts else UNCHECKED
-        tables.append((head, ranked_rows(ranking(found, of_steady=True), mark=pending)))
+        tables.append((head, table.ranked_rows(table.ranking(found, of_steady=True), mark=pending)))
     return tables
 
 
 def _driven(found: Sensitivity) -> list[str]:
-    return ["\n".join(drivers(found) or [unknown(found)])] if found.status == "ok" else []
+    return ["\n".join(table.drivers(found) or [table.unknown(found)])] if found.status == "ok" else []
 
 
 def _texts(tables: Tables) -> list[str]:
@@ -276,12 +233,9 @@ def certificate_json(found: Sensitivity, scene: AbstractModel) -> dict[str, Any]
         | (checks[name]._asdict() if name in checks else {})
         for name in found.wrt
     }
+    by = found.feature_derivatives
     content["features"] = {
-        name: {
-            "value": value,
-            "unit": feature_unit(name),
-            "derivatives": {p: found.feature_derivatives[p][name] for p in found.wrt},
-        }
+        name: {"value": value, "unit": feature_unit(name), "derivatives": {p: by[p][name] for p in found.wrt}}
         for name, value in found.features.items()
     }
     # Histories of the orbit are long, and for Python.

@@ -108,14 +108,9 @@ class Solved(NamedTuple):
 
 @taking(Solving)
 def contact_events(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    wrt: Sequence[str] = (),
-    *,
-    features: Sequence[str] = (),
-    **settings: Unpack[SolvingKeys],
-) -> ContactEvents:
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], wrt: Sequence[str] = (), *,
+    features: Sequence[str] = (), **settings: Unpack[SolvingKeys],
+) -> ContactEvents:  # fmt: skip
     """When the contacts of a run begin, peak and end, their peaks, impulses and shapes, with derivatives.
 
     Not of a model without a history.
@@ -144,11 +139,7 @@ def contact_events(
 
 
 def check_followed(scene: AbstractModel) -> None:
-    """Refuse a scene whose contacts cannot be followed.
-
-    Raises:
-        InputError: for a model without contacts, and for one without a history.
-    """
+    """Refuse a scene whose contacts cannot be followed: one without contacts, or without a history."""
     traits, where = scene.traits, f"scene '{scene.kind}'"
     if not scene.members:
         raise InputError(where, "has no contact", "contacts' begins, peaks and ends need one")

@@ -72,14 +72,8 @@ def direction(count: int) -> np.ndarray:
 
 
 class Beside(NamedTuple):
-    """Runs that a derivative is held against.
-
-    Attributes:
-        times: (T,) [s].
-        forces: values (P,) -> forces (T, M) without derivatives.
-        values: where (P,).
-        error: e of the forces.
-        width: of the moving average [s].
+    """Runs that a derivative is held against: times (T,) [s], a function of values (P,) that gives forces (T, M) without
+    derivatives, where (P,), the error e of the forces, and the width of the moving average [s].
     """
 
     times: np.ndarray
@@ -90,14 +84,10 @@ class Beside(NamedTuple):
 
 
 def against(runs: Beside, step: np.ndarray, derivative: np.ndarray, what: str = "", enough: float = 0.0) -> Comparison:
-    """The derivative (T, M) along a direction held against central differences.
+    """The derivative (T, M) along a direction ``step`` (P,), scaled by ``scales``, held against central differences.
 
-    Args:
-        runs: without derivatives.
-        step: the direction (P,), scaled by ``scales``.
-        derivative: along it.
-        what: in words.
-        enough: pointwise difference of the shorter step at which the longer one is not run; nor is it within a noise of 5 %.
+    ``what``: in words; ``enough``: pointwise difference of the shorter step at which the longer one is not run; nor is it within
+    a noise of 5 %.
     """
     times, forces, values, error, width = runs
     h = 0.3 * error ** (1.0 / 3.0)
@@ -138,13 +128,10 @@ def against(runs: Beside, step: np.ndarray, derivative: np.ndarray, what: str = 
 def witnessed(
     features: Function, here: np.ndarray, values: np.ndarray, slopes: np.ndarray, bounds: np.ndarray
 ) -> np.ndarray:
-    """Bounds (F, P) of features' derivatives, larger where their differences find more; of what is NaN as they are.
+    """Bounds (F, P) of features' derivatives ``slopes`` (F, P), larger where their differences find more.
 
-    Args:
-        features: values (P,) -> features (F,), NaN where a run fails.
-        here: (F,) at the values, at the same tolerance.
-        values: of the parameters; one that is 0 is not moved.
-        slopes: (F, P) derivatives; bounds: (F, P) of their relative errors.
+    ``features`` gives (F,) at values (P,) of the parameters, NaN where a run fails; ``here``: (F,) at ``values``, at the same
+    tolerance. A parameter that is 0 is not moved; what is NaN keeps its bound.
     """
     step = np.abs(values)
     way = step * direction(len(values))
@@ -174,13 +161,9 @@ def witnessed(
 
 
 class Differing(NamedTuple):
-    """What central differences of histories found: of all parameters together, None for not made, and of each alone.
+    """What central differences of histories found: of all parameters together, None for not made; of each ``alone``, by number.
 
-    Attributes:
-        both: along the random direction.
-        alone: by number of the parameter.
-        also: (P,) in words, the comparison that each passed with the others, or "".
-        unchecked: (P,) why one was not compared, in a sentence, or "".
+    Of each (P,) in words: ``also``, the comparison that it passed with the others; ``unchecked``, why it was not compared; or "".
     """
 
     both: Comparison | None
@@ -196,13 +179,8 @@ def unasked(problem: Problem) -> Differing:
 
 
 def beside(problem: Problem, climbed: Climb, histories: Sequence[Comparison], each: bool, spend: Budget) -> Differing:
-    """Compare R with central differences of histories.
-
-    Args:
-        problem: what is differentiated.
-        climbed, histories: its solves, and what bounds their histories.
-        each: whether of each parameter alone, whatever all together show.
-        spend: time for it.
+    """Compare R with central differences of histories; of ``each`` parameter alone, whatever all together show, or where that
+    disagrees. ``histories``: what bounds them; ``spend``: time for it.
     """
     values, last, names = problem.values, climbed.last, problem.names
     if not last.good or problem.chaotic(last, histories):
@@ -273,16 +251,8 @@ def certified(
         checks[name] = verdicts.check(comparisons, seen)
     way = None if both is None or vague else {k: getattr(both, k).relative for k in ("pointwise", "average")}
     tolerances, steps = (tuple(getattr(r, key) for r in climbed.levels) for key in ("tolerance", "steps"))
-    return Certificate(
-        verdicts.worst_verdict(checks),
-        checks,
-        problem.width,
-        target(problem.error),
-        tolerances,
-        steps,
-        way,
-        last.tolerance,
-    )
+    worst, limit = verdicts.worst_verdict(checks), target(problem.error)
+    return Certificate(worst, checks, problem.width, limit, tolerances, steps, way, last.tolerance)
 
 
 def _shortened(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from bcfj_jax.analysis.crests import crest
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Check
@@ -34,11 +35,7 @@ from bcfj_jax.xla.programs import program
 
 
 def reversible(wanted: Sequence[Feature]) -> list[Feature]:
-    """Features that JAX differentiates backward.
-
-    Raises:
-        InputError: where there is none.
-    """
+    """Features that JAX differentiates backward; ``InputError`` where there is none."""
     good = [f for f in wanted if smooth(f.kind)]
     if not good:
         right = "periods, delays, times of a start and single contacts are differentiated with mode='forward'"
@@ -87,9 +84,8 @@ def reversed_certificate(
 ) -> Certificate:
     """Bounds of gradients (F, P) that were solved at three tolerances far apart, of features (F,)."""
     found, first = feature_bounds(slopes, numbers, problem.values), solved[0]
-    what = (
-        f"the same derivatives of features at a tolerance of {first.tolerance:.3g} against {solved[-1].tolerance:.3g}"
-    )
+    far = f"{first.tolerance:.3g} against {solved[-1].tolerance:.3g}"
+    what = f"the same derivatives of features at a tolerance of {far}"
     broken = next((s.end for s in solved if not s.good), NAN)
     checks, table = {}, problem.by_name(found)
     for k, name in enumerate(problem.names):
@@ -104,18 +100,13 @@ def reversed_certificate(
 
 @taking(Solving, accuracy="reference")
 def hessian_vector(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    feature: str,
-    wrt: Sequence[str],
-    vector: Float[ArrayLike, " P"],
-    **settings: Unpack[SolvingKeys],
-) -> Float[np.ndarray, " P"]:
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], feature: str, wrt: Sequence[str],
+    vector: Float[ArrayLike, " P"], **settings: Unpack[SolvingKeys],
+) -> Float[np.ndarray, " P"]:  # fmt: skip
     """Hessian of a feature times a vector, sum_j d2f/(dp_i dp_j) v_j, (P,) in SI units; forward over forward.
 
-    A peak is that of the parabola through the greatest sample and its neighbours: a fixed sample would leave out that
-    the peak's time moves, which first derivatives do not see and second ones do. Its samples count as equally spaced.
+    A peak is the crest between samples (``analysis.crests``): a fixed sample would leave out that the peak's time moves, which
+    first derivatives do not see and second ones do.
 
     Args:
         scene, params, times, wrt, accuracy, max_steps: as ``sensitivity``.
@@ -156,19 +147,8 @@ def _product(
         found, _ = histories(scene, values, jnp.asarray(t), how)
         if wanted.kind == "peak":
             history = seen(t, is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None)
-            return _smooth_peak(history.force)
+            return crest(t, history.force)
         return feature_vector(t, found, [wanted], scene.members, {})[0]
 
     theta = jnp.stack([params[name] for name in names])
     return jax.jacfwd(lambda x: jax.jvp(scalar, (x,), (v,))[1])(theta)
-
-
-def _smooth_peak(force: Array) -> Array:
-    """Crest of the parabola through the greatest sample and its neighbours; that sample where it has none."""
-    if force.shape[0] < 3:
-        return jnp.max(force)
-    top = jnp.argmax(force)
-    low, middle, high = (force[jnp.clip(top + k, 0, force.shape[0] - 1)] for k in (-1, 0, 1))
-    bend = low - 2.0 * middle + high
-    inside = (top > 0) & (top < force.shape[0] - 1) & (bend < 0)
-    return middle - jnp.where(inside, (high - low) ** 2 / (8.0 * jnp.where(inside, bend, -1.0)), 0.0)

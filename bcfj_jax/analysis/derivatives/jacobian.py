@@ -18,11 +18,12 @@ from jax import Array
 from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.trains import of_curve
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
+from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
-from bcfj_jax.solve.simulation import readings, timed
+from bcfj_jax.solve.simulation import Run, readings, timed
 from bcfj_jax.xla.programs import LONG, program
 
 
@@ -40,6 +41,11 @@ class Histories(NamedTuple):
     rate: Any
     state: Any
     curve: Any = None
+
+    @property
+    def constant(self) -> Histories:
+        """Derivatives by no parameter."""
+        return Histories(*(None if x is None else x[None][:0] for x in self))
 
 
 class Level(NamedTuple):
@@ -130,12 +136,8 @@ def _jacobian(scene: AbstractModel, wrt: tuple[str, ...], params: dict, times: A
 def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: Sequence[str]) -> tuple[Any, tuple]:
     """Derivatives (P, ...) of a pytree by the named parameters, per SI unit, and (it, what stands beside it). Pure.
 
-    By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %.
-
-    Args:
-        function: of all parameters; it returns the pytree, and what is not differentiated.
-        params: where.
-        wrt: names.
+    By shares of the parameters: where the tangents' error is controlled, what is small is an effect of 100 %. ``function`` of
+    all parameters returns the pytree, and what is not differentiated.
     """
     from bcfj_jax.solve.work_queue import shifted, sizes  # With diffrax, which a kept program does not need.
 
@@ -149,6 +151,10 @@ def by_shares(function: Callable[[dict], tuple[Any, Any]], params: dict, wrt: Se
 
 def forces(scene: AbstractModel, params: Params, times: np.ndarray, how: Plan) -> np.ndarray:
     """Forces (T, C, 3) without derivatives, by the solver meant for values: the program of ``simulate``."""
-    run = timed(scene, params, times, how)
-    ordered = [run.force[contact.name] for contact in scene.contacts]
-    return np.concatenate([np.asarray(f).reshape(len(times), -1, 3) for f in ordered], axis=1)
+    return of_run(timed(scene, params, times, how)).force
+
+
+def of_run(run: Run) -> Histories:
+    """The histories of a finished run, NumPy."""
+    tables = (run.force, 1), (run.penetration, 0), (run.rate, 0)
+    return Histories(*(np.stack(list(channels(table, axes).values()), 1) for table, axes in tables), state=None)

@@ -33,7 +33,7 @@ def seen(times: np.ndarray, reading: Any, force: Any, depth: Any, rate: Any, cur
     duals.
     """
     known = UNKNOWN if curve is None else Curve(*(curve[k] for k in range(len(Curve._fields))))
-    whole = known._replace(peak=either(reading, lambda: known.peak, lambda: crests.size_of(known).peak))
+    whole = known._replace(peak=either(reading, lambda: known.peak, lambda: crests.top(known)))
     turned = (still(force) < 0) & (not reading if isinstance(reading, bool) else ~reading)
     return Seen(times, force * backend(force).where(turned, -1.0, 1.0), depth, rate, whole)
 
@@ -45,21 +45,14 @@ def _pairs(feature: Feature, contacts: Mapping[str, int]) -> list[tuple[str, str
 
 
 def vector(
-    times: np.ndarray,
-    found: Histories,
-    wanted: Sequence[Feature],
-    contacts: Mapping[str, int],
+    times: np.ndarray, found: Histories, wanted: Sequence[Feature], contacts: Mapping[str, int],
     periods: Mapping[str, float],
-) -> Array:
+) -> Array:  # fmt: skip
     """The wanted features (F,) of histories. Pure; ``times`` and ``periods`` are numbers.
 
     What JAX does not differentiate is 0, and filled in by ``measure``; what is of single contacts NaN (``contact_events``).
-
-    Args:
-        times: (T,) [s].
-        found: the histories.
-        wanted, contacts: which features, and the members of each contact.
-        periods: by channel, the period [s] within which a delay is sought; without one, or NaN: the whole history.
+    ``contacts``: members of each; ``periods``: by channel, the period [s] within which a delay is sought; without one, or NaN:
+    the whole history.
     """
     names = channel_names(contacts)
     place, readings = {name: i for i, name in enumerate(names)}, np.array([is_reading(name) for name in names])
@@ -121,22 +114,13 @@ class _Run:
 
 
 def measure(
-    times: np.ndarray,
-    value: Histories,
-    derivative: Histories,
-    wanted: Sequence[Feature],
-    contacts: Mapping[str, int],
+    times: np.ndarray, value: Histories, derivative: Histories, wanted: Sequence[Feature], contacts: Mapping[str, int],
     turning: bool,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Features (F,) and their derivatives (F, P) from histories and theirs. NumPy: nothing is compiled.
 
-    What is of a single contact (``names.event``) is in no history: NaN, filled in by ``contact_events.filled``.
-
-    Args:
-        times: (T,) [s].
-        value, derivative: of a run.
-        wanted, contacts: which features, and the members of each contact.
-        turning: as of ``features.Seen``.
+    What is of a single contact (``names.event``) is in no history: NaN, filled in by ``contact_events.filled``. ``turning``:
+    as of ``features.Seen``.
     """
     run, place = _Run(times, value, derivative, turning), {n: i for i, n in enumerate(channel_names(contacts))}
 
@@ -160,13 +144,9 @@ def measure(
 
 
 def sampling(
-    times: np.ndarray,
-    value: Histories,
-    derivative: Histories,
-    wanted: Sequence[Feature],
-    contacts: Mapping[str, int],
+    times: np.ndarray, value: Histories, derivative: Histories, wanted: Sequence[Feature], contacts: Mapping[str, int],
     values: np.ndarray,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Relative errors (F, P) of features' derivatives that come from the samples, whatever the solver; 0 where unknown.
 
     None where a number is of the continuous curve (``Histories.curve``). Of peaks that of the crest (``analysis.crests``). Of
@@ -187,10 +167,8 @@ def sampling(
             continue
         numbers = [run.taken(kind, name, place[name]) for name in own]
         top = int(np.argmax([float(x.value) for x in numbers]))
-        by, error = (
-            numbers[top].slope,
-            crests.error(times, channels[top].force, channels[top].curve, f.kind == "largest"),
-        )
+        seen, by = channels[top], numbers[top].slope
+        error = crests.error(times, seen.force, seen.curve, f.kind == "largest")
         known = np.isfinite(error)
         off = apart((by + np.where(known, error, 0.0))[None], by[None], numbers[top].value[None], values)[0]
         found[i] = np.where(known, off, error)

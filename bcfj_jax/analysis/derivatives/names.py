@@ -68,8 +68,7 @@ def expanded(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
     """Names of parameters, in which a group (``clearances``) or a pattern (``clearance_*``) stands for all that have a
     value here and may be differentiated by.
 
-    Raises:
-        InputError: for a group or pattern that stands for nothing.
+    ``InputError`` for a group or pattern that stands for nothing.
     """
     found: list[str] = []
     for name in wrt:
@@ -103,9 +102,8 @@ def complete(scene: AbstractModel, params: Params, wrt: Sequence[str]) -> tuple[
 
     A contact's own coefficient that the parameters leave to the shared one is given the shared value.
 
-    Raises:
-        InputError: for no name, an unknown one (with the nearest) or a repeated one, and one without a value; as
-            ``expanded``, which says what groups and patterns are.
+    ``InputError`` for no name, an unknown one (with the nearest) or a repeated one, and one without a value; as ``expanded``,
+    which says what groups and patterns are.
     """
     asked = texts("wrt", wrt, f"name one or more of {', '.join(scene.quantities)}")
     names = tuple(map(scene.canonical, expanded(scene, params, asked)))
@@ -139,14 +137,9 @@ def in_its_place(params: Collection[str], name: str) -> list[str] | None:
 def feature(name: str, contacts: Mapping[str, int]) -> Feature:
     """A feature by name: ``contact.peak``, ``contact_3.peak`` of one member, ``first:second.delay`` of a pair.
 
-    Args:
-        name: as above. Without a member's number, of a contact with members, ``peak`` is the largest member's, a life the
-            least's, and the other features are the members' mean; a delay between contacts of unlike numbers is that of
-            the first members.
-        contacts: number of members by contact; 0 for a contact without.
-
-    Raises:
-        InputError: for what is not known, with the nearest that is.
+    Without a member's number, of a contact with members (``contacts``: their number, or 0), ``peak`` is the largest member's, a
+    life the least's, and the other features are the members' mean; a delay between contacts of unlike numbers is that of the
+    first members. ``InputError`` for what is not known, with the nearest that is.
     """
     place, _, kind = name.rpartition(".")
     if kind_unit(kind) is None or not place:

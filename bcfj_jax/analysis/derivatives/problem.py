@@ -61,6 +61,10 @@ class Problem(NamedTuple):
         scene = self.scene
         return measure(self.times, solved.value, solved.derivative, self.wanted, scene.members, scene.traits.turning)
 
+    def named(self, values: np.ndarray) -> dict[str, float]:
+        """(P,) by parameter."""
+        return dict(zip(self.names, map(float, values), strict=True))
+
     def by_name(self, table: np.ndarray) -> dict[str, dict[str, float]]:
         """(F, P) by parameter and feature."""
         return {n: {f.name: float(table[i, k]) for i, f in enumerate(self.wanted)} for k, n in enumerate(self.names)}

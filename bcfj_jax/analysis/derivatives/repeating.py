@@ -43,12 +43,12 @@ class Fold(NamedTuple):
 
     Attributes:
         run: its times, and which answers what.
-        later: (C,) which channel did a pitch ago what each does now.
+        channels: (K, C) which channel did 0, 1 ... K - 1 pitches ago what each does now.
         end: of the short run [s].
     """
 
     run: Folded
-    later: np.ndarray
+    channels: np.ndarray
     end: float
 
     @property
@@ -59,7 +59,7 @@ class Fold(NamedTuple):
     def unfolded(self, level: Level) -> Level:
         """A solve at ``times`` as one at the T times wanted; ``uneven`` says how well it repeats itself."""
         force, slope, run = level.value.force, level.derivative.force, self.run
-        channel = np.stack([self._channels(k) for k in range(int(run.pitches.max(initial=0)) + 1)])[run.pitches]
+        channel = self.channels[run.pitches]
 
         def read(values: np.ndarray, axis: int) -> np.ndarray:
             taken = np.take(values, run.index, axis)
@@ -74,14 +74,8 @@ class Fold(NamedTuple):
             )
             for axis, x in ((0, level.value), (1, level.derivative))
         )
-        uneven = [_off(by[run.last], by[run.before][:, self._channels(1)]) for by in (force, *slope)]
+        uneven = [_off(by[run.last], by[run.before][:, self.channels[1]]) for by in (force, *slope)]
         return level._replace(value=value, derivative=derivative, uneven=np.array(uneven))
-
-    def _channels(self, pitches: int) -> np.ndarray:
-        found = np.arange(len(self.later))
-        for _ in range(pitches):
-            found = found[self.later]
-        return found
 
 
 def _off(last: np.ndarray, before: np.ndarray) -> float:
@@ -94,16 +88,17 @@ def fold(scene: AbstractModel, params: Params, times: np.ndarray, end: float) ->
     """The short run until ``end`` [s] that stands for one at (T,) times."""
     pitch = scene.period(params)[1]
     back = pitch * np.arange(_PHASES)[::-1] / _PHASES
-    return Fold(folded(times, pitch, end, back), _later(scene, params), end)
+    run = folded(times, pitch, end, back)
+    return Fold(run, earlier(scene, params, max(2, int(run.pitches.max(initial=0)) + 1)), end)
 
 
-def _later(scene: AbstractModel, params: Params) -> np.ndarray:
-    """Of every channel the one that did a pitch ago what it does now."""
-    found, turned = [], scene.turned(params)
+def earlier(scene: AbstractModel, params: Params, pitches: int) -> np.ndarray:
+    """(K, C) of every channel the one that did 0, 1 ... K - 1 ``pitches`` ago what it does now."""
+    ago, parts, first = scene.turned(params) * np.arange(pitches)[:, None], [], 0
     for members in scene.members.values():
-        first = len(found)
-        found += [first + (j + turned) % members for j in range(members)] if members else [first]
-    return np.array(found, dtype=int)
+        parts.append(first + (np.arange(members or 1) + ago) % (members or 1))
+        first += members or 1
+    return np.concatenate(parts, axis=1)
 
 
 def _slope(scene: AbstractModel, params: dict) -> Params:
@@ -122,10 +117,7 @@ def settled(
 ) -> tuple[Fold, np.ndarray, float] | None:
     """The short run that stands for the one wanted, and a late state and its time [s]; None where motion does not repeat itself.
 
-    Args:
-        scene, params, times: as ``sensitivity``.
-        names: of the parameters; by one that moves the pitch no derivative repeats itself.
-        how: of a run of values.
+    By a parameter (``names``) that moves the pitch no derivative does. ``how``: of a run of values.
     """
     # What is read of a body that turns on does not repeat itself.
     if not scene.recurs(params) or len(times) < 4 * _PHASES or any(map(is_reading, scene.members)):

@@ -13,16 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives.bounds import (
-    Budget,
-    Climb,
-    bounded,
-    climb,
-    feature_bounds,
-    first_plan,
-    luckless,
-    target,
-)
+from bcfj_jax.analysis.derivatives.bounds import Budget, Climb, bounded, climb, feature_bounds, first_plan, luckless
 from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Comparison, apart, norm
 from bcfj_jax.analysis.derivatives.contact_events import BOUNDING, TIGHTER, check_followed, filled
 from bcfj_jax.analysis.derivatives.differences import beside, certified, unasked, witnessed
@@ -36,7 +27,7 @@ from bcfj_jax.analysis.derivatives.repeating import settled
 from bcfj_jax.analysis.derivatives.steady import Steady, first_of_steady, prepared
 from bcfj_jax.analysis.derivatives.steady import steady as steady_of
 from bcfj_jax.core import presented
-from bcfj_jax.core.errors import InputError, nearest, quoted, texts
+from bcfj_jax.core.errors import InputError, one_of, quoted, texts
 from bcfj_jax.core.progress import stage
 from bcfj_jax.core.quantities import Quantity, scalar, whole
 from bcfj_jax.core.settings import taking
@@ -57,8 +48,6 @@ _AVERAGE = Quantity("average", "s", "width of the moving average", 0.0, open_low
 _BUDGET = Quantity("budget", "s", "time for far tighter solves and central differences", 0.0)
 # In reverse mode, by whether the model is stiff: ratio of the tolerances that a bound is from (Tsit5, BDF).
 _BACKWARD = {False: 64.0, True: 8.0}
-# Share of the target that a pitch may be off the one before, of derivatives that are read pitches earlier.
-_UNEVEN = 0.3
 # Features that do not hang on where samples are, and samples in a turn that they need.
 _INTEGRATED, _TURN = ("mean", "impulse", "contact_fraction"), 100
 
@@ -147,9 +136,8 @@ class Deriving(Bounding):
 
     def checked(self) -> Deriving:
         """With numbers in SI units and of their ranges; ``InputError`` for others."""
-        for what, value, known in (("mode", self.mode, MODES), ("differences", self.differences, DIFFERENCES)):
-            if value not in known:
-                raise InputError(what, f"no {what} {quoted(value)}", nearest(value, known))
+        one_of("mode", "mode", self.mode, MODES)
+        one_of("differences", "differences", self.differences, DIFFERENCES)
         average = scalar("certificate", _AVERAGE, self.average)
         budget = None if self.budget is None else scalar("certificate", _BUDGET, self.budget)
         return replace(self, average=average, levels=whole("levels", self.levels, most=100), budget=budget)
@@ -157,12 +145,9 @@ class Deriving(Bounding):
 
 @taking(Deriving)
 def sensitivity(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    wrt: Sequence[str],
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], wrt: Sequence[str],
     **settings: Unpack[DerivingKeys],
-) -> Sensitivity:
+) -> Sensitivity:  # fmt: skip
     """Derivatives of force histories and features by named parameters, with a certificate.
 
     One compiled program per scene, number of times and ``wrt``; other values, times and accuracies reuse it. With a
@@ -193,20 +178,20 @@ def sensitivity(
         InputError: for names that are not known, with the nearest, and for times and options that are not right.
     """
     asked = Deriving(**settings).checked()
-    problem = _posed(scene, params, times, wrt, asked)
+    problem = posed(scene, params, times, wrt, asked)
     scene, full = problem.scene, problem.params
     how = plan(scene, asked.accuracy, asked.max_steps)
     if asked.mode == "reverse" or (asked.mode == "auto" and len(problem.names) > _MANY):
         return _reverse(problem._replace(wanted=reversible(problem.wanted)), how, asked.certify)
     # Compiled beside the first solves.
     if asked.steady and scene.recurs(full):
-        ahead(partial(prepared, scene, full, problem.names, asked.max_steps))
+        ahead(partial(prepared, problem))
     elif asked.certify and asked.differences != "none" and asked.budget != 0.0:
         ahead(partial(compiled, scene, full, problem.times, Plan(how.tolerance)))
     return _forward(problem, how, asked)
 
 
-def _posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], asked: Deriving) -> Problem:
+def posed(scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], asked: Deriving) -> Problem:
     """What is differentiated, checked."""
     scene, params, t = ready(scene, params, times)
     full, names = complete(scene, params, wrt)
@@ -242,13 +227,9 @@ class _First:
         self.turned = first_of_steady(problem, *self.late) if self.late else None
         if self.steady:
             spent = {"wall_s": self.steady.wall_s, "compile_s": self.steady.compile_s, "levels": 0}
-            empty = {name: {} for name in problem.names}
-            values = dict(zip(problem.names, map(float, problem.values), strict=True))
-            self.tell(
-                Sensitivity(
-                    problem.times, problem.names, {}, {}, {}, empty, None, "ok", "", NAN, spent, self.steady, values
-                )
-            )
+            empty, values = {name: {} for name in problem.names}, problem.named(problem.values)
+            nothing = Sensitivity(problem.times, problem.names, {}, {}, {}, empty, None, "ok", "", NAN, spent)
+            self.tell(nothing._replace(steady=self.steady, values=values))
 
     def of_run(self, problem: Problem, level: Level) -> None:
         if level.good:
@@ -280,11 +261,11 @@ def _forward(problem: Problem, how: Plan, asked: Deriving) -> Sensitivity:
     problem = problem._replace(fold=short[0]) if short else problem
     if steady and levels and short:
         # Compiled before the second solve begins beside it.
-        prepared(scene, problem.params, problem.names, problem.max_steps)
+        prepared(problem)
         climbed = climbed_of(problem, partial(first.of_steady, problem))
     else:
         climbed = climbed_of(problem)
-    if problem.fold and np.any(climbed.uneven(len(problem.names)) > _UNEVEN * target(problem.error)):
+    if problem.fold and not climbed.repeats(problem):
         # Derivatives forget their start later than the motion does.
         problem = problem._replace(fold=None)
         climbed = climbed_of(problem)
@@ -358,7 +339,7 @@ def _result(problem: Problem, levels: Sequence[Level], numbers: np.ndarray, slop
         {f.name: float(x) for f, x in zip(problem.wanted, numbers, strict=True)}, problem.by_name(slopes), None,
         "ok" if one.good else "failed", reason(one.code, problem.max_steps), NAN if one.good else one.end,
         {"accepted": one.accepted, "rejected": one.rejected, "tolerance": one.tolerance, **_spent(levels)},
-        values=dict(zip(names, map(float, problem.values), strict=True)),
+        values=problem.named(problem.values),
     )  # fmt: skip
 
 
@@ -437,15 +418,9 @@ class Step(NamedTuple):
 
 @taking(Bounding)
 def smoothing_ladder(
-    scene: AbstractModel,
-    params: Params,
-    times: ArrayLike,
-    wrt: Sequence[str],
-    values: Sequence[float],
-    *,
-    knob: Literal["smoothing", "friction_speed"] = "smoothing",
-    **settings: Unpack[BoundingKeys],
-) -> list[Step]:
+    scene: AbstractModel, params: Params, times: ArrayLike, wrt: Sequence[str], values: Sequence[float], *,
+    knob: Literal["smoothing", "friction_speed"] = "smoothing", **settings: Unpack[BoundingKeys],
+) -> list[Step]:  # fmt: skip
     """Derivatives and their certificates at several widths, the sharpest first.
 
     A wider regularisation of contact, or of friction, makes derivatives cheaper and better behaved, and biases the force: take
@@ -460,8 +435,7 @@ def smoothing_ladder(
         InputError: as ``sensitivity``; and for a knob the scene does not have, or a width out of range.
     """
     params = inputs.parameters(as_model(scene), params, traced=False)
-    if knob not in KNOBS:
-        raise InputError("knob", f"no knob {quoted(knob)}", nearest(knob, KNOBS))
+    one_of("knob", "knob", knob, KNOBS)
     if knob not in scene.quantities:
         raise InputError("knob", f"scene '{scene.kind}' with these options has no {knob}", "switch it on in the scene")
     if isinstance(values, str) or not isinstance(values, Iterable):

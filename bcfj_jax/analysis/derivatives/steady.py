@@ -22,12 +22,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from bcfj_jax.analysis.derivatives.batch import places
+from bcfj_jax.analysis.derivatives.batch import filling, places
 from bcfj_jax.analysis.derivatives.certificate import apart, of_feature
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
 from bcfj_jax.analysis.derivatives.measures import measure
-from bcfj_jax.analysis.derivatives.names import Feature
 from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.derivatives.repeating import earlier
 from bcfj_jax.analysis.features import KINDS, OF_TURN
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.status import OK
@@ -86,9 +86,8 @@ class _Pitch(NamedTuple):
     @property
     def good(self) -> bool:
         """Whether it was solved, with finite derivatives."""
-        return int(self.code) == OK and bool(
-            np.isfinite(self.end.slopes).all() and np.isfinite(self.force_slopes).all()
-        )
+        finite = np.isfinite(self.end.slopes).all() and np.isfinite(self.force_slopes).all()
+        return int(self.code) == OK and bool(finite)
 
 
 def _pitch(
@@ -122,9 +121,8 @@ def _pitch(
     left = scene.neutral(scale * value[0], scale * slopes[0][:, -1]) / scale
     size = jnp.linalg.norm(left)
     end = begin._replace(state=value[0], slopes=after, disturbance=left / jnp.where(size > 0.0, size, 1.0))
-    return _Pitch(
-        end, value[1], value[2], force, depth, size / jnp.linalg.norm(disturbance), value[3], pitch, code, steps
-    )
+    grown = size / jnp.linalg.norm(disturbance)
+    return _Pitch(end, value[1], value[2], force, depth, grown, value[3], pitch, code, steps)
 
 
 class Steady(NamedTuple):
@@ -174,7 +172,7 @@ class _Orbit(NamedTuple):
     steps: int
 
 
-class _Restless(Exception):
+class Restless(Exception):
     """Why a motion has no derivatives of its own."""
 
 
@@ -191,22 +189,22 @@ def steady(problem: Problem, state: np.ndarray, time: float) -> Steady | None:
 
 def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[Steady, Callable[[], Steady]] | None:
     """As ``steady``, at the looser tolerance alone, with no verdicts; and what gives the whole."""
-    scene, params, wrt = problem.scene, problem.params, problem.names
+    scene, params, wrt, sizes = problem.scene, problem.params, problem.names, problem.sizes
     if not scene.recurs(params):
         return None
-    begin, sizes = clock(), problem.sizes
+    begin = clock()
     kinds = [f for f in problem.wanted if f.kind in OF_TURN]
     if not kinds:
         nothing = _none("it has none of these features")
         return nothing, lambda: nothing
-    solve, compile_s = prepared(scene, params, wrt, problem.max_steps)
-    orbits = _orbits(scene, params, state, time, wrt, solve)
+    solve, compile_s = prepared(problem)
+    orbits = _orbits(problem, state, time, solve)
 
     def found(solved: Sequence[_Orbit]) -> Steady:
         last, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
-        numbers, slopes = _features(scene, params, last, kinds)
+        numbers, slopes = _features(of_kinds, last)
         if len(solved) > 1:
-            loose = _features(scene, params, solved[0], kinds)[1]
+            loose = _features(of_kinds, solved[0])[1]
             named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
             last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
@@ -219,7 +217,7 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     def tried(*earlier: _Orbit) -> tuple[Steady, _Orbit | None]:
         try:
             one = next(orbits)
-        except _Restless as why:
+        except Restless as why:
             return _none(str(why)), None
         return found([*earlier, one]), one
 
@@ -228,44 +226,25 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
 
 
 def check_recurs(scene: AbstractModel, params: Params) -> None:
-    """Refuse a scene whose steady motion is not known to repeat itself.
-
-    Raises:
-        InputError: for such a scene, and for one whose level is not chosen.
-    """
+    """Refuse a scene whose steady motion is not known to repeat itself, and one whose level is not chosen."""
     if scene.traits.open or not scene.recurs(params):
         found = f"the steady motion of the scene '{scene.kind}' is not known to repeat itself every pitch"
         raise InputError("steady", found, "leave it out, or take a joint with an even drive and a steady load")
 
 
-class Turn(NamedTuple):
-    """One turn of steady motion at even shares of it, both ends included; the reason why there is none, or "".
+def turn(problem: Problem, state: np.ndarray, time: float) -> tuple[Histories, Histories, float]:
+    """One turn of the steady motion to which a run has come, at even shares of it, both ends included.
 
-    ``derivative`` is per SI unit, at a fixed share of the turn.
+    Its histories, their derivatives per SI unit at a fixed share of the turn, and the seconds of compiling; arguments are those
+    of ``steady``. ``Restless`` where there is none.
     """
-
-    value: Histories
-    derivative: Histories
-    reason: str
-    compile_s: float
-
-
-def turn(
-    scene: AbstractModel, params: Params, state: np.ndarray, time: float, wrt: tuple[str, ...], max_steps: int
-) -> Turn:
-    """Histories of one turn of the steady motion to which a run has come; arguments are those of ``steady``."""
-    nothing = Histories(None, None, None, None)
-    if not scene.recurs(params):
-        return Turn(nothing, nothing, "its motion has no pitch", 0.0)
-    solve, compile_s = prepared(scene, params, wrt, max_steps)
-    try:
-        *_, last = _orbits(scene, params, state, time, wrt, solve)
-    except _Restless as why:
-        return Turn(nothing, nothing, str(why), compile_s)
-    value, slopes = _turn(scene, params, last)
-    unit = _sizes(params, wrt)
-    by = [x / unit.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
-    return Turn(value, Histories(*by, state=None), "", compile_s)
+    if not problem.scene.recurs(problem.params):
+        raise Restless("its motion has no pitch")
+    solve, compile_s = prepared(problem)
+    *_, last = _orbits(problem, state, time, solve)
+    value, slopes = _turn(problem, last)
+    by = [x / problem.sizes.reshape(-1, *[1] * (x.ndim - 1)) for x in slopes[:3]]
+    return value, Histories(*by, state=None), compile_s
 
 
 def shares(scene: AbstractModel, params: Params) -> np.ndarray:
@@ -286,8 +265,7 @@ class Ends(NamedTuple):
 
 def to_the_end(scene: AbstractModel, params: Mapping[str, np.ndarray], last: np.ndarray, how: Plan, size: int) -> Ends:
     """Run N points, at most ``size``, to their ends (N,) [s] in one batch; leaves of ``params`` are (N,)."""
-    count = len(last)
-    fill = np.where(np.arange(size) < count, np.arange(size), 0)
+    count, fill = len(last), filling(len(last), size)
     given = {name: leaf[fill] for name, leaf in params.items()}
     arguments = given, last[fill], Plan(how.tolerance, how.max_steps), np.asarray(count)
     batch, compile_s = program("batch to the end", _ends, (scene,), arguments)
@@ -304,32 +282,21 @@ def _ends(scene: AbstractModel, params: dict, ends: Array, how: Plan, count: Arr
     return found.states[:, -1], found.code, found.end, found.accepted + found.rejected, rounds
 
 
-def _orbits(
-    scene: AbstractModel,
-    params: Params,
-    state: np.ndarray,
-    time: float,
-    wrt: tuple[str, ...],
-    solve: Callable[..., _Pitch],
-) -> Iterator[_Orbit]:
-    """The orbit at two tolerances, the looser first.
-
-    Raises:
-        _Restless: where there is none.
-    """
+def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..., _Pitch]) -> Iterator[_Orbit]:
+    """The orbit at two tolerances, the looser first; ``Restless`` where there is none."""
+    scene, params = problem.scene, problem.params
     settled = scene.settled_from(params)
     if time < settled:
-        raise _Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
+        raise Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
     pitches = np.asarray(time / scene.period(params)[1])
-    begin = _begin(state / np.asarray(scene.error_scale(params)), len(wrt), pitches)
+    begin = _begin(state / np.asarray(scene.error_scale(params)), len(problem.names), pitches)
     for tightened, wrong in ((1.0 / _LOOSER, 1.0), (1.0, _LOOSE)):
-        orbit = _orbit(lambda begin, by=tightened: solve(_sizes(params, wrt), begin, by), begin, wrong)
+        orbit = _orbit(lambda begin, by=tightened: solve(begin, by), begin, wrong)
         if orbit is None:
-            raise _Restless("no motion was found that repeats itself every pitch")
+            raise Restless("no motion was found that repeats itself every pitch")
         if not orbit.off <= _SETTLED or not orbit.memory < 1.0:
-            raise _Restless(
-                f"the motion does not repeat itself: a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
-            )
+            kept = f"a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
+            raise Restless(f"the motion does not repeat itself: {kept}")
         yield orbit
         begin = orbit.end
 
@@ -340,18 +307,16 @@ def _begin(state: np.ndarray, parameters: int, pitches: np.ndarray) -> _Start:
     return _Start(state, np.full((len(state), parameters), np.nan), disturbance, pitches)
 
 
-def prepared(
-    scene: AbstractModel, params: Params, wrt: tuple[str, ...], max_steps: int
-) -> tuple[Callable[[np.ndarray, _Start, float], _Pitch], float]:
-    """The compiled map over a pitch, of sizes, a start and how much tighter than ``_ERROR``; the seconds of getting it."""
-    tight = plan(scene, _ERROR, max_steps)
+def prepared(problem: Problem) -> tuple[Callable[[_Start, float], _Pitch], float]:
+    """The compiled map over a pitch, of a start and how much tighter than ``_ERROR``; the seconds of getting it."""
+    scene, params, sizes, most = problem.scene, dict(problem.params), problem.sizes, problem.max_steps
+    tight = plan(scene, _ERROR, most)
     (count,) = jax.eval_shape(scene.initial_state, params).shape
-    begin = _begin(np.zeros(count), len(wrt), np.asarray(1.0))
-    arguments = (dict(params), _sizes(params, wrt), begin, _SHARES, tight)
-    solve, compile_s = program("pitch", _pitch, (scene, wrt), arguments, LONG)
+    begin = _begin(np.zeros(count), len(sizes), np.asarray(1.0))
+    solve, compile_s = program("pitch", _pitch, (scene, problem.names), (params, sizes, begin, _SHARES, tight), LONG)
 
-    def solved(sizes: np.ndarray, begin: _Start, tightened: float) -> _Pitch:
-        return solve(dict(params), sizes, begin, _SHARES, Plan(tight.tolerance / tightened, max_steps, tight.tangents))
+    def solved(begin: _Start, tightened: float) -> _Pitch:
+        return solve(params, sizes, begin, _SHARES, Plan(tight.tolerance / tightened, most, tight.tangents))
 
     return solved, compile_s
 
@@ -359,12 +324,6 @@ def prepared(
 def _none(why: str) -> Steady:
     nan = float("nan")
     return Steady(nan, nan, {}, {}, {}, {}, np.zeros((0, 0, 3)), np.zeros((0, 0, 0, 3)), nan, nan, why, 0, 0.0, 0.0)
-
-
-def _sizes(params: Params, wrt: Sequence[str]) -> np.ndarray:
-    """What a share of each parameter is a share of: its size, or 1 of its unit at 0."""
-    values = np.array([float(params[name]) for name in wrt])
-    return np.where(values == 0.0, 1.0, np.abs(values))
 
 
 def _orbit(solve: Callable[[_Start], _Pitch], begin: _Start, wrong: float) -> _Orbit | None:
@@ -396,19 +355,9 @@ def _pitches(scene: AbstractModel, params: Params) -> int:
     return round(whole / pitch)
 
 
-def _turn(scene: AbstractModel, params: Params, orbit: _Orbit) -> tuple[Histories, Histories]:
+def _turn(problem: Problem, orbit: _Orbit) -> tuple[Histories, Histories]:
     """Histories of a turn, pitch by pitch, members renumbered, and their derivatives by shares."""
-    contacts, turned = scene.members, scene.turned(params)
-    channel = np.arange(orbit.value.force.shape[1])
-    pieces = []
-    for k in range(_pitches(scene, params)):
-        # Pitches later member j does what member j + turned did.
-        later, first = channel.copy(), 0
-        for members in contacts.values():
-            if members:
-                later[first : first + members] = first + (np.arange(members) + turned * k) % members
-            first += members or 1
-        pieces.append(later)
+    pieces = earlier(problem.scene, problem.params, _pitches(problem.scene, problem.params))
 
     def unfolded(x: np.ndarray, axis: int) -> np.ndarray:
         whole = [np.take(x, piece, axis + 1) for piece in pieces]
@@ -419,13 +368,12 @@ def _turn(scene: AbstractModel, params: Params, orbit: _Orbit) -> tuple[Historie
     return value, Histories(*(unfolded(x, 1) for x in orbit.derivative[:3]), state=None)
 
 
-def _features(
-    scene: AbstractModel, params: Params, orbit: _Orbit, wanted: Sequence[Feature]
-) -> tuple[np.ndarray, np.ndarray]:
+def _features(problem: Problem, orbit: _Orbit) -> tuple[np.ndarray, np.ndarray]:
     """Features (F,) over one turn, and their derivatives (F, P) by shares."""
+    scene, params, wanted = problem.scene, problem.params, problem.wanted
     contacts, count = scene.members, _pitches(scene, params)
     times = count * orbit.pitch * shares(scene, params)
-    value, derivative = _turn(scene, params, orbit)
+    value, derivative = _turn(problem, orbit)
     found, slopes = measure(times, value, derivative, [f for f in wanted if f.kind != "period"], contacts, True)
     numbers, changes, rest = [], [], iter(zip(found, slopes, strict=True))
     for feature in wanted:

@@ -13,16 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.analysis.derivatives.certificate import (
-    AVERAGED,
-    BROKEN,
-    LEAST,
-    NAN,
-    NOT,
-    TRUSTED,
-    Certificate,
-    of_feature,
-)
+from bcfj_jax.analysis.derivatives.certificate import AVERAGED, BROKEN, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
 from bcfj_jax.io.outputs import COMPONENTS
@@ -77,9 +68,9 @@ def ranking(found: Sensitivity, of_steady: bool = False) -> Ranking:
     apart = source.apart if of_steady else {p: check.features for p, check in checks.items()}
     names, wrt = list(source.features), list(found.wrt)
     f = np.array([source.features[name] for name in names], float)
-    p = np.array([NAN if x in checks and checks[x].lost else float(found.values[x]) or NAN for x in wrt])
+    p = np.array([np.nan if x in checks and checks[x].lost else float(found.values[x]) or np.nan for x in wrt])
     by = np.array([[source.feature_derivatives[x][name] for x in wrt] for name in names]).reshape(len(f), len(p))
-    off = np.array([[apart.get(x, {}).get(name, NAN) for x in wrt] for name in names]).reshape(by.shape)
+    off = np.array([[apart.get(x, {}).get(name, np.nan) for x in wrt] for name in names]).reshape(by.shape)
     with np.errstate(invalid="ignore", over="ignore"):
         table = p / np.where(np.isfinite(f) & (f != 0.0), f, np.nan)[:, None] * by
     size = np.nan_to_num(np.abs(table), nan=-2.0, posinf=1e300)
@@ -295,9 +286,8 @@ def told(found: Sensitivity) -> Told:
 def frame(found: Sensitivity) -> tuple[dict[str, Any], str]:
     """A feature and a parameter a row: value, derivative per SI unit, % per %, verdict."""
     checks = found.certificate.parameters if found.certificate else {}
-    table: dict[str, list[Any]] = {
-        key: [] for key in ("feature", "parameter", "value", "unit", "derivative", "percent_per_percent", "verdict")
-    }
+    keys = ("feature", "parameter", "value", "unit", "derivative", "percent_per_percent", "verdict")
+    table: dict[str, list[Any]] = {key: [] for key in keys}
     for feature, value in found.features.items():
         for name in found.wrt:
             slope = found.feature_derivatives[name][feature]
@@ -334,9 +324,8 @@ def dataset(found: Sensitivity) -> Dataset:
     variables["value"] = (("feature",), [found.features[name] for name in names], "")
     variables["feature_derivative"] = (("parameter", "feature"), np.reshape(slopes, (len(found.wrt), len(names))), "")
     about = {"status": found.status, "reason": found.reason}
-    return Dataset(
-        variables, coordinates, about | ({"verdict": found.certificate.verdict} if found.certificate else {})
-    )
+    about |= {"verdict": found.certificate.verdict} if found.certificate else {}
+    return Dataset(variables, coordinates, about)
 
 
 def figures(found: Sensitivity) -> dict[str, Callable[[Any], Any]]:

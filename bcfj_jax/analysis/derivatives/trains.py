@@ -193,10 +193,8 @@ def train(
     """
     marks = Marks(marks.channel, *map(jax.lax.stop_gradient, marks[1:]))
     there = jnp.isfinite(marks.high)
-    start, stop = (
-        jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0),
-        jnp.where(jnp.isfinite(marks.end), marks.end, end),
-    )
+    start = jnp.where(jnp.isfinite(marks.begin), marks.begin, 0.0)
+    stop = jnp.where(jnp.isfinite(marks.end), marks.end, end)
     count = 1 + (NODES - 1) * (_FINER if model.traits.stiff else 1)
     grid = start[:, None] + (stop - start)[:, None] * _rule(count)[0]
     high = jnp.where(there, marks.high, end)

@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.derivatives.certificate import NOT, Certificate
+from bcfj_jax.analysis.derivatives.certificate import NOT
 from bcfj_jax.analysis.derivatives.names import complete
 from bcfj_jax.analysis.derivatives.sensitivity import sensitivity
 from bcfj_jax.analysis.derivatives.steady import check_recurs, shares
@@ -43,19 +43,15 @@ _OF_A_TURN = tuple(name for name in OF_TURN if KINDS[name].turn == "same")
 
 @taking(Search)
 def design(
-    scene: AbstractModel,
-    params: Params,
-    times: Float[ArrayLike, " T"],
-    objective: str | Mapping[str, float] | Combine,
-    free: Mapping[str, Free | Sequence[Any]],
-    tell: Callable[[Design], None] | None = None,
+    scene: AbstractModel, params: Params, times: Float[ArrayLike, " T"], objective: str | Mapping[str, float] | Combine,
+    free: Mapping[str, Free | Sequence[Any]], tell: Callable[[Design], None] | None = None,
     **options: Unpack[SearchKeys],
-) -> Design:
+) -> Design:  # fmt: skip
     """Make a feature least, or most, over free parameters within bounds, and say what the optimum is worth.
 
     Starts (the given design, and points of a scrambled Sobol design) descend by L-BFGS-B in one compiled batch; the
     best is refined by Newton's method on the gradient to 1e-6 of every range; an independent run confirms the gain.
-    Runs compile once per scene, number of times, names and starts; another objective compiles in a second.
+    Runs compile once per scene, number of times, names and starts; another objective compiles nothing.
 
     Args:
         scene: any model but an open one (fidelity "auto"). A dynamic joint is chaotic over long times: take "quasistatic", or a
@@ -191,19 +187,12 @@ def _assessed(
     )  # fmt: skip
     left = "not complete yet: the gradient's certificate, tolerances and the objective about the optimum come next"
     tell(found._replace(status=ended.INCOMPLETE, reason=left))
-    return found._replace(
-        certificate=_certified(plain, better, search),
-        robustness=robustness(plain, refined.point, here, search, kinked),
-    )
-
-
-def _certified(plain: Evaluator, params: Params, search: Search) -> Certificate | None:
-    """Equilibria have no tolerance to hold against another, and no chaos."""
-    if not (search.certify and plain.scene.traits.history):
-        return None
-    names = [f.name for f in plain.objective.features if f.kind in NAMED]
-    how: dict[str, Any] = {"accuracy": search.accuracy, "max_steps": search.max_steps}
-    return sensitivity(plain.scene, params, plain.times, plain.space.names, features=names, **how).certificate
+    # Equilibria have no tolerance to hold against another, and no chaos.
+    if search.certify and scene.traits.history:
+        names = [f.name for f in plain.objective.features if f.kind in NAMED]
+        how: dict[str, Any] = {"accuracy": search.accuracy, "max_steps": search.max_steps, "features": names}
+        found = found._replace(certificate=sensitivity(scene, better, plain.times, box.names, **how).certificate)
+    return found._replace(robustness=robustness(plain, refined.point, here, search, kinked))
 
 
 def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:

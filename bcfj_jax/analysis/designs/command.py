@@ -74,16 +74,9 @@ def run(
     found = design(*given, asked.objective, asked.free, tell=so_far, **vars(asked.search))
     doubts = absurd(found) if found.status != FAILED else plausibility.at(*given)
     growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(doubts)})
-    drawn: list[Picture] = []
     with stage("drawing"):
-        if found.status != FAILED:
-            result.draw_starts(found, folder / "starts.png")
-            shows = f"The best value of every start so far against its evaluations; {found.agree} of {len(found.starts)} agree."
-            drawn.append(Picture("starts.png", "What every start came to", shows))
-        if found.slices:
-            result.draw_slices(found, folder / "slices.png")
-            shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
-            drawn.insert(0, Picture("slices.png", "The objective about the optimum", shows))
+        drawn = [result.draw_slices(found, folder / "slices.png")] if found.slices else []
+        drawn += [result.draw_starts(found, folder / "starts.png")] if found.status != FAILED else []
     said = page(f"Design of {stem}", found, asked.note, drawn, doubts)
     report.write(folder, said, asked.given.scene.model_form)
     keep_asked()

@@ -16,25 +16,21 @@ for normal deviations at as many normal points.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from scipy.stats import norm as normal
 from scipy.stats import qmc
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories
+from bcfj_jax.analysis.derivatives.jacobian import of_run
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
 from bcfj_jax.analysis.designs.objective import Objective, measured
 from bcfj_jax.analysis.designs.space import SIGMAS, Search
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import LEVELS, force_error
 from bcfj_jax.solve.simulation import Run, simulate
-from bcfj_jax.xla.programs import program
 
 # Share of the gain that must be seen again: with the same model, and with one that has more in it.
 SAME, OTHER = 0.9, 0.5
@@ -100,27 +96,14 @@ def confirm(
 
 def features(run: Run, scene: AbstractModel, times: np.ndarray, objective: Objective) -> tuple[float, dict[str, float]]:
     """The true objective of a run, and the features it is made of by name; NaN where it failed."""
-
-    def stacked(table: Mapping[str, np.ndarray], axes: int) -> np.ndarray:
-        return np.stack(list(channels(table, axes).values()), axis=1)
-
-    arguments = stacked(run.force, 1), stacked(run.penetration, 0)
+    if run.status != "ok":
+        return float("nan"), {f.name: float("nan") for f in objective.features}
+    value = of_run(run)
     # Designs of explicit models are compared by summits, which a crest between samples stands for here.
-    between = scene.traits.history and not scene.traits.stiff
-    static = times.tobytes(), objective, tuple(scene.members.items()), between
-    whole, values = program("design features", _features, static, arguments)[0](*arguments)
-    unknown = float("nan")
-    bad = run.status != "ok"
-    found = {f.name: unknown if bad else float(x) for f, x in zip(objective.features, values, strict=True)}
-    return unknown if bad else float(whole), found
-
-
-def _features(
-    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], between: bool, force: Array, depth: Array
-) -> tuple[Array, list[Array]]:
-    norm, found = jnp.asarray(jnp.inf) if between else None, Histories(force, depth, None, None)
-    values = measured(np.frombuffer(grid), found, objective, dict(contacts), norm)
-    return objective.of(values), values
+    norm = np.inf if scene.traits.history and not scene.traits.stiff else None
+    values = measured(times, value, value.constant, objective, scene.members, norm)
+    found = {f.name: float(x.value) for f, x in zip(objective.features, values, strict=True)}
+    return float(objective.of(values).value), found
 
 
 # Differences for the gradient of a worst change, over a range; and where |g_i| t_i is rounded, over the objective.

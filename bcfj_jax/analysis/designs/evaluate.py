@@ -1,7 +1,7 @@
 """The objective and its gradient at many points of the unit box: one compiled batch, whatever asks.
 
-One program makes the runs and their tangents, a small one the objective out of them, so that another objective costs no
-other simulation to compile. Equilibria are all searched for from those of the given design. A point that is refused (a
+One program makes the runs and their tangents, NumPy the objective out of them, so that another objective compiles
+nothing. Equilibria are all searched for from those of the given design. A point that is refused (a
 joint that does not assemble) or whose run fails is NaN, with its reason.
 """
 
@@ -19,12 +19,14 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.analysis.crests import Curve
-from bcfj_jax.analysis.derivatives.batch import jacobians, possible
+from bcfj_jax.analysis.derivatives.batch import filling, jacobians, possible
 from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
-from bcfj_jax.analysis.derivatives.steady import Turn, to_the_end, turn
+from bcfj_jax.analysis.derivatives.problem import Problem
+from bcfj_jax.analysis.derivatives.steady import Restless, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.engine import columns, refusal
+from bcfj_jax.core.dual import Dual
 from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Points
@@ -73,13 +75,14 @@ class Spent:
 
 
 class _Read(NamedTuple):
-    """What N runs left, for any objective: normal forces and penetrations (N, T, C), continuous curves (N, C, 4); their
-    slopes (..., P); codes (N,); equilibria, from which the next search begins.
+    """What N runs left, for any objective: histories (T, ...) and their derivatives (P, T, ...) per SI unit, by run; codes (N,),
+    and why some have no steady motion; equilibria, from which the next search begins.
     """
 
-    value: tuple[Any, Any, Any]
-    slopes: tuple[Any, Any, Any]
-    code: Any
+    value: list[Histories]
+    derivative: list[Histories]
+    code: np.ndarray
+    whys: list[str]
     near: Any = ()
 
 
@@ -136,27 +139,35 @@ class Evaluator:
         found = Values(nothing.copy(), np.full(values.shape, np.nan), nothing.copy(), nothing.copy(), refused)
         if not good:
             return found
-        read, whys = self._read(values[good])
-        given = read.value, read.slopes, np.asarray(float(norm))
-        static = self.times.tobytes(), self.objective, tuple(self.scene.members.items())
-        objectives, compile_s = program("design objective", _objectives, static, given)
+        read, sign = self._read(values[good]), self.objective.sign
         begin = time.perf_counter()
-        numbers = [np.asarray(x)[: len(good)] for x in objectives(*given)]
-        self.spent.wall_s += time.perf_counter() - begin
-        self.spent.compile_s += compile_s
-        sign, code = self.objective.sign, np.asarray(read.code)[: len(good)]
-        smooth, slope, goal, true = numbers
-        slope = sign * slope * self.space.slope(values[good])
-        finite = np.isfinite(np.column_stack([smooth, goal, true, slope])).all(axis=1)
-        code = np.where((code == OK) & ~finite, STEEP, code)
         for i, k in enumerate(good):
-            if code[i] == OK:
-                found.smooth[k], found.goal[k] = sign * smooth[i], sign * goal[i]
-                found.slope[k], found.true[k] = slope[i], true[i]
-            else:
-                found.reasons[k] = whys[i] or reason(int(code[i]), self.how.max_steps)
-                self.spent.failures[found.reasons[k]] += 1
+            code = int(read.code[i])
+            if code == OK:
+                smooth, goal, true = self._objectives(read.value[i], read.derivative[i], norm)
+                slope = sign * smooth.slope * self.space.slope(values[k])
+                if np.isfinite([smooth.value, goal.value, true.value, *slope]).all():
+                    found.smooth[k], found.slope[k], found.goal[k] = sign * smooth.value, slope, sign * goal.value
+                    found.true[k] = true.value
+                    continue
+                code = STEEP
+            found.reasons[k] = read.whys[i] or reason(code, self.how.max_steps)
+            self.spent.failures[found.reasons[k]] += 1
+        self.spent.wall_s += time.perf_counter() - begin
         return found
+
+    def _objectives(self, value: Histories, derivative: Histories, norm: float) -> tuple[Dual, Dual, Dual]:
+        """Of a run the objective on norms, on crests, and as it is reported."""
+
+        def of(norm: float | None) -> Dual:
+            wanted, contacts = self.objective, self.scene.members
+            return wanted.of(measured(self.times, value, derivative, wanted, contacts, norm))
+
+        true = of(None)
+        if not self.objective.peaked:
+            return true, true, true
+        crest = of(np.inf)
+        return of(norm) if np.isfinite(norm) else crest, crest, true
 
     def samples(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """What the greatest sample is chosen from at one point (P,): ``objective.sampled``, by unit coordinates; None where
@@ -166,11 +177,11 @@ class Evaluator:
         self.spent.points += 1
         if not self.objective.sampled or self._refusal(values):
             return None
-        read, _ = self._read(values[None])
+        read = self._read(values[None])
         if read.code[0] != OK:
             return None
-        tables = [x[0] for x in (*read.value[:2], *read.slopes[:2])]
-        return sampled(tables, self.objective, self.scene.members, self.space.slope(values))
+        histories = read.value[0], read.derivative[0]
+        return sampled(*histories, self.objective, self.scene.members, self.space.slope(values))
 
     @cached_property
     def near(self) -> Any:
@@ -181,40 +192,36 @@ class Evaluator:
         found = self._batch(np.array([[float(self.params[name]) for name in self.space.names]]), origin)
         return jax.tree.map(lambda x: x[0], found.near)
 
-    def _read(self, points: np.ndarray) -> tuple[_Read, list[str]]:
-        """What runs at points that can be built leave, (n, P) SI, n up to the batch; and why some have no steady motion."""
-        if self.steady is not None:
-            return self._turns(points, self.steady)
-        return self._batch(points, self.near), [""] * self.batch
+    def _read(self, points: np.ndarray) -> _Read:
+        """What runs at points that can be built leave, (n, P) SI, n up to the batch."""
+        return self._batch(points, self.near) if self.steady is None else self._turns(points, self.steady)
 
-    def _turns(self, points: np.ndarray, end: float) -> tuple[_Read, list[str]]:
+    def _turns(self, points: np.ndarray, end: float) -> _Read:
         """As ``_read``, of a turn of the steady motion."""
         begin, count, names = time.perf_counter(), len(points), self.space.names
         params = columns(self.params, names, points)
         runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
-        shape = self.batch, len(self.times), sum(max(1, members) for members in self.scene.members.values())
-        curves = np.full((shape[0], shape[2], len(Curve._fields)), np.nan)
-        nothing, by = np.full(shape, np.nan), np.full((*shape, len(names)), np.nan)
-        value, slopes = (nothing, nothing.copy(), curves), (by, by.copy(), np.zeros((*curves.shape, len(names))))
-        code, whys, compile_s = np.full(self.batch, NOT_FINITE), [""] * self.batch, runs.compile_s
-        code[:count] = runs.code
+        none = [Histories(None, None, None, None)] * count
+        read, compile_s = _Read(none, list(none), np.array(runs.code), [""] * count), runs.compile_s
 
-        def turned(i: int) -> Turn:
+        def turned(i: int) -> tuple[Histories, Histories, float] | str:
             one = {name: leaf[i] for name, leaf in params.items()}
-            return turn(self.scene, one, runs.state[i], end, names, self.how.max_steps)
+            problem = Problem(self.scene, one, self.times, names, max_steps=self.how.max_steps)
+            try:
+                return turn(problem, runs.state[i], end)
+            except Restless as why:
+                return str(why)
 
         # The first alone: it may compile, for which all others would wait.
         good = np.flatnonzero(runs.code == OK)
         for i, found in zip(good, [*map(turned, good[:1]), *each(turned, good[1:])], strict=True):
-            compile_s += found.compile_s
-            if found.reason:
-                code[i], whys[i] = NOT_FINITE, found.reason
+            if isinstance(found, str):
+                read.code[i], read.whys[i] = NOT_FINITE, found
                 continue
-            value[0][i], value[1][i] = found.value.force[:, :, 0], found.value.penetration
-            slopes[0][i] = np.moveaxis(found.derivative.force[..., 0], 0, -1)
-            slopes[1][i] = np.moveaxis(found.derivative.penetration, 0, -1)
+            read.value[i], read.derivative[i] = found[:2]
+            compile_s += found[2]
         self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
-        return _Read(value, slopes, code), whys
+        return read
 
     def _batch(self, points: np.ndarray, near: Any) -> _Read:
         """``_runs``, filled up with the first point; what runs one by one is shared out among the cores."""
@@ -222,7 +229,7 @@ class Evaluator:
         parts = [points[share] for share in np.array_split(np.arange(len(points)), shares)]
         sizes = [len(part) for part in parts]
         given = [
-            _Given(dict(self.params), part[self._filled(size)], self.times, self.how, np.asarray(size), near)
+            _Given(dict(self.params), part[filling(size, self.batch)], self.times, self.how, np.asarray(size), near)
             for part, size in zip(parts, sizes, strict=True)
         ]
         runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), (given[0],))
@@ -231,15 +238,16 @@ class Evaluator:
 
         def joined(*shared: Any) -> np.ndarray:
             wanted = [x[:size] for x, size in zip(shared, sizes, strict=True)]
-            return np.concatenate(wanted)[self._filled(len(points))]
+            return np.concatenate(wanted)[filling(len(points), self.batch)]
 
-        found = jax.tree.map(joined, *found)
+        value, slopes, code, near = jax.tree.map(joined, *found)
         self.spent.batch(time.perf_counter() - begin, compile_s)
-        return _Read(*found)
-
-    def _filled(self, count: int) -> np.ndarray:
-        """Rows of a batch of which so many are wanted: the first stands for the others."""
-        return np.array([i if i < count else 0 for i in range(self.batch)])
+        # No objective asks for a rate.
+        histories, tangents = (
+            [Histories(f, d, np.zeros_like(d), None, c) for f, d, c in zip(force[..., None], depth, curve, strict=True)]
+            for force, depth, curve in (value, slopes)
+        )
+        return _Read(histories, tangents, code, [""] * len(code), near)
 
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""
@@ -254,7 +262,7 @@ def _one_by_one(scene: AbstractModel, how: Plan) -> bool:
 
 
 def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
-    """The fields of a ``_Read``."""
+    """Normal forces and penetrations (N, T, C) and curves (N, C, 4) of runs, their derivatives (N, P, ...), codes; equilibria."""
     fixed, points, times, how, count, near = given
     if scene.traits.history and possible(scene, how):
         size = len(points)
@@ -262,8 +270,8 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
         params |= {name: points[:, k] for k, name in enumerate(names)}
         runs = Points(params, jnp.full(size, times[-1]), times / times[-1])
         value, slopes, code, *_ = jacobians(scene, names, runs, how, count)
-        moved = (jnp.moveaxis(slopes[0], 2, -1), jnp.moveaxis(slopes[1], 2, -1), jnp.moveaxis(slopes[3], 1, -1))
-        return (value[0][..., 0], value[1], value[3]), moved, code, near
+        by = jnp.moveaxis(slopes[0], 2, 1), jnp.moveaxis(slopes[1], 2, 1), slopes[3]
+        return (value[0][..., 0], value[1], value[3]), by, code, near
 
     def one(theta: Array) -> tuple[tuple, tuple]:
         params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}
@@ -286,25 +294,4 @@ def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
         )
     else:
         slopes, (read, code, places) = jax.vmap(whole)(points)
-    return read, slopes, code, places
-
-
-def _objectives(
-    grid: bytes, objective: Objective, contacts: tuple[tuple[str, int], ...], value: tuple, slopes: tuple, norm: Array
-) -> tuple:
-    """Of N runs the objective on norms with its gradient, on crests, and as it is reported; times as bytes: hashable."""
-    times, members = np.frombuffer(grid), dict(contacts)
-
-    def of(read: tuple, norm: Array | None) -> Array:
-        force, depth, curve = read
-        found = Histories(force[:, :, None], depth, None, None, curve)
-        return objective.of(measured(times, found, objective, members, norm))
-
-    def one(read: tuple, slopes: tuple) -> tuple:
-        def push(*along: Array) -> Array:
-            return jax.jvp(lambda *x: of(x, norm), read, along)[1]
-
-        slope = jax.vmap(push, in_axes=-1)(*slopes)
-        return of(read, norm), slope, of(read, jnp.asarray(jnp.inf)), of(read, None)
-
-    return jax.vmap(one)(value, slopes)
+    return read, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1), slopes), code, places

@@ -14,8 +14,9 @@ Where a run lands on its contacts, the summit of the continuous force takes the 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,9 +26,10 @@ from jax import Array
 from bcfj_jax.analysis import crests
 from bcfj_jax.analysis.crests import Curve
 from bcfj_jax.analysis.derivatives.jacobian import Histories, channel_names
-from bcfj_jax.analysis.derivatives.measures import vector
+from bcfj_jax.analysis.derivatives.measures import measure
 from bcfj_jax.analysis.derivatives.names import Feature, event, feature, feature_unit, kind_unit, members
 from bcfj_jax.analysis.features import KINDS
+from bcfj_jax.core.dual import Dual, still
 from bcfj_jax.core.errors import InputError, quoted, texts
 
 # Beside the features of ``derivatives``: the deepest penetration, and the greatest |F| where a force has two signs.
@@ -57,11 +59,20 @@ class Objective(NamedTuple):
         """Whether it is one greatest sample and nothing else."""
         return self.combine is None and self.weights == (1.0,) and self.peaked
 
-    def of(self, values: Sequence[Array]) -> Array:
-        """The objective of the features' values. Pure."""
-        if self.combine is not None:
-            return self.combine({f.name: x for f, x in zip(self.features, values, strict=True)})
-        return sum((w * x for w, x in zip(self.weights, values, strict=True)), start=jnp.zeros(()))
+    def of(self, values: Sequence[Dual]) -> Dual:
+        """The objective of the features' values, with its derivatives."""
+        numbers, slopes = np.array([float(x.value) for x in values]), np.stack([x.slope for x in values])
+        if self.combine is None:
+            whole, by = np.dot(self.weights, numbers), np.array(self.weights)
+        else:
+            whole, by = map(np.asarray, _combined(self.combine, tuple(f.name for f in self.features))(numbers))
+        return Dual(whole, by @ slopes)
+
+
+@functools.lru_cache(maxsize=4)
+def _combined(combine: Combine, names: tuple[str, ...]) -> Any:
+    """A user's function of numbers (F,), and its derivatives by them."""
+    return jax.jit(jax.value_and_grad(lambda x: jnp.asarray(combine(dict(zip(names, x, strict=True))), float)))
 
 
 def objective(
@@ -110,64 +121,69 @@ def _feature(name: str, contacts: Mapping[str, int]) -> Feature:
     return feature(name, contacts)
 
 
+def _peaking(
+    value: Histories, derivative: Histories, one: Feature, contacts: Mapping[str, int]
+) -> list[tuple[int, Dual]]:
+    """Numbers of a peak's channels, and the histories (T,) whose greatest it is of: forces, or penetrations."""
+    names, deep = channel_names(contacts), one.kind == "peak_penetration"
+    x, dx = (h.penetration if deep else h.force[..., 0] for h in (value, derivative))
+    index = [names.index(member) for member in members(one.contacts[0], contacts)]
+    return [(k, Dual(x[:, k], dx[:, :, k])) for k in index]
+
+
 def measured(
-    times: np.ndarray, found: Histories, wanted: Objective, contacts: Mapping[str, int], norm: Array | None
-) -> list[Array]:
-    """Values of the objective's features at times (T,) [s] of one run. Pure, differentiable.
+    times: np.ndarray, value: Histories, derivative: Histories, wanted: Objective, contacts: Mapping[str, int],
+    norm: float | None,
+) -> list[Dual]:  # fmt: skip
+    """Values of the objective's features at times (T,) [s] of one run, with their derivatives (P,).
 
     ``norm``: q; infinity takes crests, None the greatest samples.
     """
-    names = channel_names(contacts)
 
-    def one(feature: Feature) -> Array:
+    def one(feature: Feature) -> Dual:
         if feature.kind not in _PEAKS:
-            return vector(times, found, [feature], contacts, {})[0]
-        index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
-        values = (found.penetration if feature.kind == "peak_penetration" else found.force[:, :, 0])[:, index]
-        if feature.of_size and feature.kind != "peak_penetration":
-            values = jnp.where(values < 0, -values, values)
-        high = jnp.max(values)
+            numbers, slopes = measure(times, value, derivative, [feature], contacts, False)
+            return Dual(numbers[0], slopes[0])
+        channels, deep = _peaking(value, derivative, feature, contacts), feature.kind == "peak_penetration"
+        each: list[Any] = [np.abs(x) if feature.of_size and not deep else x for _, x in channels]
+        if norm is not None and np.isfinite(norm):
+            return _norm(times, each, norm)
+        highest = max(each, key=lambda x: np.max(still(x)))
         # Of a force the summit of the continuous curve, where the run knows it.
-        curve = None if feature.kind == "peak_penetration" else found.curve
-        summit = jnp.asarray(jnp.nan)
-        if curve is not None:
-            each = jax.vmap(lambda c: crests.summit(high, Curve(*c), feature.of_size))(curve[index])
-            summit = jnp.max(jnp.where(jnp.isnan(each), -jnp.inf, each))
-        given = jnp.isfinite(summit)
-        if norm is None:
-            return jnp.where(given, summit, high)
-        crest = jnp.where(given, summit, crests.crest(times, values))
-        return jnp.where(jnp.isfinite(norm), _norm(times, values, jnp.where(jnp.isfinite(norm), norm, 2.0)), crest)
+        curves = (
+            [] if deep or value.curve is None else [Dual(value.curve[k], derivative.curve[:, k]) for k, _ in channels]
+        )
+        known = (Curve(*(x[k] for k in range(len(Curve._fields)))) for x in curves)
+        summits = [crests.summit(np.max(still(highest)), x, feature.of_size) for x in known]
+        summits = [x for x in summits if np.isfinite(still(x))]
+        if summits:
+            return max(summits, key=lambda x: float(still(x)))
+        return np.max(highest) if norm is None else crests.crest(times, highest)
 
-    return [one(feature) for feature in wanted.features]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        return [one(feature) for feature in wanted.features]
 
 
 def sampled(
-    read: Sequence[np.ndarray], wanted: Objective, contacts: Mapping[str, int], stretch: np.ndarray
+    value: Histories, derivative: Histories, wanted: Objective, contacts: Mapping[str, int], stretch: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The samples (K,) whose greatest is the objective, with slopes (K, P), and which of them no neighbour in time is
-    above; |F| is the greater of F and -F.
-
-    ``read``: force and penetration (T, C), and their slopes (T, C, P), which are multiplied by ``stretch`` (P,).
+    above; |F| is the greater of F and -F. Slopes are multiplied by ``stretch`` (P,).
     """
-    feature, names = wanted.features[0], channel_names(contacts)
-    index = np.array([names.index(m) for m in members(feature.contacts[0], contacts)])
-    k = int(feature.kind == "peak_penetration")
-    values, slopes = read[k][:, index], read[2 + k][:, index] * stretch
-    if feature.of_size and not k:
-        values, slopes = np.concatenate([values, -values], axis=1), np.concatenate([slopes, -slopes], axis=1)
+    feature = wanted.features[0]
+    each = [x for _, x in _peaking(value, derivative, feature, contacts)]
+    each += [-x for x in each] if feature.of_size and feature.kind != "peak_penetration" else []
+    values, slopes = np.stack([x.value for x in each], axis=1), np.stack([x.slope.T for x in each], axis=1) * stretch
     beside = np.pad(values, ((1, 1), (0, 0)), constant_values=-np.inf)
     peaks = (values >= beside[:-2]) & (values >= beside[2:])
     return values.ravel(), slopes.reshape(-1, stretch.size), peaks.ravel()
 
 
-def _norm(times: np.ndarray, values: Array, q: Array) -> Array:
-    """||F||_q over time, of what presses, the largest of members counting together."""
-    pressed = jnp.maximum(values, 0.0)
-    size = jax.lax.stop_gradient(jnp.max(pressed))
-    size = jnp.where(size > 0.0, size, 1.0)
-    share = pressed / size
-    # |x|^q and its slope are 0 at x = 0 for q > 1; the logarithm must not be asked.
-    power = jnp.where(share > 0.0, jnp.exp(q * jnp.log(jnp.where(share > 0.0, share, 1.0))), 0.0)
-    mean = jnp.trapezoid(jnp.sum(power, axis=1), jnp.asarray(times)) / (times[-1] - times[0])
-    return size * jnp.where(mean > 0.0, jnp.exp(jnp.log(jnp.where(mean > 0.0, mean, 1.0)) / q), 0.0)
+def _norm(times: np.ndarray, each: Sequence[Dual], q: float) -> Dual:
+    """||F||_q over time, of what presses, members (T,) counting together: d||F|| = ||F||^(1-q) (1/T) integral of F^(q-1) dF."""
+    pressed = np.maximum(np.stack([x.value for x in each]), 0.0)
+    size, span = float(np.max(pressed)) or 1.0, times[-1] - times[0]
+    share, slopes = pressed / size, np.stack([x.slope for x in each], axis=1)
+    mean = np.trapezoid(np.sum(share**q, axis=0), times) / span
+    along = np.trapezoid(np.sum(share ** (q - 1.0) * slopes, axis=1), times) / span
+    return Dual(size * mean ** (1.0 / q), mean ** (1.0 / q - 1.0) * along if mean > 0.0 else 0.0 * along)

@@ -15,15 +15,13 @@ sum_k l_k dF_k/du = 0 but for what bounds hold (Clarke 1983); non-negative least
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize, nnls
 
+from bcfj_jax.analysis.designs.descent import Evaluate
 from bcfj_jax.analysis.designs.evaluate import Evaluator, Values
-
-Evaluate = Callable[..., Values]
 
 # Differences of gradients over this share of a range; a step longer than the second is not Newton's to take.
 _DIFFERENCE, _LONGEST = 1e-4, 0.05

@@ -17,7 +17,8 @@ from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core import presented
 from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.io import outputs
-from bcfj_jax.io.plots import COLOURS, figure, label, panels, save, style
+from bcfj_jax.io.page import Picture
+from bcfj_jax.io.plots import COLOURS, label, panels, sheet
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import engineering, format_si
 
@@ -139,13 +140,11 @@ class Design(NamedTuple):
         return where
 
 
-def draw_starts(found: Design, path: Path) -> None:
+def draw_starts(found: Design, path: Path) -> Picture:
     """The best value of every start so far, against its evaluations."""
     ends = np.array([way.value for way in found.starts])
     scale, prefix = engineering([found.before, *ends[np.isfinite(ends)]]) if found.unit else (1.0, "")
-    with style():
-        drawing, axes = figure(1, height=3.6)
-        axis = axes[0]
+    with sheet(path, height=3.6) as (axis,):
         sign = 1.0 if found.sense == "minimise" else -1.0
         order = np.argsort(np.where(np.isfinite(ends), sign * ends, np.inf))[::-1]
         for k in order:
@@ -161,10 +160,11 @@ def draw_starts(found: Design, path: Path) -> None:
         axis.set_xlabel("evaluations of a start")
         axis.set_ylabel(label("best so far", found.unit, prefix) if found.unit else "best so far")
         axis.legend(fontsize=8, loc="best")
-        save(drawing, path)
+    shows = f"The best value of every start so far against its evaluations; {found.agree} of {len(found.starts)} agree."
+    return Picture(path.name, "What every start came to", shows)
 
 
-def draw_slices(found: Design, path: Path) -> None:
+def draw_slices(found: Design, path: Path) -> Picture:
     """The objective along each parameter, the others at the optimum; its bounds, and the tolerance about it."""
     every = np.concatenate([cut.objective for cut in found.slices.values()])
     scale, prefix = engineering(every[np.isfinite(every)]) if found.unit else (1.0, "")
@@ -194,6 +194,8 @@ def draw_slices(found: Design, path: Path) -> None:
                 axis.legend(fontsize=7, loc="best")
             if k % 3 == 0:
                 axis.set_ylabel(label(found.objective, found.unit, prefix) if found.unit else "objective")
+    shows = "The objective along each parameter, the others at the optimum; bounds and tolerances are marked."
+    return Picture(path.name, "The objective about the optimum", shows)
 
 
 # What is worth showing of a design in Python (``io.show.View``).

@@ -12,7 +12,7 @@ import numpy as np
 
 from bcfj_jax.analysis.axes import SCALES, Axis, bounded
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest, quoted, texts
+from bcfj_jax.core.errors import InputError, nearest, one_of, quoted, texts
 from bcfj_jax.core.quantities import Quantity, number, real, scalar, whole
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.model import AbstractModel, Params
@@ -185,9 +185,8 @@ class Search:
 
     def checked(self) -> Search:
         """The same with plain numbers; ``InputError`` for options that are not right."""
-        for name, value, known in (("sense", self.sense, SENSES), ("distribution", self.distribution, SIGMAS)):
-            if not isinstance(value, str) or value not in known:
-                raise InputError(name, f"no {name} {quoted(value)}", nearest(value, known))
+        one_of("sense", "sense", self.sense, SENSES)
+        one_of("distribution", "distribution", self.distribution, SIGMAS)
         for q in np.ravel(real("norms", "norms", [] if self.norms is None else self.norms)):
             number("norms", _NORM, q)
         most: dict[str, Any] = {"samples": limits.RUNS, "iterations": limits.RUNS, "starts": limits.STARTS}

@@ -13,14 +13,14 @@ from bcfj_jax.analysis.nonlinear.exponents import flow_step as flow_step
 from bcfj_jax.analysis.nonlinear.exponents import map_exponent as map_exponent
 from bcfj_jax.analysis.nonlinear.exponents import scene_exponent as scene_exponent
 from bcfj_jax.analysis.nonlinear.exponents import two_trajectories as two_trajectories
-from bcfj_jax.analysis.nonlinear.pictures import draw_bifurcation as draw_bifurcation
-from bcfj_jax.analysis.nonlinear.pictures import draw_exponent as draw_exponent
-from bcfj_jax.analysis.nonlinear.pictures import draw_section as draw_section
 from bcfj_jax.analysis.nonlinear.portraits import MODES as MODES
 from bcfj_jax.analysis.nonlinear.portraits import ball_loads as ball_loads
 from bcfj_jax.analysis.nonlinear.portraits import contact_modes as contact_modes
 from bcfj_jax.analysis.nonlinear.portraits import contact_portrait as contact_portrait
 from bcfj_jax.analysis.nonlinear.portraits import contact_raster as contact_raster
+from bcfj_jax.analysis.nonlinear.portraits import draw_bifurcation as draw_bifurcation
+from bcfj_jax.analysis.nonlinear.portraits import draw_exponent as draw_exponent
+from bcfj_jax.analysis.nonlinear.portraits import draw_section as draw_section
 from bcfj_jax.analysis.nonlinear.portraits import state_portrait as state_portrait
 from bcfj_jax.analysis.nonlinear.sections import Impacts as Impacts
 from bcfj_jax.analysis.nonlinear.sections import Section as Section

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from bcfj_jax.analysis.nonlinear.sections import Sectioning, SectioningKeys, drive_period, impacts
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, one_of
 from bcfj_jax.core.quantities import real, whole
 from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import reason
@@ -154,14 +154,11 @@ def impact_bifurcation(
     Raises:
         InputError: for a parameter or a contact the scene does not have, and for values it cannot take.
     """
-    asked, known = Touching(**settings), [one.name for one in scene.contacts]
-    if asked.contact not in known:
-        raise InputError(f"scene '{scene.kind}'", f"no contact '{asked.contact}'", nearest(asked.contact, known))
+    asked = Touching(**settings)
+    one_of(f"scene '{scene.kind}'", "contact", asked.contact, [one.name for one in scene.contacts])
     batch, each = _batch(scene, params, scene.canonical(name), values)
-    grid, kept = (
-        np.linspace(0.0, 1.0, whole("samples", asked.samples, least=2, most=limits.SAMPLES)),
-        whole("kept", kept),
-    )
+    grid = np.linspace(0.0, 1.0, whole("samples", asked.samples, least=2, most=limits.SAMPLES))
+    kept = whole("kept", kept)
     ends = np.full(len(each), float(end))
     reasons, seen = _solve(scene, batch, ends, grid, asked, asked.places)
     read = seen[asked.contact]

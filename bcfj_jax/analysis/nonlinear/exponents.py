@@ -106,10 +106,8 @@ class Counting:
 def counts(iterations: int, asked: Counting) -> tuple[int, int, int, int]:
     """The numbers that make a mean, as ``int``; ``InputError`` for no iterations, or more batches than iterations."""
     iterations = whole("iterations", iterations, most=limits.SAMPLES)
-    transients, batches = (
-        whole("transients", asked.transients, least=0, most=limits.SAMPLES),
-        whole("batches", asked.batches, least=0),
-    )
+    transients = whole("transients", asked.transients, least=0, most=limits.SAMPLES)
+    batches = whole("batches", asked.batches, least=0)
     if batches > iterations:
         raise InputError("batches", f"{batches} of {iterations} iterations", "give no more batches than iterations")
     return iterations, transients, batches, whole("seed", asked.seed, least=0)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from bcfj_jax.analysis.engine import simulated
 from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
@@ -13,7 +14,6 @@ from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import Claim, open_folder
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
-from bcfj_jax.solve.simulation import simulate
 from bcfj_jax.xla.programs import keep_asked
 
 # Of a contact's sample in both tables [bytes].
@@ -42,10 +42,7 @@ def animated(what: str, word: str, out: Path | None, say: Callable[[str], None])
 
     path, given = movie(what, word, out), quickest(load(what))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
-    found = simulate(
-        given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
-        solver=given.solver, measure_error=False,
-    )  # fmt: skip
+    found = simulated(given, measure_error=False, resolved_peaks=False)
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
     with stage("drawing"):
@@ -82,10 +79,7 @@ def run(what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None],
     get_ready()
     # A large model compiles the looks for seconds, and its contacts carry: samples show them.
     looked = given.resolved_peaks or (not given.scene.traits.large and given.solver != "bdf")
-    found = simulate(
-        given.scene, given.params, given.times, accuracy=given.accuracy, max_steps=given.max_steps,
-        solver=given.solver, measure_error=wanted.measure_error, read=names, resolved_peaks=looked,
-    )  # fmt: skip
+    found = simulated(given, measure_error=wanted.measure_error, read=names, resolved_peaks=looked)
     written = results.write(folder, given, found, stem, framed)
     show(f"{written.text}\nresults in {folder}")
     for warning in written.warnings:

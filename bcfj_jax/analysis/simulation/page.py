@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,8 +57,8 @@ def drawn(
     """Draw all pictures of a run, those that matter first; ``contacts`` are those of ``summary.json``: their periods give the
     loading cycles in steady motion. A run read from files has no trajectory, and no orbits.
     """
-    drive = turning(scene, params)
-    found: list[Picture | None] = []
+    drive: Any = turning(scene, params)
+    chain, orbits = scene.chain(params), scene.orbits(params, run)
     many = {name for name, count in scene.members.items() if count and name in run.force}
     good = bool(run.force) and run.status == "ok"
     cycles = {}
@@ -66,35 +66,29 @@ def drawn(
         period = contacts.get(f"{name}_1" if name in many else name, {}).get("period")
         if period is not None and math.isfinite(period):
             cycles[name] = float(period)
-    if (chain := scene.chain(params)) is not None and good:
-        found.append(views.chain(chain, folder / CHAIN))
-    if many and good:
-        found.append(views.around(run, folder / AROUND, drive))
-    if run.force:
-        found.append(pictures.forces(run, folder / FORCES))
-        found.append(pictures.loops(run, folder / LOOPS, cycles, widths(scene, params)))
-    if reads:
-        found.append(pictures.readings(run, reads, folder / READINGS))
-    if orbits := scene.orbits(params, run):
-        found.append(views.orbits(run, orbits, folder / ORBITS, drive))
-    if run.state and (len(run.state) > 1 or many or any(contact.friction for contact in scene.contacts)):
-        found.append(views.states(run, folder / STATE, drive))
-    if drive and good:
-        found.append(views.orders(run, folder / ORDERS, drive))
-    return [one for one in found if one is not None]
+    several = len(run.state) > 1 or many or any(contact.friction for contact in scene.contacts)
+    every: tuple[tuple[str, Any, Callable[[Path], Picture | None]], ...] = (
+        (CHAIN, good and chain is not None, lambda path: views.chain(chain, path)),  # pyright: ignore[reportArgumentType]
+        (AROUND, good and many, lambda path: views.around(run, path, drive)),
+        (FORCES, run.force, lambda path: pictures.forces(run, path)),
+        (LOOPS, run.force, lambda path: pictures.loops(run, path, cycles, widths(scene, params))),
+        (READINGS, reads, lambda path: pictures.readings(run, reads, path)),
+        (ORBITS, orbits, lambda path: views.orbits(run, orbits, path, drive)),
+        (STATE, run.state and several, lambda path: views.states(run, path, drive)),
+        (ORDERS, good and drive, lambda path: views.orders(run, path, drive)),
+    )
+    return [one for name, wanted, draw in every if wanted and (one := draw(folder / name)) is not None]
 
 
 def verdict(run: Run, content: Mapping[str, Any], absurd: Sequence[Finding] = ()) -> Verdict:
     """The highest force, where and when, and its measured error; first what contradicts it, and what cannot be."""
-    found = _verdict(run, content)
     if run.status == "failed":
-        return Verdict(found.kind, found.word, f"{found.sentence} {headline(absurd)}".strip())
-    return judged(absurd, found)
+        ended = f"The run ended at {brief(run.failure_time, 's')}: {run.reason}."
+        return Verdict(BAD, "Failed", f"{ended} {headline(absurd)}".strip())
+    return judged(absurd, _verdict(run, content))
 
 
 def _verdict(run: Run, content: Mapping[str, Any]) -> Verdict:
-    if run.status == "failed":
-        return Verdict(BAD, "Failed", f"The run ended at {brief(run.failure_time, 's')}: {run.reason}.")
     accuracy, found = content.get("accuracy") or {}, content.get("balance", {})
     until, differs = accuracy.get("agree_until"), ""
     if until is not None and math.isfinite(until):

@@ -120,14 +120,11 @@ RESOLVED_UNITS = {"peak_of_samples": "N", "peak_time": "s", "least": "N", "least
 
 def resolved(run: Run) -> dict[str, dict[str, float]]:
     """By contact, members apart, what was found in the solver's steps; nothing where that was not asked for."""
-    columns: dict[str, dict[str, np.ndarray]] = {}
-    for name, found in run.extremes.items():
-        for key, x in found._asdict().items():
-            columns.setdefault(key, {})[name] = x[None]
     apart: dict[str, dict[str, float]] = {}
-    for key, each in columns.items():
-        for name, x in outputs.channels(each).items():
-            apart.setdefault(name, {})[key] = float(x[0])
+    for name, found in run.extremes.items():
+        for key, each in found._asdict().items():
+            for member, x in outputs.channels({name: each[None]}).items():
+                apart.setdefault(member, {})[key] = float(x[0])
     return apart
 
 
@@ -174,15 +171,13 @@ def resolution_warnings(run: Run) -> list[str]:
         lengths = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
         if lengths.size and lengths.min() < pictures.FEW_SAMPLES and run.status == "ok":
             shortest[name] = int(lengths.min())
-    found = []
-    if not (run.force or run.readings):
-        found.append("the scene has no contact; name readings in [[read]] tables")
+    found = [] if run.force or run.readings else ["the scene has no contact; name readings in [[read]] tables"]
     more = f"raise [time] samples, or say --samples {10 * (len(run.times) - 1) + 1}"
     if missed:
         count = sum(missed.values())
-        short = "1 short contact begins and ends" if count == 1 else f"{count} short contacts begin and end"
+        one, several = ("1 short contact begins and ends", "it"), (f"{count} short contacts begin and end", "them")
+        short, them = one if count == 1 else several
         what = "histories and pictures" if run.extremes else "peak, mean, impulse and work"
-        them = "it" if count == 1 else "them"
         found.append(f"{_several(missed)}: {short} between two samples; {what} do not include {them}; {more}")
     if shortest:
         samples = counted(min(shortest.values()), "sample")

@@ -18,7 +18,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.solve.simulation import Run
 
-_DIGITS = 3
+_si = partial(format_si, digits=3)
 
 
 def told(found: Run) -> Told:
@@ -32,10 +32,6 @@ def told(found: Run) -> Told:
     steps = f"{found.stats['accepted']} steps, {found.stats['rejected']} rejected"
     seconds = f"{_si(found.stats['wall_s'], 's')}, compiled in {_si(found.stats['compile_s'], 's')}"
     return Told(verdict, lines, _rows(found), [f"{len(found.times)} samples from {span}; {steps}; {seconds}"])
-
-
-def _si(value: float, unit: str) -> str:
-    return format_si(value, unit, _DIGITS)
 
 
 def _rows(found: Run) -> list[list[str]]:

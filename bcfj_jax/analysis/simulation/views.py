@@ -72,10 +72,8 @@ def around(run: Run, path: Path, turning: Turning | None) -> Picture:
             axis.legend(fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, 0.03), ncols=3, columnspacing=0.8,
                         handlelength=1.2)  # fmt: skip
             carrying = int(np.count_nonzero(late[k] > 0.05 * late[k].max()))
-            said.append(
-                f"{name}: at most {brief(float(highest.max()), 'N')}, when {carrying} of {count} members carry more than "
-                f"a twentieth of it"
-            )
+            carried = f"{carrying} of {count} members carry more than a twentieth of it"
+            said.append(f"{name}: at most {brief(float(highest.max()), 'N')}, when {carried}")
     when = "over the last turn" if turning else "over the run"
     shows = f"Normal force of the members {when}, by angle. {'; '.join(said)}."
     return Picture(path.name, "Loads around the axis", shows)
@@ -156,14 +154,8 @@ def chain(found: Chain, path: Path) -> Picture:
         most = float(np.hypot(*found.pushes.T).max(initial=0.0))
         if most > 0.0:
             reach = 0.25 * max(np.ptp(x), np.ptp(y)) / most
-            look: dict[str, Any] = {
-                "angles": "xy",
-                "scale_units": "xy",
-                "scale": 1.0,
-                "color": COLOURS[1],
-                "width": 5e-3,
-            }
-            place.quiver(x[1:-1], y[1:-1], *(reach * found.pushes.T), **look)
+            arrows = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "color": COLOURS[1], "width": 5e-3}
+            place.quiver(x[1:-1], y[1:-1], *(reach * found.pushes.T), **arrows)
         place.set(title=f"{found.pushed}, at most {brief(most, 'N')}", xlabel="x [m]", ylabel="z [m]", aspect="equal")
         place.margins(0.25)
         for axis, (name, (unit, values)) in zip(axes, found.loads.items(), strict=True):

@@ -73,14 +73,9 @@ class Result(NamedTuple):
 
 
 def study(
-    what: Path | str | Mapping[str, Any],
-    out: Path | str,
-    *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Callable[[int, int], None] = lambda done, all: None,
-    tell: Callable[[Result], None] | None = None,
-) -> Result:
+    what: Path | str | Mapping[str, Any], out: Path | str, *, workers: int | None = None, scheduler: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, all: None, tell: Callable[[Result], None] | None = None,
+) -> Result:  # fmt: skip
     """Run a study, or what is missing of it.
 
     Args:

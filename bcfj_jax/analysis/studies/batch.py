@@ -19,7 +19,7 @@ from jax.sharding import Mesh
 from bcfj_jax.analysis.derivatives import batch as derivatives
 from bcfj_jax.analysis.derivatives.contact_events import TIGHTER
 from bcfj_jax.analysis.derivatives.contact_events import filled as with_events
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel
+from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, of_run
 from bcfj_jax.analysis.derivatives.measures import measure, vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, event, members
 from bcfj_jax.analysis.derivatives.problem import Problem
@@ -29,7 +29,6 @@ from bcfj_jax.analysis.features import KINDS, PAIR
 from bcfj_jax.analysis.simulation.results import resolved
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.core.status import NO_FORCE, OK, reason
-from bcfj_jax.io.outputs import channels
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
@@ -89,20 +88,6 @@ def has_history(scene: AbstractModel) -> bool:
     return scene.traits.history and not scene.traits.open
 
 
-def places() -> int:
-    """Runs under way at one time: what keeps a core busy and its cache not full; an accelerator wants many."""
-    return 32 if backend.on_cpu() else derivatives.MANY
-
-
-class _Static(NamedTuple):
-    """What a program is made for; the grid as bytes, which are hashable."""
-
-    scene: AbstractModel
-    grid: bytes
-    wanted: tuple[Feature, ...]
-    host: bool
-
-
 def run(
     scene: AbstractModel, points: Points, wanted: Sequence[Feature], how: Plan, size: int, forces: bool = False
 ) -> Batch:
@@ -114,8 +99,9 @@ def run(
     fill, mesh = derivatives.filled(count, size)
     host = forces or any(map(on_host, wanted))
     arguments = Points(points.one(fill), ends[fill], np.asarray(grid)), how, np.asarray(count)
-    static = _Static(scene, np.asarray(grid).tobytes(), tuple(wanted), host)
-    batch, _ = program("batch", _program, (static, mesh), arguments)
+    # The grid as bytes, which are hashable.
+    static = scene, (np.asarray(grid).tobytes(), tuple(wanted), host), mesh
+    batch, _ = program("batch", _program, static, arguments)
     found = batch(*arguments)
     values, code, end, steps, rounds = (np.asarray(x) if not np.ndim(x) else x[:count] for x in found[:5])
     # Histories only where they are asked for.
@@ -145,36 +131,34 @@ def on_host(feature: Feature) -> bool:
 
 
 def measured(
-    scene: AbstractModel,
-    wanted: Sequence[Feature],
-    times: np.ndarray,
-    value: Histories,
+    scene: AbstractModel, wanted: Sequence[Feature], times: np.ndarray, value: Histories,
     slopes: Histories | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Features (F,) of a finished run, and their derivatives (F, P); by no parameter without ``slopes``."""
-    none = Histories(*(None if x is None else x[None][:0] for x in value))
-    return measure(times, value, none if slopes is None else slopes, wanted, scene.members, scene.traits.turning)
+    by = value.constant if slopes is None else slopes
+    return measure(times, value, by, wanted, scene.members, scene.traits.turning)
 
 
-def _program(static: _Static, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
-    return derivatives.divided(partial(_part, static), mesh, points, how, count)
+def _program(scene: AbstractModel, asked: tuple, mesh: Mesh | None, points: Points, how: Plan, count: Array) -> tuple:
+    return derivatives.divided(partial(_part, scene, asked), mesh, points, how, count)
 
 
-def _part(static: _Static, points: Points, how: Plan, count: Array) -> tuple:
-    """What one device does."""
+def _part(scene: AbstractModel, asked: tuple, points: Points, how: Plan, count: Array) -> tuple:
+    """What one device does; ``asked``: the samples' times, the features, and whether histories are wanted on the host."""
     from bcfj_jax.solve.work_queue import equilibria, integrate_queue  # With diffrax, which a kept program needs not.
 
-    scene, grid, (params, ends, _) = static.scene, np.frombuffer(static.grid), points
+    (samples, wanted, host), (params, ends, _) = asked, points
+    grid = np.frombuffer(samples)
 
     def look(one: tuple) -> tuple:
         params, end, states = one
         force, depth, rate = read = by_channel(scene, readings(scene, params, end * grid, states))
-        features = vector(grid, Histories(force, depth, rate, None), static.wanted, scene.members, {})
-        return features, *(read if static.host else (None, None, None))
+        features = vector(grid, Histories(force, depth, rate, None), wanted, scene.members, {})
+        return features, *(read if host else (None, None, None))
 
     rounds = jnp.asarray(0)
     if has_history(scene):
-        solution, rounds = integrate_queue(scene, points, how, count, min(places(), ends.size))
+        solution, rounds = integrate_queue(scene, points, how, count, min(derivatives.places(), ends.size))
     else:
         solution = equilibria(scene, points)
     features, *read = jax.lax.map(
@@ -215,9 +199,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
             why = reason(found.code, given.max_steps)
         else:
             single = simulated(given, one, times, safety)
-            read = ((single.force, 1), (single.penetration, 0), (single.rate, 0))
-            force, depth, rate = (np.stack(list(channels(x, axes).values()), 1) for x, axes in read)
-            value = Histories(force, depth, rate, None)
+            value = of_run(single)
             why, stop, steps = single.reason, single.failure_time, single.stats["accepted"] + single.stats["rejected"]
             peaks = {name: x["peak"] for name, x in resolved(single).items()} if given.resolved_peaks else {}
         numbers, by = measured(scene, study.features, times, value, slopes)

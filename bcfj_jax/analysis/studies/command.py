@@ -59,13 +59,10 @@ def run(
     what: str, out: Path | None, team: tuple[int | None, str | None], say: Callable[[str], None],
     show: Callable[[str], None], resuming: bool = False,
 ) -> tuple[str, int]:  # fmt: skip
-    """Run a study, or go on with it; in words, and the exit code.
+    """Run a study (a file, or a built-in study's name), or go on with it; in words, and the exit code.
 
-    Args:
-        what, out: a study file or a built-in study's name; its folder, None for one made up.
-        team: workers and scheduler, as ``api.study``.
-        say, show: receive the progress; ranges of what there is after the first block.
-        resuming: whether it must have been begun.
+    ``team``: workers and scheduler, as ``api.study``. ``say`` receives the progress, ``show`` ranges of what there is after the
+    first block. ``resuming``: whether it must have been begun.
     """
     missing = ("there is no study to resume", "say run, or name its folder") if resuming else None
     study, folder, stem = _begun(what, out, missing)
@@ -212,16 +209,16 @@ def _answer(result: Result) -> Verdict:
     count = f"{study.count} points"
     if not good.any():
         return Verdict(BAD, "Failed", f"None of {count} has a result.")
-    best, feature = -1.0, None
+    spreads = {}
     for one in study.features:
         values = result.column(one.name)[good]
         middle = float(np.nanmedian(np.abs(values))) if np.isfinite(values).any() else 0.0
-        spread = float(np.nanmax(values) - np.nanmin(values)) / middle if middle > 0 else -1.0
-        if spread > best:
-            best, feature = spread, one.name
+        if middle > 0:
+            spreads[one.name] = float(np.nanmax(values) - np.nanmin(values)) / middle
     kind, word = (FAIR, "Finished, with failures") if result.failed else (GOOD, "Finished")
-    if feature is None:
+    if not spreads:
         return Verdict(kind, word, f"{count}; no feature has a value.")
+    feature = max(spreads, key=lambda name: spreads[name])
     values = result.column(feature)[good]
     extent = span(values, feature_unit(feature))
     if view.together(result):

@@ -114,17 +114,12 @@ def together(result: Result) -> bool:
     return len(values) == 1 or all(bool(np.all(d > 0) or np.all(d < 0)) for d in steps)
 
 
-def _scaled(study: Study, name: str, values: np.ndarray) -> tuple[np.ndarray, str]:
-    """A parameter's values as an axis shows them, and its label."""
-    unit = study.given.scene.quantities[name].unit
-    scale, prefix = plots.engineering(values, unit)
-    return values * scale, name if unit == "1" else plots.label(name, unit, prefix)
-
-
 def _curves(result: Result, path: Path) -> int:
     """Features against the one parameter, a panel each; failed points leave a gap. How many features are left out."""
     study, name = result.study, result.study.names[0]
-    x, text = _scaled(study, name, result.column(name))
+    values, across_unit = result.column(name), study.given.scene.quantities[name].unit
+    scale, prefix = plots.engineering(values, across_unit)
+    x, text = values * scale, name if across_unit == "1" else plots.label(name, across_unit, prefix)
     order = np.argsort(x)
     shown = study.features[:_MOST]
     across = 2 if len(shown) < 5 else 3

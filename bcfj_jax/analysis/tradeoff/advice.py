@@ -57,11 +57,8 @@ def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> 
         return {"setting": None, "reason": "no reference to compare with"}
     if SAFETY * study.reference.least_error > budget:
         return {"setting": None, "reason": f"the reference is certain to {study.reference.least_error:.1e} only"}
-    within = [
-        k
-        for k, (setting, error) in enumerate(zip(study.settings, known, strict=True))
-        if SAFETY * error <= budget and asks(setting, budget)
-    ]
+    every = enumerate(zip(study.settings, known, strict=True))
+    within = [k for k, (setting, error) in every if SAFETY * error <= budget and asks(setting, budget)]
     if not within:
         missing = sum(row["status"].startswith("not run") for row in study.rows)
         also = f"; {missing} settings were not run" if missing else ""
@@ -128,9 +125,8 @@ def doubts(reference: Reference | None) -> list[str]:
         return [f"no reference: {certificate['reason']}"]
     found, smallest = [], BUDGETS[-1]
     if not np.any(reference.truth.force):
-        found.append(
-            "no contact touches at any sample: every error is 0 and says nothing; a later [time] end is needed"
-        )
+        nothing = "no contact touches at any sample: every error is 0 and says nothing"
+        found.append(f"{nothing}; a later [time] end is needed")
     if SAFETY * reference.least_error > smallest:
         why = f": {certificate['reason']}" if certificate["reason"] else ""
         found.append(

@@ -30,7 +30,6 @@ from bcfj_jax.solve.simulation import Run
 NAMES = ("force_rms_error", "peak_error", "impulse_error", "period_error", "dissipated_error")
 # What a budget is about.
 MAIN = NAMES[:3]
-UNKNOWN = dict.fromkeys(NAMES, float("nan"))
 _CARRIES, _LOSES = 0.1, 1e-6
 
 

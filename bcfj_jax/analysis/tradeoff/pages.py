@@ -91,19 +91,12 @@ def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str
     """``tradeoff.json``: status and reasons, the reference's certificate, what is recommended, every setting."""
     certificate = found.reference.certificate if found.reference else {"status": "not run"}
     status = "interrupted" if found.interrupted else "ok" if certificate["status"] == "ok" else "failed"
-    expected = advise.expected(found)
-    return {
-        "status": status,
-        "reasons": doubts,
-        "peaks": found.peaks,
-        "reference": certificate,
-        "safety": advise.SAFETY,
-        "recommended": advice,
-        "settings": [
-            row | {"expected_error": error, "physics": setting.physics, "change": setting.change}
-            for row, setting, error in zip(found.rows, found.settings, expected, strict=True)
-        ],
-    }
+    rows = [
+        row | {"expected_error": error, "physics": setting.physics, "change": setting.change}
+        for row, setting, error in zip(found.rows, found.settings, advise.expected(found), strict=True)
+    ]
+    head = {"status": status, "reasons": doubts, "peaks": found.peaks, "reference": certificate}
+    return head | {"safety": advise.SAFETY, "recommended": advice, "settings": rows}
 
 
 def _walls(advice: dict[str, Any]) -> dict[str, float]:
@@ -116,10 +109,8 @@ def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
     if not walls:
         return Verdict(BAD, "No setting", verdict(advice, doubts, found))
     parts = [f"for {b}: {name}, {brief(walls[name], 's')} a run" for name, b in advise.shared(advice).items()]
-    kind, word = (FAIR, "Recommended, with doubts") if doubts else (GOOD, "Recommended")
-    if found.interrupted:
-        kind, word = FAIR, "Interrupted; recommended so far"
-    return Verdict(kind, word, f"{'; '.join(parts)}.")
+    word = "Interrupted; recommended so far" if found.interrupted else f"Recommended{', with doubts' if doubts else ''}"
+    return Verdict(FAIR if found.interrupted or doubts else GOOD, word, f"{'; '.join(parts)}.")
 
 
 def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
@@ -254,14 +245,12 @@ def _panel(
     solvers = {setting.ladder for setting in study.settings if setting.group == "tolerance"}
     for number, (kind, names) in enumerate(sorted(kinds.items(), key=lambda item: item[0] not in solvers)):
         x, y = np.array([walls[n] for n in names]), np.clip([errors[n] for n in names], _LEAST, _TOP)
-        colour, mark = plots.COLOURS[number % len(plots.COLOURS)], _MARKS[number % len(_MARKS)]
         look: dict[str, Any] = {
+            "color": plots.COLOURS[number % len(plots.COLOURS)],
             "linestyle": "-" if kind in solvers else "none",
-            "color": colour,
-            "marker": mark,
-            "label": kind,
         }
-        axis.plot(x, y, markersize=4.5, linewidth=0.7, alpha=0.85, **look)
+        mark = _MARKS[number % len(_MARKS)]
+        axis.plot(x, y, marker=mark, label=kind, markersize=4.5, linewidth=0.7, alpha=0.85, **look)
     axis.set(xscale="log", yscale="log", xlabel="wall time of a run, compiled [s]")
     low, high = axis.get_ylim()
     if least_error > 0:

@@ -12,21 +12,20 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
 from bcfj_jax.analysis.tradeoff.settings import accuracy_of, level, overlaid
-from bcfj_jax.analysis.tradeoff.trial import loaded, parameters, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import TANGENTS, Clock, loaded, parameters, slopes, trial
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
-from bcfj_jax.io.stop import OutOfTime, within
+from bcfj_jax.io.stop import OutOfTime
 from bcfj_jax.solve.plan import MAX_STEPS
 from bcfj_jax.solve.simulation import Run
 
-T = TypeVar("T")
 NAME = "reference.npz"
 # Below this many times its own error a reference does not distinguish settings.
 SEPARATES = 3.0
@@ -43,9 +42,8 @@ _SLOPES = {
 }
 # Worst difference at which tightening ends.
 _GOAL = {False: 1e-8, True: 1e-5}
-# A step of tightening costs at most so many times the one before; a step of an implicit method so many of another's;
-# derivatives so many times the values, compiling included.
-_DEARER, _IMPLICIT, TANGENTS = 5.0, 50.0, 4.0
+# A step of tightening costs at most so many times the one before; a step of an implicit method so many of another's.
+_DEARER, _IMPLICIT = 5.0, 50.0
 # Steps that a method may take whatever the time left.
 _LEAST_STEPS = 20_000
 _NO_TIME = "would take more than a third of the time left"
@@ -62,14 +60,13 @@ class Reference(NamedTuple):
         truth: forces and what is compared of them; None where two methods could not be had.
         slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
         certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
-        digest: of the file that keeps it; late: whether the time was over before all was done: then something still computes.
+        digest: of the file that keeps it.
     """
 
     truth: Measured | None
     slopes: np.ndarray | None
     certificate: dict[str, Any]
     digest: str = ""
-    late: bool = False
 
     @property
     def least_error(self) -> float:
@@ -82,50 +79,39 @@ class Reference(NamedTuple):
         return SEPARATES * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
 
 
-class _Attempts:
-    """Runs that may fail, or take longer than the seconds left: what each gives, and why some gave nothing."""
-
-    def __init__(self, left: Callable[[], float]) -> None:
-        self.left, self.failures, self.late = left, list[str](), False
-
-    def made(self, name: str, run: Callable[[], T]) -> T | None:
-        """What a run gives; None where it gives nothing."""
-        try:
-            with stage(f"reference by {name}"):
-                return within(self.left(), run)
-        except OutOfTime:
-            self.late = True
-            self.failures.append(f"{name} {_LATE}")
-        except RuntimeError as error:  # Of JAX: no memory for it, say.
-            self.failures.append(f"{name}: {error}")
-        return None
+def _made(name: str, run: Callable[[], Any], clock: Clock, failures: list[str]) -> Any:
+    """What a run gives; None where it fails, or takes longer than the seconds left, which is said among the failures."""
+    try:
+        with stage(f"reference by {name}"):
+            return clock.within(run)
+    except OutOfTime:
+        failures.append(f"{name} {_LATE}")
+    except RuntimeError as error:  # Of JAX: no memory for it, say.
+        failures.append(f"{name}: {error}")
+    return None
 
 
-def reference(
-    given: SceneFile, left: Callable[[], float], say: Callable[[str], None], derivatives: bool = True
-) -> Reference:
-    """Certify a scene's truth, and its derivatives where they are wanted; ``left``: seconds for the whole study, now."""
-    names, begin, tried = parameters(given), left(), _Attempts(left)
+def reference(given: SceneFile, clock: Clock, say: Callable[[str], None], derivatives: bool = True) -> Reference:
+    """Certify a scene's truth, and its derivatives where they are wanted, in the time of the whole study."""
+    names, begin = parameters(given), clock.left()
     without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
-    truth, certificate = _values(given, tried, say)
-    dear = TANGENTS * (begin - left()) > left() / 3.0
+    truth, certificate = _values(given, clock, say)
     certificate |= {"derivatives": without}
     slopes = None
     if truth is None:
-        return Reference(None, None, certificate, late=tried.late)
+        return Reference(None, None, certificate)
     if not derivatives:
         without["reason"] = NOT_ASKED
     elif not names:
         without["reason"] = "no parameter to take them by"
     elif not given.scene.traits.history:
         without["reason"] = "fidelities without inertia have no solver"
-    elif tried.late or dear:
+    elif TANGENTS * (begin - clock.left()) > clock.left() / 3.0:
         without["reason"] = f"they {_NO_TIME}"
     else:
         say(f"reference derivatives by {', '.join(names)}")
-        tried = _Attempts(left)
-        slopes, certificate["derivatives"] = _slopes(given, names, tried)
-    return Reference(truth, slopes, certificate, late=tried.late)
+        slopes, certificate["derivatives"] = _slopes(given, names, clock)
+    return Reference(truth, slopes, certificate)
 
 
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
@@ -134,10 +120,10 @@ def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
     return loaded(overlaid(given.resolved, {"accuracy": accuracy}))
 
 
-def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> tuple[Measured | None, dict[str, Any]]:
+def _values(given: SceneFile, clock: Clock, say: Callable[[str], None]) -> tuple[Measured | None, dict[str, Any]]:
     """The truth and its certificate."""
     best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
-    truth, spent, left = None, 0.0, tried.left
+    truth, spent, left, failures = None, 0.0, clock.left, list[str]()
     for candidates in _candidates(given):
         if truth is not None and spent * _DEARER > left() / 3.0:
             best["reason"] = f"a tighter one {_NO_TIME}"
@@ -150,8 +136,8 @@ def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> t
                 each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
                 excess = file.max_steps / max(left() / 3.0 / each, _LEAST_STEPS)
                 file = replace(file, max_steps=file.max_steps // 4 ** max(math.ceil(math.log(excess / 2.0, 4.0)), 0))
-            found = tried.made(label["solver"], lambda file=file: trial(file, repeated=False))
-            if tried.late:
+            found = _made(label["solver"], lambda file=file: trial(file, repeated=False), clock, failures)
+            if clock.over:
                 best["reason"] = f"a tighter one {_LATE}"
                 break
             if found is None:
@@ -160,7 +146,7 @@ def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> t
             if found.run.status == "ok":
                 pair.append((label | found.cost, measured(pick(found.run), given.times, given.scene.traits.turning)))
             else:
-                tried.failures.append(f"{label['solver']}: {found.run.reason}")
+                failures.append(f"{label['solver']}: {found.run.reason}")
             if len(pair) == 2:
                 break
         if len(pair) < 2:
@@ -175,7 +161,7 @@ def _values(given: SceneFile, tried: _Attempts, say: Callable[[str], None]) -> t
         if worst(apart) <= _GOAL[given.scene.traits.stiff]:
             break
     if truth is None:
-        best["reason"] = f"no two methods reached the end: {'; '.join(tried.failures)}"
+        best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
     return truth, best
 
 
@@ -200,24 +186,23 @@ def _half(run: Run) -> Run:
     return run._replace(times=run.times[::2], **parts)
 
 
-def _slopes(given: SceneFile, names: tuple[str, ...], tried: _Attempts) -> tuple[np.ndarray | None, dict[str, Any]]:
+def _slopes(given: SceneFile, names: tuple[str, ...], clock: Clock) -> tuple[np.ndarray | None, dict[str, Any]]:
     """Derivatives and their certificate."""
-    truth, first, spent = None, {}, 0.0
+    truth, first, spent, failures = None, {}, 0.0, list[str]()
     witnesses: list[tuple[float, dict[str, Any]]] = []
     for solver, error in _SLOPES[given.scene.traits.stiff]:
         if solver == first.get("solver"):
             continue
-        if spent > tried.left() / 3.0:
-            tried.failures.append(f"{solver}: {_NO_TIME}")
+        if spent > clock.left() / 3.0:
+            failures.append(f"{solver}: {_NO_TIME}")
             break
-        file, begin = _method(given, solver, error), tried.left()
-        each = tried.made(solver, lambda file=file: slopes(file, names))
-        if tried.late:
+        file, begin = _method(given, solver, error), clock.left()
+        each = _made(solver, lambda file=file: slopes(file, names), clock, failures)
+        if clock.over:
             break
-        spent = begin - tried.left()
+        spent = begin - clock.left()
         if each is None or each.value is None:
-            if each is not None:
-                tried.failures.append(f"{solver}: {each.reason}")
+            failures += [] if each is None else [f"{solver}: {each.reason}"]
             continue
         how_dear = {"solver": solver, "force_error": error, "wall_s": each.wall_s, "compile_s": each.compile_s}
         if truth is None:
@@ -226,8 +211,12 @@ def _slopes(given: SceneFile, names: tuple[str, ...], tried: _Attempts) -> tuple
         witnesses.append((derivative_error(each.value, truth), how_dear))
         if not given.scene.traits.stiff:
             break
-    said = {"parameters": names, "methods": [first] if first else [], "error": float("nan")}
-    said["reason"] = "; ".join(tried.failures)
+    said = {
+        "parameters": names,
+        "methods": [first] if first else [],
+        "error": float("nan"),
+        "reason": "; ".join(failures),
+    }
     if not witnesses:
         return None, said
     error, nearest = min(witnesses, key=lambda witness: witness[0])

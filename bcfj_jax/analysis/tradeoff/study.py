@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import math
-import statistics
 import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff import measures
 from bcfj_jax.analysis.tradeoff import reference as references
-from bcfj_jax.analysis.tradeoff.measures import UNKNOWN, derivative_error, worst
+from bcfj_jax.analysis.tradeoff.measures import MAIN, derivative_error, worst
 from bcfj_jax.analysis.tradeoff.reference import Reference, reference, restore
 from bcfj_jax.analysis.tradeoff.settings import MODEL, Setting
-from bcfj_jax.analysis.tradeoff.trial import Trial, loaded, singles, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import Clock, Trial, loaded, singles, slopes, trial
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.journal import Journal
@@ -25,23 +23,18 @@ from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.stop import OutOfTime, check, within
 from bcfj_jax.xla.threads import cores
 
-T = TypeVar("T")
 OK, FAILED, UNCOMPARED = "ok", "failed", "not compared: no reference yet"
 NO_TIME, CUT_OFF, NO_REFERENCE = "not run: budget", "not run: interrupted", "not run: no reference"
-COLUMNS = (
-    "setting", "force_rms_error", "peak_error", "impulse_error", "derivative_error", "wall_s", "compile_s", "status",
-    "pareto", "period_error", "dissipated_error", "group", "force_error", "precision", "steps", "repeats",
-    "derivative_wall_s", "derivative_compile_s", "at_reference", "reason", "contact", "peak_change",
-)  # fmt: skip
-_NOTHING = {name: float("nan") for name in COLUMNS[1:7]} | {
-    "status": FAILED, "pareto": False, **UNKNOWN, "precision": "", "steps": 0, "repeats": 0,
-    "derivative_wall_s": float("nan"), "derivative_compile_s": float("nan"), "at_reference": False, "reason": "",
-    "contact": "", "peak_change": float("nan"),
+# A row of which nothing is known, in the order of the table's columns.
+_NOTHING = {
+    "setting": "", **dict.fromkeys((*MAIN, "derivative_error", "wall_s", "compile_s"), math.nan), "status": CUT_OFF,
+    "pareto": False, "period_error": math.nan, "dissipated_error": math.nan, "group": "", "force_error": math.nan,
+    "precision": "", "steps": 0, "repeats": 0, "derivative_wall_s": math.nan, "derivative_compile_s": math.nan,
+    "at_reference": False, "reason": "", "contact": "", "peak_change": math.nan,
 }  # fmt: skip
+COLUMNS = tuple(_NOTHING)
 # A row that lacks them is not kept: another call may have the time.
 _NO_SLOPES = "no derivatives: too little time was left"
-# How much dearer the next level of a ladder is taken to be, at least.
-_NEXT = 1.5
 
 
 class Study(NamedTuple):
@@ -57,60 +50,12 @@ class Study(NamedTuple):
     peaks: Mapping[str, float] = {}
 
 
-class _Clock:
-    """Seconds left, and what the next piece of work will take by those before it, compiling included."""
-
-    def __init__(self, budget: float) -> None:
-        self._end = time.monotonic() + budget
-        self._compiles: list[float] = []
-        self._tangents: list[float] = []
-        self._programs: set[Any] = set()
-        self._ladders: dict[str, float] = {}
-
-    def left(self) -> float:
-        return self._end - time.monotonic()
-
-    def within(self, what: Callable[[], T]) -> T:
-        """What a function gives in the time left; afterwards none is left if it was not enough: what was left behind
-        still computes, and would disturb what is measured.
-        """
-        try:
-            return within(self.left(), what)
-        except OutOfTime:
-            self.stop()
-            raise
-
-    def stop(self) -> None:
-        """No more time."""
-        self._end = -math.inf
-
-    def takes(self, setting: Setting, program: Any) -> float:
-        compile_s = statistics.median(self._compiles) if self._compiles and program not in self._programs else 0.0
-        return compile_s + _NEXT * self._ladders.get(setting.ladder, 0.0)
-
-    def took(self, setting: Setting, program: Any, row: Mapping[str, Any]) -> None:
-        self.compiled([row.get("compile_s", 0.0)], [row.get("derivative_compile_s", 0.0)])
-        self._programs.add(program)
-        runs = row.get("repeats", 0) * row.get("wall_s", 0.0), row.get("derivative_wall_s", 0.0)
-        self._ladders[setting.ladder] = float(np.nansum(runs))
-
-    def compiled(self, values: Sequence[float], tangents: Sequence[float]) -> None:
-        """Seconds that compiling took, of values and of derivatives; 0 and NaN where nothing was."""
-        self._compiles += [s for s in values if s > 0.0]
-        self._tangents += [s for s in tangents if s > 0.0]
-
-    def derivatives(self, program: Any, wall_s: float) -> float:
-        """What derivatives will take beside a run of so many seconds."""
-        known = self._tangents and program not in self._programs
-        return (statistics.median(self._tangents) if known else 0.0) + references.TANGENTS * wall_s
-
-
 class _Runs:
     """Runs of settings in the time left, as ``clock`` has it: the scene's own is made first; those in 32-bit numbers are made
     together, beside the reference where there is a core for them.
     """
 
-    def __init__(self, clock: _Clock, todo: list[Setting]) -> None:
+    def __init__(self, clock: Clock, todo: list[Setting]) -> None:
         self.clock, self.known = clock, dict[str, Trial | RuntimeError]()
         self.narrow = [setting for setting in todo if setting.bits != 64]
         self.beside = threading.Thread(target=self._beside, daemon=True)
@@ -161,15 +106,13 @@ def study(
 ) -> Study:  # fmt: skip
     """Measure settings of a scene, which as it stands defines the truth; Ctrl-C ends it with what is finished.
 
-    Args:
-        given, todo: the scene, and its settings (``settings.settings``).
-        journal: where finished settings are kept, and taken from; the reference's arrays lie beside it.
-        budget: seconds; what would not fit any more is not run, and what was begun and did not fit is left behind.
-        say, tell: receive the progress; what there is: the scene's own run, then, after the reference, a row more each time.
+    Finished settings are kept in the journal, and taken from it; the reference's arrays lie beside it. What would not fit into
+    the ``budget`` [s] is not run, and what was begun and did not fit is left behind. ``say`` receives the progress, ``tell`` what
+    there is: the scene's own run, then, after the reference, a row more each time.
     """
-    clock, told = _Clock(budget), tell or (lambda _: None)
+    clock, told = Clock(budget), tell or (lambda _: None)
     runs, peaks = _Runs(clock, todo), dict[str, float]()
-    rows = [_NOTHING | {"setting": s.name, "group": s.group, "force_error": s.error, "status": CUT_OFF} for s in todo]
+    rows = [_NOTHING | {"setting": s.name, "group": s.group, "force_error": s.error} for s in todo]
     truth, interrupted = None, False
     try:
         truth = _restored(journal, say)
@@ -203,16 +146,13 @@ def _restored(journal: Journal, say: Callable[[str], None]) -> Reference | None:
 
 
 def _certified(
-    given: SceneFile, derivatives: bool, journal: Journal, clock: _Clock, say: Callable[[str], None]
+    given: SceneFile, derivatives: bool, journal: Journal, clock: Clock, say: Callable[[str], None]
 ) -> Reference:
-    folder = journal.path.parent
-    found = reference(given, clock.left, say, derivatives)
+    found = reference(given, clock, say, derivatives)
     parts = found.certificate["methods"], found.certificate["derivatives"]["methods"]
     clock.compiled(*([one.get("compile_s", 0.0) for one in part] for part in parts))
-    if found.late:
-        clock.stop()
     if found.truth is not None:
-        found = found._replace(digest=references.save(found, folder))
+        found = found._replace(digest=references.save(found, journal.path.parent))
         journal.add("reference", {"certificate": found.certificate, "file": found.digest})
     return found
 
@@ -230,10 +170,10 @@ def _row(given: SceneFile, setting: Setting, truth: Reference, journal: Journal,
     try:
         file = loaded(setting.table)
         program = (file.scene, len(file.times), file.solver, file.max_steps, setting.bits)
-        if setting.name not in runs.known and clock.takes(setting, program) > clock.left():
+        if setting.name not in runs.known and clock.takes(setting.ladder, program) > clock.left():
             return {"status": NO_TIME, "reason": f"{max(clock.left(), 0.0):.0f} s are left"}
         row = _measured(given, file, setting, program, truth, runs)
-        clock.took(setting, program, row)
+        clock.took(setting.ladder, program, row)
     except OutOfTime:
         return {"status": NO_TIME, "reason": "it was begun, and took longer than was left"}
     except (InputError, RuntimeError) as error:  # The latter JAX's: no memory for it, say.
@@ -263,7 +203,7 @@ def _measured(
     return row
 
 
-def _differentiated(file: SceneFile, program: Any, truth: Reference, wall_s: float, clock: _Clock) -> dict[str, Any]:
+def _differentiated(file: SceneFile, program: Any, truth: Reference, wall_s: float, clock: Clock) -> dict[str, Any]:
     """What a setting's derivatives are worth and cost, or why there are none."""
     assert truth.slopes is not None
     if clock.derivatives(program, wall_s) > clock.left():

@@ -7,14 +7,16 @@ to know what they would cost: the package refuses them, and JAX's width of numbe
 from __future__ import annotations
 
 import json
+import math
+import statistics
 import subprocess
 import sys
 import tempfile
+import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -25,7 +27,7 @@ from bcfj_jax.core.status import reason
 from bcfj_jax.io import usercode
 from bcfj_jax.io.outputs import atomic, plain
 from bcfj_jax.io.scenefile import SceneFile, from_table, shown
-from bcfj_jax.io.stop import check
+from bcfj_jax.io.stop import OutOfTime, check, within
 from bcfj_jax.solve.plan import Plan, plan
 from bcfj_jax.solve.simulation import Run, timed
 from bcfj_jax.xla.compile_cache import open_cache
@@ -42,6 +44,61 @@ _SPEND, _LEAST, _MOST, _ONCE = 0.2, 3, 9, 5.0
 _LOOK_UP = 0.05
 # What of a run is compared, contact by contact.
 _READ = ("force", "penetration", "rate", "slip")
+# How much dearer the next level of a ladder is taken to be, at least; derivatives than values, compiling included.
+_NEXT, TANGENTS = 1.5, 4.0
+T = TypeVar("T")
+
+
+class Clock:
+    """Seconds left, and what the next piece of work will take by those before it, compiling included."""
+
+    def __init__(self, budget: float) -> None:
+        self._end = time.monotonic() + budget
+        self._compiles: list[float] = []
+        self._tangents: list[float] = []
+        self._programs: set[Hashable] = set()
+        self._ladders: dict[str, float] = {}
+
+    def left(self) -> float:
+        """Seconds, below 0 where it is over."""
+        return self._end - time.monotonic()
+
+    @property
+    def over(self) -> bool:
+        """Whether something was begun that did not end in time."""
+        return self._end == -math.inf
+
+    def within(self, what: Callable[[], T]) -> T:
+        """What a function gives in the time left; none is left if that was not enough, for what is left behind still computes,
+        and would disturb what is measured.
+        """
+        try:
+            return within(self.left(), what)
+        except OutOfTime:
+            self._end = -math.inf
+            raise
+
+    def takes(self, ladder: str, program: Hashable) -> float:
+        """What a setting will take [s]."""
+        compile_s = statistics.median(self._compiles) if self._compiles and program not in self._programs else 0.0
+        return compile_s + _NEXT * self._ladders.get(ladder, 0.0)
+
+    def took(self, ladder: str, program: Hashable, row: Mapping[str, Any]) -> None:
+        """A setting's row is there."""
+        self.compiled([row.get("compile_s", 0.0)], [row.get("derivative_compile_s", 0.0)])
+        self._programs.add(program)
+        runs = row.get("repeats", 0) * row.get("wall_s", 0.0), row.get("derivative_wall_s", 0.0)
+        self._ladders[ladder] = float(np.nansum(runs))
+
+    def compiled(self, values: Sequence[float], tangents: Sequence[float]) -> None:
+        """Seconds that compiling took, of values and of derivatives; 0 and NaN where nothing was."""
+        self._compiles += [s for s in values if s > 0.0]
+        self._tangents += [s for s in tangents if s > 0.0]
+
+    def derivatives(self, program: Hashable, wall_s: float) -> float:
+        """What derivatives will take beside a run of so many seconds."""
+        known = self._tangents and program not in self._programs
+        return (statistics.median(self._tangents) if known else 0.0) + TANGENTS * wall_s
 
 
 class Trial(NamedTuple):
@@ -62,12 +119,11 @@ def trial(given: SceneFile, repeated: bool = True) -> Trial:
     def again() -> Callable[[], Run]:
         """The same run, of what was checked already."""
         scene = given.scene.suited(given.params, float(given.times[-1]), given.solver)
-        how = Plan(
-            plan(scene, given.accuracy, given.max_steps, given.solver).tolerance, given.max_steps, solver=given.solver
-        )
+        tolerance = plan(scene, given.accuracy, given.max_steps, given.solver).tolerance
+        how = Plan(tolerance, given.max_steps, solver=given.solver)
         return lambda: timed(scene, given.params, given.times, how)
 
-    return repeatedly(lambda: simulated(replace(given, resolved_peaks=False)), again if repeated else None)
+    return repeatedly(lambda: simulated(given, resolved_peaks=False), again if repeated else None)
 
 
 def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] | None) -> Trial:
@@ -78,13 +134,8 @@ def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] |
         # The first run after a compilation also fills caches: it is not counted.
         more = again()
         walls = [more().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
-    cost = {
-        "wall_s": float(np.median(walls)),
-        "compile_s": compile_s if compile_s > _LOOK_UP else 0.0,
-        "repeats": len(walls),
-        "steps": run.stats["accepted"] + run.stats["rejected"],
-    }
-    return Trial(run, cost)
+    cost = {"wall_s": float(np.median(walls)), "compile_s": compile_s if compile_s > _LOOK_UP else 0.0}
+    return Trial(run, cost | {"repeats": len(walls), "steps": run.stats["accepted"] + run.stats["rejected"]})
 
 
 def parameters(given: SceneFile) -> tuple[str, ...]:
