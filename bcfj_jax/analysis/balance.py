@@ -110,7 +110,7 @@ def _judged(asked: float, run: Run, samples: Mapping[str, Totals]) -> Balance:
     """The balances of a run, whose samples add up to ``samples``."""
     # Contacts that begin and end between two samples.
     depth, rate, steps = channels(run.penetration), channels(run.rate), run.totals
-    hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]
+    hidden = [name for name in depth if len(features.unseen(run.times, depth[name], rate[name]))]
     if not samples:
         return Balance(UNKNOWN, "The balance is not known: the model has neither momenta nor an energy balance.")
     quadrature = "steps" if steps else "samples"

@@ -209,14 +209,17 @@ def oscillation(times: ArrayLike, force: ArrayLike, window: Window, order: int =
     return Oscillation(xp.max(xp.abs(r)), rms, amplitude, rms / xp.mean(xp.abs(fit.fitted)))
 
 
-def unseen(penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
+def unseen(times: np.ndarray, penetration: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Indices k of contacts that began and ended between the samples k and k + 1.
 
     Found by the rate: it turns from approach to departure, apart at both samples, in a jump (more than ten
-    times the median change of the rate over a sample), as no load but a contact does.
+    times the median change of the rate over a sample), as no load but a contact does; and so fast that the surface is
+    within reach at twice its rate: a body at rest turns by rounding.
     """
     jump = np.abs(np.diff(rate))
     turned = (rate[:-1] > 0) & (rate[1:] < 0) & (penetration[:-1] <= 0) & (penetration[1:] <= 0)
+    twice = 2.0 * np.diff(times)
+    turned &= (twice * rate[:-1] >= -penetration[:-1]) & (-twice * rate[1:] >= -penetration[1:])
     finite = jump[np.isfinite(jump)]
     return np.flatnonzero(turned & (jump > 10.0 * np.median(finite))) if finite.size else np.empty(0, dtype=int)
 
@@ -231,7 +234,7 @@ def contact_times(times: ArrayLike, penetration: ArrayLike, rate: ArrayLike) -> 
     found = [(float(t[0]), True)] if d[0] > 0 else []
     found += [(_root(t, d, v, k), True) for k in np.flatnonzero((d[:-1] <= 0) & (d[1:] > 0))]
     found += [(_root(t, d, v, k), False) for k in np.flatnonzero((d[:-1] > 0) & (d[1:] <= 0))]
-    for k in unseen(d, v):
+    for k in unseen(t, d, v):
         start, end = np.clip((t[k] - d[k] / v[k], t[k + 1] - d[k + 1] / v[k + 1]), t[k], t[k + 1])
         # Gravity and the contact's own length make the two cross by less than they mean.
         found += [(float(start), True), (float(max(start, end)), False)]

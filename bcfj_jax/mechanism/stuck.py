@@ -9,7 +9,8 @@ So a stuck contact gives by T times its creep speed, below 0.1 um, and friction 
 is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Computational Contact Mechanics, 2006, 5.2).
 Where several contacts could share a load in many ways, this is the one of equal slip. Then
 
-    velocities  u:  least in kinetic energy of those by which contacts slip by s  (least squares, weights N mobility);
+    velocities  u:  least in kinetic energy of those by which contacts slip by s and go neither deeper nor apart
+                    (least squares, weights N mobility);
 
 a law that creeps has these forces at once, and goes on creeping. Bristles bear z themselves, f = -N sigma_0 z up to
 break-away, and are at rest. Rolling and drilling resistance and friction in joints act in the same way, by the turn.
@@ -50,7 +51,9 @@ def _dry(m: Dynamics) -> list[CoordinateLoad]:
 
 
 def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips:
-    """What friction sees of velocities; ``bound``: whether it has limits, else contacts without friction are among them."""
+    """What friction sees of velocities, with the part along the normal; ``bound``: whether it has limits, else contacts
+    without friction are among them.
+    """
     t = jnp.zeros(())
     now = m.instant(t, jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))]), p, laws=False)
     found: Slips = {}
@@ -60,8 +63,11 @@ def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips
         first, second = c.parts(now.bodies.parts)
         turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
         found[c.name] = [
-            tuple(tuple(spread(x, k) for x in vector) for vector in (touch.slide, turn))
-            for _, touch in now.faces[c.name]
+            tuple(
+                tuple(spread(x, k) for x in vector)
+                for vector in (add(touch.slide, scale(touch.rate, face.normal)), turn)
+            )
+            for face, touch in now.faces[c.name]
         ]
     return found | {load.name: jnp.asarray(m._coordinate(load.body, t, now, p)[2]) for load in _dry(m)}
 

@@ -80,10 +80,14 @@ def test_open_ends():
 def test_a_contact_between_two_samples_is_found_by_the_rate():
     times = np.linspace(0.0, 1.0, 100)
     depth, rate = -np.abs(times - 0.4), np.where(times < 0.4, 1.0, -1.0)
-    assert len(features.unseen(depth, rate)) == 1
+    assert len(features.unseen(times, depth, rate)) == 1
     assert features.contact_times(times, depth, rate)[0] == pytest.approx((0.4, 0.4))
     smooth = -0.5 - (times - 0.4) ** 2
-    assert len(features.unseen(smooth, -2 * (times - 0.4))) == 0
+    assert len(features.unseen(times, smooth, -2 * (times - 0.4))) == 0
+    # What rests far off turns by rounding.
+    still = np.zeros(100)
+    still[50:52] = 1e-12, -1e-12
+    assert len(features.unseen(times, still - 0.1, still)) == 0
 
 
 def test_contact_fraction():

@@ -153,8 +153,8 @@ def test_the_cage_of_the_joint_is_where_its_penetrations_say():
 @pytest.mark.parametrize(("rests", "warned"), [(True, False), (False, True)])
 def test_bounces_between_samples_are_counted_and_warned_of_where_they_matter(rests, warned):
     """A contact that rests for most of the run, with one bounce that no sample shows; and one that only bounces."""
-    depth, rate = np.full(100, -1e-5), np.full(100, 1e-4)
-    depth[10:15], rate[50:] = 1e-6, -1e-4
+    depth, rate = np.full(100, -1e-5), np.full(100, 1e-3)
+    depth[10:15], rate[50:] = 1e-6, -1e-3
     rate[10:15] = 0.0
     if rests:
         depth[10:49] = 1e-6
@@ -163,7 +163,7 @@ def test_bounces_between_samples_are_counted_and_warned_of_where_they_matter(res
         readings={}, status="failed", extremes={},
     )  # fmt: skip
     depth[60:95] = 1e-6 if rests else depth[60:95]
-    assert features.unseen(depth, rate).size == 1
+    assert features.unseen(run.times, depth, rate).size == 1
     assert any("between two samples" in line for line in results.resolution_warnings(run)) == warned
 
 

@@ -139,7 +139,7 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
         one: dict[str, Any] = features.summary(run.times, force[:, 0], penetration[name], rate[name], turning)
         if turning and run.status != "ok":
             one["period"] = float("nan")
-        contacts[name] = one | {page.BETWEEN: len(features.unseen(penetration[name], rate[name]))}
+        contacts[name] = one | {page.BETWEEN: len(features.unseen(run.times, penetration[name], rate[name]))}
     # Of a failed run nothing is known as a whole.
     for name, found in resolved(run).items() if run.status != "failed" else ():
         whole = features.of_steps(float(run.times[-1]), found)
@@ -165,7 +165,7 @@ def resolution_warnings(run: Run) -> list[str]:
     missed, shortest = {}, {}
     rate = outputs.channels(run.rate)
     for name, depth in outputs.channels(run.penetration).items():
-        if np.mean(depth > 0) < _CARRIES and (count := len(features.unseen(depth, rate[name]))):
+        if np.mean(depth > 0) < _CARRIES and (count := len(features.unseen(run.times, depth, rate[name]))):
             missed[name] = count
         edges = np.diff(np.concatenate([[False], depth > 0, [False]]).astype(int))
         lengths = np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0)
