@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from calibration.diagnostics.catalogue import QUANTILE as QUANTILE
 from calibration.diagnostics.residual_tests import neighbours
 
 # Chance that an error acts, before the record is looked at; shares of its prior, with their chances, if it does.
@@ -26,8 +27,6 @@ MOST = 2
 # A set with a smaller share of the largest weight is left out.
 _LEAST = 1e-6
 _ROUNDS = 4
-# Normal quantile that sizes of errors are stated with.
-QUANTILE = 1.959964
 
 
 class Error(NamedTuple):
