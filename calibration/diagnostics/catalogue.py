@@ -33,6 +33,8 @@ _BY_SIZE = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)] + [
 ]
 # A share of the peak that is called a large error of the law; of itself, of a gain.
 _LAW, GAIN = 0.05, 0.01
+# Chance that an error acts, before the record is looked at; of a lag, which every sensor has.
+ACTS, EVERYWHERE = 0.6, 0.97
 # Normal quantile that sizes of errors are stated with.
 QUANTILE = 1.959964
 Numbers = dict[str, float]
@@ -45,6 +47,7 @@ class Sensor(NamedTuple):
         adds: to a reading (n,) of a series, with the channel's peak and the longest contact's duration.
         unit, most: of its amplitude, and the size with 95 % if it acts.
         nuisance: of a problem that fits it; key: of an instrument that states it; own: every record has it for itself, too.
+        sign: 1 where its amplitude cannot be negative; chance: that it acts.
     """
 
     adds: Callable[[Series, np.ndarray, float, float], np.ndarray]
@@ -53,6 +56,8 @@ class Sensor(NamedTuple):
     nuisance: str
     key: str
     own: bool = False
+    sign: int = 0
+    chance: float = ACTS
 
 
 def _slope(s: Series, read: np.ndarray) -> np.ndarray:
@@ -70,12 +75,13 @@ SENSOR = {
         lambda s, x, peak, late: x * np.abs(x) / peak, "of the peak, at the peak", 0.05, "gain_bend", "nonlinearity"
     ),
     "lag": Sensor(
-        lambda s, x, peak, late: -late * _slope(s, x), "of a contact's duration", 0.1, "bandwidth", "bandwidth"
+        lambda s, x, peak, late: -late * _slope(s, x),
+        "of a contact's duration", 0.1, "bandwidth", "bandwidth", sign=1, chance=EVERYWHERE,
     ),
     # Its amplitude is 1/w^2.
     "resonance": Sensor(
         lambda s, x, peak, late: -(late**2) * _slope(s, _slope(s, x)),
-        "of a contact's duration squared", 0.01, "resonance", "resonance",
+        "of a contact's duration squared", 0.01, "resonance", "resonance", sign=1,
     ),
     "drift": Sensor(
         lambda s, x, peak, late: peak * (s.clock - s.clock.mean()) / max(float(np.ptp(s.clock)), 1e-300),
@@ -97,7 +103,7 @@ class Shape(NamedTuple):
         listed: numbers by name, which intervals allow for; those of a ``kind`` exclude each other.
         suspect: its name in the diagnosis, "" for none there; sought: its numbers on a grid.
         given: whether its amplitude is 1, the numbers alone saying how large it is.
-        sign: whether its amplitude cannot be negative, or is 0 for either; amplitude: its name, where that is one number.
+        sign: as of ``Sensor``; amplitude: its name, where that is one number.
         nuisance: of a problem that fits it.
     """
 
@@ -253,11 +259,12 @@ SHAPES = (
         sought=lambda x: {"bandwidth": np.geomspace(0.3, 50.0, 30) / x.contact},
     ),
     Shape(
-        lambda x, time: first_order(x, 1.0 / (2.0 * np.pi * time)), "of itself", QUANTILE, kind="lag", nuisance="bandwidth",
+        lambda x, time: first_order(x, 1.0 / (2.0 * np.pi * time)),
+        "of itself", QUANTILE, kind="lag", nuisance="bandwidth", sign=1,
         listed=lambda x: {f"lag of {t:.0%} of a contact": {"time": t * x.contact} for t in _LAGS},
     ),
     Shape(
-        _smoothed, "of itself", 1.0, kind="low-pass without delay", nuisance="bandwidth",
+        _smoothed, "of itself", 1.0, kind="low-pass without delay", nuisance="bandwidth", sign=1,
         listed=lambda x: {f"low-pass of {t:.0%} of a contact": {"time": t * x.contact} for t in _WIDTHS},
     ),
     Shape(second_order, suspect="resonance", sought=_resonances, given=True),

@@ -30,8 +30,6 @@ from calibration.uncertainty.sets import Error
 _STEP, _SHARE = 1e-2, 0.01
 # Constants, which are known.
 _KNOWN = ("gravity",)
-# Shares of their priors with which errors always act: a record begins between two samples, and every sensor lags.
-_THERE = {"clock": 0.4, "lag": 0.05}
 
 
 def every(problem: Problem, at: Optimum) -> list[Error]:
@@ -94,7 +92,7 @@ def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[
         rest = [s for s, (_, said) in zip(scene.series, known, strict=True) if own.key not in said]
         if np.any(signature := part(column, rest)):
             columns = shared_and_own(signature, rest) if own.own else signature
-            every.append(Error(name, own.unit, own.most, columns, floor=_THERE.get(name, 0.0)))
+            every.append(Error(name, own.unit, own.most, columns, sign=own.sign, chance=own.chance))
         every += _as_stated(name, own, column, scene, known) if len(rest) < len(scene.series) else []
     return [*every, *_steps(scene, known)]
 
@@ -201,5 +199,5 @@ def of_shape(scene: Scene, taken: Collection[str], slowest: float = np.inf) -> l
             size = float(np.abs(column).max())
             if size > 0.0:
                 scaled = column * (peak / size) if shape.law else column
-                found.append(Error(name, shape.unit, shape.most, scaled, shape.kind))
+                found.append(Error(name, shape.unit, shape.most, scaled, shape.kind, sign=shape.sign))
     return found
