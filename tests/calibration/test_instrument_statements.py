@@ -171,7 +171,7 @@ def test_python_states_it_by_texts_too():
 
 @pytest.mark.slow
 def test_what_would_narrow_it_is_what_does():
-    """Three runs at another speed are made and fitted, thrice: intervals are as wide as foretold. A better gain changes little."""
+    """Three runs at another speed are made and fitted, thrice: as wide as was foretold. A better gain changes little."""
     plain = problem()
     found = fit(plain, starts=4)
     clock, sigma = 1.2 * TIMES, 2e-3 * float(np.max(plain.experiments[0].channels[0].values))
