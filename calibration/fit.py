@@ -20,7 +20,7 @@ from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.xla.threads import ahead
-from calibration.diagnostics import answers, fit_tests, influence, law_errors, misfit_location
+from calibration.diagnostics import answers, fit_tests, influence, misfit_location
 from calibration.diagnostics.answers import Answer, clearance_tests, contacts_met, whole_contact_test
 from calibration.diagnostics.optimum import Optimum, start_rows
 from calibration.diagnostics.records import Record, features_of, hold_out, records_of, rms, rms_of_peak, series_of
@@ -185,8 +185,6 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
         log.info("before the fit: %s", doubt.text)
     model = build(problem, problem.fitted)
     ahead(partial(evaluation, model))
-    if wanted.systematic:
-        ahead(partial(law_errors.get_ready, model))
     given, screened = _given_start(problem, model), screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
         why = commonest_failure(model, screened.design[:_ASKED])

@@ -161,44 +161,6 @@ class DampedStop(AbstractElasticLaw):
         return layer + backing(penetration, c) * positive(1.0 + c["bottoming_damping"] * rate)
 
 
-IMPERFECT = (*BACKING, "relaxation", "relaxation_time")
-
-
-class Imperfect(AbstractLaw):
-    """F = F_law + K_b r(d - d_b) + r (f - q),  q' = (f - q)/tau: any law with a stop behind it that also relaxes.
-
-    The stop is that of ``elastic.TwoStage``, the branch that of ``StandardLinearSolid`` with f the law's force at rest.
-    For small errors of a law: a force below 0 is not cut off.
-    Coefficients: those of the law, ``bottoming_stiffness`` K_b [N/m], ``bottoming_penetration`` d_b [m],
-    ``bottoming_width`` w [m], ``relaxation`` r [-], ``relaxation_time`` tau [s].
-    """
-
-    law: AbstractLaw
-
-    @property
-    def states(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Those of the law, and q [N]."""
-        return (*self.law.states, "relaxed_force")
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        return (*self.law.needs, *IMPERFECT)
-
-    def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:
-        branch = jnp.where(penetration > 0, self._still(penetration, c) - c["relaxed_force"], 0.0)
-        return self.law.force(penetration, rate, c) + backing(penetration, c) + c["relaxation"] * branch
-
-    def rates(self, penetration: Array, rate: Array, c: Coefficients) -> tuple[Array, ...]:
-        relaxing = (self._still(penetration, c) - c["relaxed_force"]) / c["relaxation_time"]
-        return (*self.law.rates(penetration, rate, c), relaxing)
-
-    def sizes(self, penetration: Array, c: Coefficients) -> tuple[Array, ...]:
-        return (*self.law.sizes(penetration, c), self._still(penetration, c))
-
-    def _still(self, penetration: Array, c: Coefficients) -> Array:
-        return self.law.force(penetration, jnp.zeros_like(penetration), c)
-
-
 class Restitution(AbstractElasticLaw):
     """F = f(d) (1 + chi(e) d'/v0), the family of ``restitution.FACTORS``; v0 is the approach speed of this impact.
 

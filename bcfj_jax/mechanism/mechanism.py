@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.gaps import AbstractGap
-from bcfj_jax.contact.normal import IMPERFECT, AbstractLaw, Imperfect
+from bcfj_jax.contact.normal import AbstractLaw
 from bcfj_jax.contact.stiffness import LineContact
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.numerics import is_traced
@@ -97,12 +97,6 @@ class Mechanism(Dynamics):
     def first_touch(self, params: Mapping[str, float]) -> float | None:
         """``touch``."""
         return None if self.touch is None else self.touch(params)
-
-    def imperfect(self) -> Mechanism | None:
-        """As ``AbstractModel``: None without contacts, and where a law reads those coefficients already."""
-        if not self.contacts or any(set(IMPERFECT) & set(c.law.needs) for c in self.contacts):
-            return None
-        return replace(self, contacts=tuple(replace(c, law=Imperfect(c.law)) for c in self.contacts))
 
     @property
     def shows_proximity(self) -> bool:

@@ -470,10 +470,6 @@ class AbstractModel(eqx.Module):
         """
         return self
 
-    def imperfect(self) -> AbstractModel | None:
-        """This model with the small errors of ``contact.normal.Imperfect`` in each contact; None where they cannot be."""
-        return None
-
     def choice_options(self) -> dict[str, Any]:
         """Fields, and options of the scene file, with which ``simulate`` chooses the level; empty without levels."""
         return {}

@@ -1,16 +1,14 @@
-"""What an imperfection of the sensor or of the law adds to a record, to first order about an optimum, in deviations of the
-noise.
+"""What an error of the sensor or of the law adds to a record, to first order about an optimum, in deviations of the noise.
 
 Of the sensor it follows from what is predicted; of the law it is a force f beside the predicted one, and what the motion
 makes of it: m x'' = -(k x + c x' + f) changes the force by f + k x + c x', with the tangent k, c of F = K d^n exp(a d')
 fitted to the predicted force, and m that of d'' = g - F/m: a contact of one mass. Where the motion is another, the force
-alone is taken.
+alone is taken. A reading that goes as the depth, its rate or the force of the one contact changes with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import accumulate
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +16,7 @@ from scipy.linalg import solve_banded
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.model import Model
-from calibration.forward.runs import instants, params_at, ran
+from calibration.forward.runs import instants, of_contacts, params_at, ran
 
 # Samples of a block of flight that is kept where there are too many.
 _BLOCK = 32
@@ -55,9 +53,9 @@ class Motion(NamedTuple):
         return touching & ~np.r_[False, touching[:-1]]
 
     def reply(self, force: np.ndarray) -> np.ndarray:
-        """Change of the force for a force (T,) beside it [N]."""
+        """Changes (T, 3) of force, depth and its rate for a force (T,) beside it [N]."""
         if self.moves is None:
-            return force
+            return force[:, None] * np.array([1.0, 0.0, 0.0])
         # x' = A x + (0, -f/m) from rest, by the trapezoidal rule, all instants as one banded system: a product of moves
         # over many contacts has no inverse.
         push, half, count = -force / self.mass, 0.5 * np.diff(self.times), self.times.size
@@ -68,7 +66,25 @@ class Motion(NamedTuple):
         for row, column in np.ndindex(2, 2):
             bands[2 + row - column, :-1, column] = -self.moves[:, row, column]
         moved = solve_banded((3, 0), bands.reshape(4, -1), right.ravel(), check_finite=False).reshape(count, 2)
-        return force + np.sum(self.tangent * moved, axis=1)
+        return np.column_stack([force + np.sum(self.tangent * moved, axis=1), moved])
+
+    def follows(self, clock: np.ndarray, read: np.ndarray) -> np.ndarray | None:
+        """How a reading (n,) goes with force, depth and rate: one of three numbers is not 0; None where it is another thing."""
+        best, found = (1.0 - _ONE_MASS) * float(np.sum((read - read.mean()) ** 2)), None
+        for k, own in enumerate((self.force, self.depth, self.rate)):
+            columns = np.column_stack([np.ones(clock.size), np.interp(clock, self.times, own)])
+            slope = np.linalg.lstsq(columns, read, rcond=None)[0]
+            left = float(np.sum((read - columns @ slope) ** 2))
+            best, found = (left, slope[1] * np.eye(3)[k]) if left < best else (best, found)
+        return found
+
+
+class Held(NamedTuple):
+    """The motion that a series reads: with the offset of its clock [s], and how readings go with force, depth and rate (3,)."""
+
+    motion: Motion
+    offset: float
+    follows: np.ndarray
 
 
 class Scene(NamedTuple):
@@ -77,38 +93,70 @@ class Scene(NamedTuple):
     Attributes:
         size: N, residuals of the fit.
         series: residuals by record and channel; runs: the record of each; read: (n,) what is predicted of each, SI.
-        motions: the contact that each reads, with the offset of its clock [s]; None where it reads another thing.
+        motions: of the contact that each reads; None where it reads another thing.
         contact: duration of the longest contact [s]; peak: largest predicted reading, SI.
+        channels: what each series reads; of one channel where none are named.
     """
 
     size: int
     series: list[Series]
     runs: list[int]
     read: list[np.ndarray]
-    motions: list[tuple[Motion, float] | None]
+    motions: list[Held | None]
     contact: float
     peak: float
+    channels: Sequence[str] = ()
+
+    @property
+    def deepest(self) -> float:
+        """Greatest depth of its motions [m]; 0 of none."""
+        return max((float(held.motion.depth.max()) for held in self.motions if held), default=0.0)
+
+    @property
+    def peaks(self) -> list[float]:
+        """By series the largest predicted reading of its channel."""
+        names = self.channels or [""] * len(self.series)
+        every = [float(np.abs(x).max()) for x in self.read]
+        return [max(x for x, other in zip(every, names, strict=True) if other == name) for name in names]
 
 
-def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np.ndarray) -> Scene:
-    """The scene about an optimum; ``readings`` (E, C, T) are the predicted ones there."""
-    flat, table = readings.reshape(-1), params_at(model, point)
-    motions: list[tuple[Motion, float] | None] = []
-    runs: list[int] = []
+def scene_of(model: Model, series: list[Series], readings: np.ndarray, point: np.ndarray | None) -> Scene:
+    """The scene about an optimum; ``readings`` (E, C, T) are the predicted ones there. Without a point it has no motions."""
+    flat, table = readings.reshape(-1), [] if point is None else params_at(model, point)
+    motions: list[Held | None] = []
     known: dict[tuple[int, str], Motion | None] = {}
-    for s in series:
-        i, j, _ = np.unravel_index(s.rows[0], readings.shape)
-        runs.append(int(i))
-        part, _, what = model.channels[j].partition(".")
-        offset, key = table[i]["time_offset"], (int(i), part)
-        if what == "normal" and key not in known:
-            known[key] = _motion(model, int(i), table[i], part, s.clock - offset)
-        own = known.get(key) if what == "normal" else None
-        motions.append((own, offset) if own is not None else None)
-    spans = [s.longest if np.isfinite(s.longest) and s.longest > 0 else float(np.ptp(s.clock)) for s in series]
+    places = [np.unravel_index(s.rows[0], readings.shape)[:2] for s in series]
+    for s, (i, j) in zip(series, places, strict=True):
+        part, _, what = model.channels[j].partition(".") if table else ("", "", "")
+        names = list(model.scene.members) if table else []
+        name = part if what == "normal" else names[0] if len(names) == 1 else ""
+        offset = table[i]["time_offset"] if table else 0.0
+        if name and (i, name) not in known:
+            known[i, name] = _motion(model, int(i), table[i], name, s.clock - offset)
+        motion = known.get((i, name))
+        plain = np.array([1.0, 0.0, 0.0]) if what == "normal" else None
+        follows = motion and (motion.follows(s.clock - offset, flat[s.rows]) if plain is None else plain)
+        motions.append(Held(motion, offset, follows) if motion and follows is not None else None)
     read = [flat[s.rows] for s in series]
+    if of_contacts(model):
+        spans = [s.longest if np.isfinite(s.longest) and s.longest > 0 else float(np.ptp(s.clock)) for s in series]
+    else:
+        spans = [_passing(s.clock, x) for s, x in zip(series, read, strict=True)]
     size = int(model.data.values.size + model.data.features.size)
-    return Scene(size, series, runs, read, motions, max(spans), max(float(np.abs(x).max()) for x in read))
+    peak = max((float(np.abs(x).max()) for x in read), default=0.0)
+    channels = [model.channels[j] for _, j in places]
+    return Scene(size, series, [int(i) for i, _ in places], read, motions, max(spans, default=0.0), peak, channels)
+
+
+def _passing(clock: np.ndarray, seen: np.ndarray) -> float:
+    """What stands for a contact's duration in a record without one [s]: 2/w with w = rms(f'')/rms(f') of the reading.
+
+    w is about the highest frequency that the reading visibly carries. Priors of a tenth of 2/w and a hundredth of its square are
+    then a bandwidth and a resonance of 5 w: a sensor is used up to a fifth of its resonance, where it errs by 4 %.
+    """
+    first = np.gradient(seen, clock)
+    steep, bent = (float(np.sqrt(np.mean(x * x))) for x in (first, np.gradient(first, clock)))
+    return min(2.0 * steep / bent if bent > 0.0 else np.inf, float(np.ptp(clock)))
 
 
 def thinned(scene: Scene, most: int) -> Scene:
@@ -181,30 +229,21 @@ def _moves(times: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     return np.linalg.solve(np.eye(2) - half, np.eye(2) + half)
 
 
-def weight(model: Model, series: list[Series], point: np.ndarray, gravity: float) -> np.ndarray:
+def weight(scene: Scene, gravity: float) -> np.ndarray:
     """What a gravity [m/s^2] towards the surface adds to the residuals (N,) of single impacts; 0 where a record shows none.
 
     In contact the force beside is the weight: the contact force changes by k x + c x', an acceleration that a sensor on the
     body reads (free of gravity itself) by that over the mass. Before touch it is in the speed of approach.
     """
-    table, shape = params_at(model, point), model.data.values.shape
-    column, known = np.zeros(model.data.values.size + model.data.features.size), {}
-    names = list(model.scene.members)
-    for s in series:
-        i, j, _ = np.unravel_index(s.rows[0], shape)
-        part, _, what = model.channels[j].partition(".")
-        felt = part if what == "normal" else names[0] if len(names) == 1 and what.startswith("acceleration") else ""
-        offset = table[i]["time_offset"]
-        if felt and i not in known:
-            known[i] = _motion(model, int(i), table[i], felt, s.clock - offset)
-        motion = known.get(i) if felt else None
-        if motion is None or motion.moves is None:
-            continue
-        push = np.full(motion.times.size, -motion.mass * gravity)
-        change = np.where(motion.depth > 0.0, motion.reply(push) - push, 0.0)
-        read = change if what == "normal" else -change / motion.mass
-        column[s.rows] = s.white(np.interp(s.clock - offset, motion.times, read, left=0.0))
-    return column
+    errors = []
+    for s, held in zip(scene.series, scene.motions, strict=True):
+        error = np.zeros(s.rows.size)
+        if held and held.motion.moves is not None:
+            push = np.full(held.motion.times.size, -held.motion.mass * gravity)
+            change = np.where(held.motion.depth > 0.0, held.motion.reply(push)[:, 0] - push, 0.0)
+            error = np.interp(s.clock - held.offset, held.motion.times, change * held.follows[0], left=0.0)
+        errors.append(error)
+    return of_readings(scene, errors)[:, 0]
 
 
 def of_readings(scene: Scene, errors: list[np.ndarray]) -> np.ndarray:
@@ -215,117 +254,29 @@ def of_readings(scene: Scene, errors: list[np.ndarray]) -> np.ndarray:
     return column
 
 
-def of_each(scene: Scene, errors: list[list[np.ndarray]]) -> np.ndarray:
-    """Errors of which every series has amplitudes of its own: (N, series times errors)."""
-    columns = np.zeros((scene.size, sum(len(own) for own in errors)))
-    k = 0
-    for s, own in zip(scene.series, errors, strict=True):
-        for error in own:
-            columns[s.rows, k] = s.white(error)
-            k += 1
-    return columns
-
-
-def of_force(scene: Scene, forces: list[np.ndarray | None]) -> np.ndarray:
-    """Forces beside the predicted ones, at each motion's times, as a column (N, 1)."""
+def of_force(scene: Scene, force: Callable[[Motion], np.ndarray]) -> np.ndarray:
+    """A force (T,) of each motion beside the predicted one, as a column (N, 1)."""
     errors = []
-    for s, held, force in zip(scene.series, scene.motions, forces, strict=True):
-        if held is None or force is None:
-            errors.append(np.zeros(s.rows.size))
-            continue
-        motion, offset = held
-        errors.append(np.interp(s.clock - offset, motion.times, motion.reply(force), left=0.0))
+    for s, held in zip(scene.series, scene.motions, strict=True):
+        change = held.motion.reply(force(held.motion)) @ held.follows if held else np.zeros(0)
+        known = np.interp(s.clock - held.offset, held.motion.times, change, left=0.0) if held else np.zeros(s.rows.size)
+        errors.append(known)
     return of_readings(scene, errors)
 
 
-# Of the sensor.
+def apart(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
+    """The part of each series by itself: (N, K) as (N, K times series)."""
+    return np.hstack([part(columns, [s]) for s in series])
 
 
-def first_order(scene: Scene, bandwidth: float) -> np.ndarray:
-    """Of a first-order sensor, as large as its bandwidth [Hz] makes it."""
-    return _filtered(scene, 2.0 * np.pi * bandwidth, 1.0)
+def part(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
+    """The rows of some series, of all columns; 0 elsewhere."""
+    kept = np.zeros_like(columns)
+    for s in series:
+        kept[s.rows] = columns[s.rows]
+    return kept
 
 
-def second_order(scene: Scene, resonance: float, resonance_damping: float) -> np.ndarray:
-    """Of a second-order sensor, as large as its frequency [Hz] and damping make it."""
-    s = np.sqrt(1.0 - resonance_damping**2)
-    pole = complex(resonance_damping, s)
-    return _filtered(scene, 2.0 * np.pi * resonance * pole.conjugate(), pole / s)
-
-
-def _filtered(scene: Scene, rate: complex, weight: complex) -> np.ndarray:
-    """Output of u' = rate (x - u) less its input x, linear between samples; the output is Im or Re of weight u."""
-    errors = []
-    for s, x in zip(scene.series, scene.read, strict=True):
-        angle = rate * np.diff(s.clock)
-        keep = np.exp(-angle)
-        mean = -np.expm1(-angle) / angle
-        push = (mean - keep) * x[:-1] + (1.0 - mean) * x[1:]
-        out = list(accumulate(zip(keep.tolist(), push.tolist(), strict=True), _step, initial=complex(x[0])))
-        read = weight * np.array(out)
-        errors.append((read.imag if isinstance(rate, complex) else read.real) - x)
-    return of_readings(scene, errors)
-
-
-def _step(last: complex, move: tuple[complex, complex]) -> complex:
-    return move[0] * last + move[1]
-
-
-def gain_bend(scene: Scene) -> np.ndarray:
-    """Of a gain that changes by 1 a unit of what is read."""
-    return of_readings(scene, [x * np.abs(x) for x in scene.read])
-
-
-# Errors of one series' reading and clock that every record has otherwise, a unit of each.
-EACH: dict[str, Callable[[Series, np.ndarray], np.ndarray]] = {
-    "drift": lambda s, read: s.clock,
-    "clock offset": lambda s, read: -np.gradient(read, s.clock),
-    "offset": lambda s, read: np.ones(s.clock.size),
-}
-
-
-def each(scene: Scene, name: str) -> np.ndarray:
-    """Of one of ``EACH``."""
-    return of_each(scene, [[EACH[name](s, x)] for s, x in zip(scene.series, scene.read, strict=True)])
-
-
-def hum(scene: Scene, hum_frequency: float) -> np.ndarray:
-    """Of a hum's sine and cosine, in every record others."""
-    angles = [2.0 * np.pi * hum_frequency * s.clock for s in scene.series]
-    return of_each(scene, [[np.sin(a), np.cos(a)] for a in angles])
-
-
-# Of the law.
-
-
-def stop(scene: Scene, bottoming_penetration: float) -> np.ndarray:
-    """Of a second contact of 1 N/m from a depth [m] on."""
-    return of_force(scene, [held and np.maximum(held[0].depth - bottoming_penetration, 0.0) for held in scene.motions])
-
-
-def relaxation(scene: Scene, relaxation_time: float) -> np.ndarray:
-    """Of a Maxwell branch s' = f' - s/time as stiff as the contact itself, f its elastic force."""
-    return of_force(scene, [held and _branch(held[0], relaxation_time) for held in scene.motions])
-
-
-def _branch(motion: Motion, time: float) -> np.ndarray:
-    kept = np.exp(-np.diff(motion.times) / time)
-    grown = np.diff(motion.elastic) * np.exp(-0.5 * np.diff(motion.times) / time)
-    touching, stress = motion.depth > 0.0, np.zeros(motion.times.size)
-    for n in range(kept.size):
-        stress[n + 1] = touching[n + 1] * (kept[n] * stress[n] + grown[n])
-    return stress
-
-
-def plasticity(scene: Scene) -> np.ndarray:
-    """Of an unloading that falls by 1 N/m more steeply than the loading rose."""
-    return of_force(scene, [held and held[0].depth.clip(0.0) - held[0].deepest for held in scene.motions])
-
-
-def loss(scene: Scene, loss_exponent: float) -> np.ndarray:
-    """Of a loss f |d'|^p sign(d') beside the law's, f its elastic force: of the energy a share that goes as v^p."""
-    return of_force(scene, [held and held[0].elastic * _power(held[0].rate, loss_exponent) for held in scene.motions])
-
-
-def _power(rate: np.ndarray, exponent: float) -> np.ndarray:
-    return np.sign(rate) * np.abs(rate) ** exponent
+def shared_and_own(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
+    """(N, K), or (N, K + K E) of errors that E series share and have for themselves, each half of the variance."""
+    return columns if len(series) < 2 else np.hstack([columns, apart(columns, series)]) * np.sqrt(0.5)

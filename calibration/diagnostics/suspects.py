@@ -10,17 +10,15 @@ the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from calibration.diagnostics import signatures
+from calibration.diagnostics.catalogue import LOSS, SUSPECTS
 from calibration.diagnostics.residual_tests import neighbours
-from calibration.diagnostics.signatures import Scene
+from calibration.diagnostics.signatures import Scene, thinned
 
 # Chance of a name in a record without any imperfection, all suspects together.
 _LEVEL = 0.01
@@ -35,12 +33,9 @@ _SEVERAL, _MOST = 3, 8
 _ROUNDS, _POINTS = 3, 5
 # A suspect that explains less of the held-out squares than this is not named, however significant.
 _LEAST = 0.05
-# Speeds of approach in a ratio below this are one speed.
-_SPEEDS = 1.25
 # Readings equal to the largest, from which on a sensor may be saturated; readings that show a lattice.
 _EQUAL, _LATTICE = 3, 8
-
-LOSS = "loss depends on speed otherwise"
+NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
 
 
 class Found(NamedTuple):
@@ -68,73 +63,6 @@ class Found(NamedTuple):
     def likely(self) -> bool:
         """Whether it explains more than chance would, and enough to matter."""
         return self.chance < _LEVEL and self.explained > _LEAST
-
-
-class _Suspect(NamedTuple):
-    """A suspect with a signature: its grid by number, the columns at a point of it, and whether their amplitude is 1.
-
-    ``sign``: whether its amplitude cannot be negative, or is 0 for either.
-    """
-
-    grid: Callable[[Scene], dict[str, np.ndarray]]
-    columns: Callable[..., np.ndarray]
-    given: bool = False
-    sign: int = 0
-    amplitude: str = ""
-    law: bool = False
-
-
-def _resonances(scene: Scene) -> dict[str, np.ndarray]:
-    return {
-        "resonance": np.geomspace(1.0 / scene.contact, _nyquist(scene), 48),
-        "resonance_damping": np.array([0.01, 0.05, 0.15, 0.4]),
-    }
-
-
-def _nyquist(scene: Scene) -> float:
-    step = float(np.median(np.concatenate([np.diff(s.clock) for s in scene.series if s.clock.size > 1])))
-    return max(0.5 / step, 4.0 / scene.contact)
-
-
-def _hums(scene: Scene) -> dict[str, np.ndarray]:
-    """From one period in the longest record on, four points in what a record tells apart."""
-    span = max(float(np.ptp(s.clock)) for s in scene.series)
-    highest = _nyquist(scene)
-    count = int(np.clip(2.0 * span * highest, 8, 600))
-    return {"hum_frequency": np.linspace(1.0 / span, highest, count)}
-
-
-def _depths(scene: Scene) -> dict[str, np.ndarray]:
-    deepest = max((held[0].depth.max() for held in scene.motions if held), default=0.0)
-    return {"bottoming_penetration": deepest * np.linspace(0.3, 0.96, 23)} if deepest > 0.0 else {}
-
-
-def _powers(scene: Scene) -> dict[str, np.ndarray]:
-    """Of the rate in the force of a loss; none where contacts begin at one speed, which shows no dependence on it."""
-    begins = [held[0].rate[held[0].begins] for held in scene.motions if held]
-    speeds = np.concatenate([np.abs(x) for x in begins]) if begins else np.zeros(0)
-    speeds = speeds[speeds > 0.0]
-    differ = speeds.size > 1 and speeds.max() > _SPEEDS * speeds.min()
-    return {"loss_exponent": np.geomspace(0.05, 3.0, 12) if differ else np.zeros(0)}
-
-
-SUSPECTS: dict[str, _Suspect] = {
-    "bandwidth": _Suspect(
-        lambda x: {"bandwidth": np.geomspace(0.3, 50.0, 30) / x.contact}, signatures.first_order, given=True
-    ),
-    "resonance": _Suspect(_resonances, signatures.second_order, given=True),
-    "hum": _Suspect(_hums, signatures.hum),
-    **{name: _Suspect(lambda x: {}, partial(signatures.each, name=name)) for name in signatures.EACH},
-    "gain bend": _Suspect(lambda x: {}, signatures.gain_bend, amplitude="gain_bend"),
-    "stop": _Suspect(_depths, signatures.stop, sign=1, amplitude="bottoming_stiffness", law=True),
-    "relaxation": _Suspect(
-        lambda x: {"relaxation_time": np.geomspace(0.02, 3.0, 16) * x.contact},
-        signatures.relaxation, sign=1, amplitude="relaxation", law=True,
-    ),
-    "plasticity": _Suspect(lambda x: {}, signatures.plasticity, sign=1, law=True),
-    LOSS: _Suspect(_powers, signatures.loss, law=True),
-}  # fmt: skip
-NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
 
 
 class _Errors(NamedTuple):
@@ -165,7 +93,7 @@ def ranked(
 
     ``laws``: suspects of the law that may be tried; ``taken``: suspects that the model has in it already.
     """
-    scene = signatures.thinned(scene, _SAMPLES)
+    scene = thinned(scene, _SAMPLES)
     at = _folded(scene, residuals, jacobian)
     tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
     tried = [name for name in tried if name not in taken]
@@ -239,7 +167,7 @@ def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
 def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
     """A suspect's best shape, and what it explains of held-out samples, the shape sought in each training part."""
     suspect = SUSPECTS[name]
-    grid = suspect.grid(scene)
+    grid = suspect.sought(scene)
     points = [dict(zip(grid, map(float, values), strict=True)) for values in product(*grid.values())]
     tried: list[tuple[dict[str, float], _Errors]] = []
 

@@ -92,11 +92,6 @@ def ran(model: Model, params: Mapping[str, float], times: np.ndarray, more: Iter
     return story(model.scene, times, solution, found, model.how, walls)._replace(readings=read)
 
 
-def get_ready(model: Model) -> None:
-    """Compile what ``ran`` needs at SAMPLES times."""
-    _compiled(model, dict.fromkeys(model.data.fixed, 1.0), np.zeros(SAMPLES), ())
-
-
 def _compiled(
     model: Model, params: Mapping[str, float], times: np.ndarray, more: Iterable[str]
 ) -> tuple[Callable[..., Any], float, tuple[Any, ...]]:

@@ -17,12 +17,12 @@ import numpy as np
 from bcfj_jax import scenes
 from bcfj_jax.contact import laws
 from bcfj_jax.io.page import brief
+from calibration.diagnostics.catalogue import GAIN
 from calibration.fit import Conditional, Fit, Parameter
 from calibration.impacts.events import contacts
 from calibration.impacts.flights import Passage, passages
 from calibration.problem import Channel, Experiment, Free, Problem
 from calibration.selection.supposed import STANDS, with_another
-from calibration.uncertainty.systematic import GAIN
 
 # Contacts that are fitted, at least and at most; samples of each; starts of the fit.
 _FEWEST, _MOST, _SAMPLES, _STARTS = 2, 6, 100, 4

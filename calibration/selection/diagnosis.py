@@ -14,8 +14,9 @@ import numpy as np
 
 from bcfj_jax import InputError
 from calibration.diagnostics import suspects
+from calibration.diagnostics.catalogue import LOSS
 from calibration.diagnostics.signatures import Scene, scene_of
-from calibration.diagnostics.suspects import LOSS, Found
+from calibration.diagnostics.suspects import Found
 from calibration.fit import AllStartsFailed, Fit, fit
 from calibration.forward.model import predictions
 from calibration.problem import Problem

@@ -26,7 +26,7 @@ from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty import quote, systematic
 from calibration.uncertainty.estimates import REFERENCE
-from calibration.uncertainty.sets import QUANTILE, Error, Linear, mixture
+from calibration.uncertainty.sets import Error, Linear, mixture
 
 _DRAWS = 5
 # A change by less is none: as far as draws scatter.
@@ -141,11 +141,13 @@ def _drawn(at: Optimum, there: Optimum, lin: Linear, errors: list[Error]) -> np.
     halves = []
     for _ in range(_DRAWS):
         shares = found.members[rng.choice(found.weights.size, p=found.weights)]
-        acting = [e.columns * (e.most / QUANTILE * np.hypot(x, e.floor)) for e, x in zip(errors, shares, strict=True)]
-        design = np.hstack([lin.jacobian[:, seen], *(c for c in acting if c.any())])
+        acting = [(e.prior[0] * np.hypot(x, e.floor), e.prior[1]) for e, x in zip(errors, shares, strict=True)]
+        acting = [(c, lean) for c, lean in acting if c.any()]
+        design = np.hstack([lin.jacobian[:, seen], *(c for c, _ in acting)])
         prior = np.sqrt(found.variance) * np.eye(design.shape[1])[int(seen.sum()) :]
+        means = [np.full(c.shape[1], np.sqrt(found.variance) * lean) for c, lean in acting]
         basis, triangle = np.linalg.qr(np.vstack([design[old], prior]))
-        push = basis.T @ np.r_[base.data, np.zeros(len(prior))]
+        push = basis.T @ np.concatenate([base.data, *means])
         chance = np.sqrt(found.variance) * rng.standard_normal(push.size)
         data = lin.data.copy()
         data[new] = design[new] @ np.linalg.solve(triangle, push + chance) + rng.standard_normal(new.size)

@@ -13,8 +13,9 @@ from bcfj_jax.contact import laws
 from bcfj_jax.core.quantities import CATALOGUE
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
+from calibration.diagnostics.catalogue import LOSS
 from calibration.diagnostics.signatures import Scene
-from calibration.diagnostics.suspects import LOSS, Found
+from calibration.diagnostics.suspects import Found
 from calibration.fit import Fit
 from calibration.impacts import stated
 from calibration.problem import OFFSETS, Channel, Free, Problem, units_of

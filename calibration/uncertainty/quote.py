@@ -238,16 +238,17 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
     lines = []
     for k, error in enumerate(errors):
-        columns = error.columns * (error.most / QUANTILE)
+        columns, lean = error.prior
         beside = columns - basis @ (basis.T @ columns)
         covariance = np.linalg.inv(beside.T @ beside / found.variance + np.eye(columns.shape[1]))
-        mean, way = covariance @ beside.T @ rest / found.variance, rows @ (basis.T @ columns)
+        mean, way = covariance @ (beside.T @ rest / found.variance + lean), rows @ (basis.T @ columns)
         moves = np.abs(way @ mean) + QUANTILE * np.sqrt(np.einsum("qi,ij,qj->q", way, covariance, way))
         if np.max(moves / sizes) <= _NAMED:
             continue
         size = error.most
         if columns.shape[1] == 1:
-            size *= (abs(float(mean[0])) + QUANTILE * float(np.sqrt(covariance[0, 0]))) / QUANTILE
+            unit = np.linalg.norm(columns) / np.linalg.norm(error.columns)
+            size = float(unit * (abs(mean[0]) + QUANTILE * np.sqrt(covariance[0, 0])))
         stated = error.floor >= 1.0
         cost = combined / np.maximum(found.without(k).combined()[0], 1e-300)
         if stated:  # It is in every set, each of which is narrower without it.

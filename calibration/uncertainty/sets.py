@@ -1,7 +1,8 @@
 """Estimates with errors of which few act: an average over sets of acting errors, each set linear and Gaussian.
 
 Readings less predictions y = J x + S a + e in deviations of the noise, e of variance v; coordinates x, of which nothing is known
-before; amplitudes a of the acting errors, normal with deviation 1 in columns S that are a share of their priors (``SCALES``).
+before; amplitudes a of the acting errors, normal with deviation 1 in columns S that are a share of their priors (``SCALES``),
+about 0 or, of those that have a sign, with the moments of a half normal distribution.
 How x, a and the evidence of a set follow: docs/theory/calibration.md. Noise that is estimated is what the most probable set
 leaves. What is quoted are quantiles of the mixture of all sets by their evidence.
 """
@@ -17,17 +18,19 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from calibration.diagnostics.catalogue import ACTS as ACTS
+from calibration.diagnostics.catalogue import QUANTILE as QUANTILE
 from calibration.diagnostics.residual_tests import neighbours
 
-# Chance that an error acts, before the record is looked at; shares of its prior, with their chances, if it does.
-ACTS, SCALES = 0.6, {0.1: 0.3, 0.3: 0.3, 1.0: 0.3, 3.0: 0.1}
+# Shares of its prior that an error has if it acts, with their chances.
+SCALES = {0.1: 0.3, 0.3: 0.3, 1.0: 0.3, 3.0: 0.1}
 # Errors that act at once, at most.
 MOST = 2
+# Mean and deviation of a half normal distribution of deviation 1: an error that has a sign has these moments.
+_HALF = float(np.sqrt(2.0 / np.pi)), float(np.sqrt(1.0 - 2.0 / np.pi))
 # A set with a smaller share of the largest weight is left out.
 _LEAST = 1e-6
 _ROUNDS = 4
-# Normal quantile that sizes of errors are stated with.
-QUANTILE = 1.959964
 
 
 class Error(NamedTuple):
@@ -38,6 +41,8 @@ class Error(NamedTuple):
         columns: (N, K) a unit of it, in deviations of the noise; several have independent amplitudes.
         kind: errors of one kind exclude each other; alone where empty.
         floor: share of its prior with which it always acts; what acts in full is of no set.
+        sign: 1 where its amplitude cannot be negative, as a lag's.
+        chance: that it acts, before the record is looked at.
     """
 
     name: str
@@ -46,6 +51,14 @@ class Error(NamedTuple):
     columns: np.ndarray
     kind: str = ""
     floor: float = 0.0
+    sign: int = 0
+    chance: float = ACTS
+
+    @property
+    def prior(self) -> tuple[np.ndarray, float]:
+        """Columns (N, K) of a deviation of the prior, and its mean over the deviation."""
+        mean, deviation = _HALF if self.sign else (0.0, 1.0)
+        return self.columns * (deviation * self.most / QUANTILE), mean / deviation
 
 
 class Linear(NamedTuple):
@@ -154,12 +167,13 @@ def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
 
 
 class _Sums(NamedTuple):
-    """S'^T S', S'^T y; moves of what is quoted without errors (Q,) and by column (Q, C)."""
+    """S'^T S', S'^T y; moves of what is quoted without errors (Q,) and by column (Q, C); means of amplitudes (C,)."""
 
     gram: np.ndarray
     push: np.ndarray
     moved: np.ndarray
     moves: np.ndarray
+    lean: np.ndarray
 
 
 class _Always(NamedTuple):
@@ -192,15 +206,16 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
     ``variance``: of the noise, where that is known from another point.
     """
     basis, triangle = np.linalg.qr(at.jacobian)
-    columns = [np.zeros((at.data.size, 0)), *(e.columns * (e.most / QUANTILE) for e in errors)]
+    columns = [np.zeros((at.data.size, 0)), *(e.prior[0] for e in errors)]
+    lean = np.concatenate([np.zeros(0), *(np.full(e.columns.shape[1], e.prior[1]) for e in errors)])
     little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
     count, stacked = sum(c.shape[1] for c in columns), np.hstack([*columns, *little])
     beside = stacked - basis @ (basis.T @ stacked)
     rest = at.data - basis @ (basis.T @ at.data)
     inverse = np.linalg.solve(triangle.T, at.rows.T).T
-    sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked))
+    sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked), lean)
     sizes = tuple(c.shape[1] for c in columns[1:])
-    every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.floor < 1.0 for e in errors))
+    every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance if e.floor < 1.0 else 0.0 for e in errors))
     known, begin = variance, min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
     variance = begin if known is None else known
     for _ in range(_ROUNDS):
@@ -239,7 +254,7 @@ def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _
     """Sums of the first columns with what the others, which always act, take up; and the turn (C, C) of each error's columns
     by which they are orthogonal.
     """
-    gram, push, moved, moves = sums
+    gram, push, moved, moves, lean = sums
     count = sum(sizes)
     inner = np.linalg.inv(gram[count:, count:] / variance + np.eye(push.size - count))
     cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
@@ -252,6 +267,7 @@ def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _
     turned = _Sums(
         turn.T @ own @ turn, turn.T @ push[:count] - cross.T @ amplitude,
         moved - moves[:, count:] @ amplitude, moves[:, :count] @ turn - moves[:, count:] @ inner @ cross / variance,
+        turn.T @ lean,
     )  # fmt: skip
     return turned, _Always(inner, amplitude, cross, moves[:, count:]), turn
 
@@ -263,15 +279,15 @@ def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
 
 
 @lru_cache(maxsize=4)
-def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], free: tuple[bool, ...]) -> tuple[_Batch, ...]:
-    """Of errors with so many columns each, those that are ``free`` to act or not."""
+def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], chances: tuple[float, ...]) -> tuple[_Batch, ...]:
+    """Of errors with so many columns each, which act with these chances; none of those that cannot."""
     names = [kind or f"#{k}" for k, kind in enumerate(kinds)]
-    share, odds = [1.0 / names.count(name) for name in names], np.log(ACTS / (1.0 - ACTS))
+    odds = [c / (1.0 - c) / names.count(name) for name, c in zip(names, chances, strict=True)]
     ends, found = np.cumsum(sizes).astype(int), {}
     for count in range(MOST + 1):
         scales = np.array(list(product(SCALES, repeat=count))).reshape(len(SCALES) ** count, count)
-        chance = np.array([sum(np.log(SCALES[s]) for s in row) for row in scales.tolist()]) + count * odds
-        for chosen in combinations([k for k, f in enumerate(free) if f], count):
+        chance = np.array([sum(np.log(SCALES[s]) for s in row) for row in scales.tolist()])
+        for chosen in combinations([k for k, c in enumerate(chances) if c], count):
             if len({names[k] for k in chosen}) < count:
                 continue
             # The one with more columns is eliminated first.
@@ -285,45 +301,50 @@ def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], free: tuple[bool, ...]
                     np.tile(index, (len(scales), 1)),
                     np.repeat(scales, own, axis=1),
                     members,
-                    chance + np.log([share[k] for k in chosen]).sum(),
+                    chance + np.log([odds[k] for k in chosen]).sum(),
                 )
             )
     return tuple(_Batch(head, *map(np.concatenate, zip(*rows, strict=True))) for (_, head), rows in found.items())
 
 
-def _solved(at: _Sums, sets: _Batch, variance: float, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every set its part R of ``right`` (C, R), H^-1 R, both (M, K, R), and ln |H| (M,).
+def _solved(at: _Sums, sets: _Batch, variance: float, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of every set H^-1 R of its own ``right`` (M, K, R), and ln |H| (M,).
 
     Columns of one error are orthogonal: those of the first are eliminated by a diagonal.
     """
     index, scale, k = sets.index, sets.scale, sets.head
-    size, part = 1.0 + np.diag(at.gram)[index] * scale**2 / variance, right[index] * scale[..., None]
+    size = 1.0 + np.diag(at.gram)[index] * scale**2 / variance
     cross = at.gram[index[:, :k, None], index[:, None, k:]] * (scale[:, :k, None] * scale[:, None, k:] / variance)
     way = cross / size[:, :k, None]
     rest = size[:, k:, None] * np.eye(size.shape[1] - k) - np.swapaxes(cross, 1, 2) @ way
-    last = np.linalg.solve(rest, part[:, k:] - np.swapaxes(way, 1, 2) @ part[:, :k])
-    first = part[:, :k] / size[:, :k, None] - way @ last
-    return part, np.concatenate([first, last], axis=1), np.log(size[:, :k]).sum(axis=1) + np.linalg.slogdet(rest)[1]
+    last = np.linalg.solve(rest, right[:, k:] - np.swapaxes(way, 1, 2) @ right[:, :k])
+    first = right[:, :k] / size[:, :k, None] - way @ last
+    return np.concatenate([first, last], axis=1), np.log(size[:, :k]).sum(axis=1) + np.linalg.slogdet(rest)[1]
+
+
+def _pushed(at: _Sums, sets: _Batch, variance: float) -> np.ndarray:
+    """(M, K) S'^T y / v and the prior's mean: H times the amplitudes."""
+    return at.push[sets.index] * sets.scale / variance + at.lean[sets.index]
 
 
 def _weighed(at: _Sums, sets: _Batch, variance: float) -> np.ndarray:
     """Logarithm of the weight of every set (M,)."""
-    push, solved, size = _solved(at, sets, variance, at.push[:, None])
-    return 0.5 * (np.sum(push * solved, axis=(1, 2)) / variance**2 - size) + sets.prior
+    push = _pushed(at, sets, variance)
+    solved, size = _solved(at, sets, variance, push[..., None])
+    return 0.5 * (np.sum(push * solved[..., 0] - at.lean[sets.index] ** 2, axis=1) - size) + sets.prior
 
 
 def _amplitudes(at: _Sums, one: _Batch, variance: float) -> tuple[np.ndarray, float]:
     """Of one set the amplitudes (K,), and how many of its columns are used."""
-    every = np.zeros((at.push.size, 1 + one.index.shape[1]))
-    every[:, 0], every[one.index[0], 1 + np.arange(one.index.shape[1])] = at.push, 1.0 / one.scale[0]
-    solved = _solved(at, one, variance, every)[1][0]
-    return solved[:, 0] * one.scale[0] / variance, len(solved) - float(np.trace(solved[:, 1:]))
+    inverse = _solved(at, one, variance, np.eye(one.index.shape[1])[None])[0][0]
+    return inverse @ _pushed(at, one, variance)[0] * one.scale[0], len(inverse) - float(np.trace(inverse))
 
 
 def _moments(at: _Sums, always: _Always, sets: _Batch, variance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of every set, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
-    way, pull, _ = _solved(at, sets, variance, at.moves.T)
-    mean = at.moved - np.einsum("miq,mi->mq", pull, at.push[sets.index] * sets.scale / variance)
+    way = at.moves.T[sets.index] * sets.scale[..., None]
+    pull, _ = _solved(at, sets, variance, way)
+    mean = at.moved - np.einsum("miq,mi->mq", pull, _pushed(at, sets, variance))
     covered = np.sum(way * pull, axis=1) + np.sum(always.moves.T * (always.inner @ always.moves.T), axis=0)
     shared = np.moveaxis(always.cross[:, sets.index], 0, 1) * (sets.scale[:, None, :] / variance) @ pull
     rest = always.inner @ (always.moves.T - shared)

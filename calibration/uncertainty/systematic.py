@@ -1,98 +1,62 @@
-"""Errors that may act: of the sensor, its clock, what was held fixed, the law; each with a signature and a prior.
+"""Errors that may act about an optimum, each with a signature and a prior; what estimates they leave: ``uncertainty.sets``.
 
-A signature is an error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that
-the error has with 95 % if it acts; what is stated of an instrument (``calibration.instrument``) acts always, in full, once a
-channel. What one record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as
-large. Four generic groups stand for what nobody listed. What estimates they leave: ``uncertainty.sets``.
+Those of sensor and law are of ``diagnostics.catalogue``; beside them what was held fixed, and the weight. A signature is an
+error of the prediction in deviations of the noise for a unit of its amplitude. The prior is the size that the error has with
+95 % if it acts; what is stated of an instrument (``calibration.instrument``) acts always, in full, once a channel. What one
+record has for itself (its rest, drift, clock, speed) is a part that all records share and one of each, as large.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from bcfj_jax.core.quantities import CATALOGUE, GRAVITY
-from calibration.diagnostics import law_errors, signatures
+from calibration.diagnostics import signatures
+from calibration.diagnostics.catalogue import QUANTILE, SENSOR, SHAPES, Sensor, step_of
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
-from calibration.diagnostics.signatures import weight
+from calibration.diagnostics.signatures import Scene, part, shared_and_own, weight
 from calibration.forward.model import Model, evaluation, predictions
-from calibration.forward.runs import contacts, of_contacts
 from calibration.instrument import Limit
 from calibration.problem import OFFSETS, Problem
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
-from calibration.uncertainty.sets import QUANTILE, Error
+from calibration.uncertainty.sets import Error
 
-
-class _Sensor(NamedTuple):
-    """An error of a sensor: its unit, the amplitude that is called large, the nuisance that fits it, and what states it."""
-
-    unit: str
-    most: float
-    nuisance: str
-    key: str
-
-
-# Of itself.
-GAIN = 0.01
-# Its amplitude is 1/w^2.
-_RESONANCE = "resonance"
-_SENSOR = {
-    "gain": _Sensor("of itself", GAIN, "gain", "gain"),
-    "bend of the gain": _Sensor("of the peak, at the peak", 0.05, "gain_bend", "nonlinearity"),
-    "lag": _Sensor("of a contact's duration", 0.1, "bandwidth", "bandwidth"),
-    _RESONANCE: _Sensor("of a contact's duration squared", 0.01, "resonance", "resonance"),
-    "drift": _Sensor("of the peak, over the record", 0.05, "drift", "drift"),
-    "rest": _Sensor("of the peak", 0.02, "force_offset", "zero"),
-    "clock": _Sensor("of the time between samples", 0.5, "time_offset", "clock"),
-}
 # Step of a fixed value as a share of its tolerance, which is this share of it where none is stated.
 _STEP, _SHARE = 1e-2, 0.01
-# A share of the peak that is called a large error of the law.
-_LAW = 0.05
 # Constants, which are known.
 _KNOWN = ("gravity",)
-# Errors that every record has for itself, too.
-_EACH = ("drift", "rest", "clock", "approach_speed")
-# Shares of their priors with which errors always act: a record begins between two samples, and every sensor lags.
-_THERE = {"clock": 0.4, "lag": 0.05}
-# Of a contact's duration: delays of a sensor of first order, and widths of a low-pass without delay.
-_LAGS, _WIDTHS = (0.01, 0.03, 0.1), (0.02, 0.06)
-# Powers of the rate in another loss.
-_LOSSES = (0.25, 0.5, 2.0)
-# Generic groups: share of the peak, of a contact's duration, and of the force, with 95 %.
-_WAVES, _BENT, _LAW_WAVES = 0.01, 0.01, 0.02
-_GENERIC = ("a smooth disturbance in time", "a clock that bends", "a smooth factor of the force by its size")
 
 
 def every(problem: Problem, at: Optimum) -> list[Error]:
     """Every error that may act."""
-    model, best = at.model, at.end
-    seen = contacts(model, best.point)
-    deepest, peak = (max((getattr(c, key) for c in seen), default=0.0) for key in ("deepest", "peak"))
-    longest = max((float(c.durations.max(initial=0.0)) for c in seen), default=0.0)
-    law = law_errors.signatures(model, best.point, deepest, peak, longest)
+    model, best, rough = at.model, at.end, budget(at.model).rough
+    free = {axis.name for axis in model.coordinates}
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
-    readings = predictions(model, best.point)
-    known = _instruments(at)
-    found = [
-        *of_sensor(model, readings, at.series, stated, known),
-        *of_law(law),
-        *of_fixed(model, best, _tolerances(problem, at), stated, at.series),
-        *of_weight(model, best, at.series),
-    ]
-    # A rough cost has no linear answer that many waves would leave standing, and a motion costs seconds.
-    if budget(model).rough or not any(s.rows.size > 3 and s.touching.any() for s in at.series):
+    taken, known = free | stated, _instruments(at)
+    taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
+    # Of a rough cost a motion costs seconds, and it has no linear answer that many waves would leave standing.
+    scene = signatures.scene_of(model, at.series, predictions(model, best.point), None if rough else best.point)
+    found = [*of_sensor(scene, taken, known), *of_fixed(model, best, _tolerances(problem, at), stated, at.series)]
+    fixed = free | model.data.fixed.keys()
+    if rough or not any(_shows(s) for s in at.series):
         return found
-    scene = signatures.scene_of(model, at.series, readings, best.point)
-    slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value * scene.contact) for _, own in known if "bandwidth" in own]
+    if (
+        "approach_speed" in fixed and "gravity" not in fixed
+    ):  # A body that strikes at a speed, of a scene without weight.
+        found.append(Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(scene, GRAVITY)[:, None]))
+    slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value) for _, own in known if "bandwidth" in own]
     slowest = max(slow) if len(slow) == len(known) else np.inf
-    return [*found, *of_shape(model, scene, stated, slowest), *generic(scene)]
+    return [*found, *of_shape(scene, taken | ({"bandwidth"} if model.data.passed else set()), slowest)]
+
+
+def _shows(s: Series) -> bool:
+    """Whether a series has a contact, and samples of it."""
+    return bool(s.rows.size > 3 and s.touching.any())
 
 
 def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
@@ -118,104 +82,71 @@ def _instruments(at: Optimum) -> _Known:
     return found
 
 
-def of_sensor(
-    model: Model, readings: np.ndarray, series: list[Series], stated: frozenset[str], known: _Known = ()
-) -> list[Error]:
-    """Errors of the sensor, but for what is fitted and nuisances that are ``stated`` of every record; ``readings`` (E, C, T)
-    are predicted.
-    """
-    taken = {axis.name for axis in model.coordinates} | stated
-    taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
-    if not of_contacts(model):
-        flat = readings.reshape(-1)
-        series = [s._replace(longest=_passed(s.clock, flat[s.rows])) for s in series]
-    found, known = _signatures(model, readings, series), known or [("", {}) for _ in series]
-    errors = []
-    for name, own in _SENSOR.items():
-        rest = [s for s, (_, said) in zip(series, known, strict=True) if own.key not in said]
-        signature = _part(found[name], rest)
-        if own.nuisance not in taken and np.any(signature):
-            errors.append(Error(name, own.unit, own.most, _own(name, signature, rest), floor=_THERE.get(name, 0.0)))
-        if own.nuisance not in taken and len(rest) < len(series):
-            errors += _as_stated(name, own, found[name], readings, series, known)
-    return [*errors, *_steps(readings, series, known, found["gain"].size)]
+def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[Error]:
+    """Errors of the sensor, but for nuisances that are ``taken``: fitted, or stated of every record."""
+    known, every = known or [("", {}) for _ in scene.series], []
+    for name, own in SENSOR.items():
+        if own.nuisance in taken:
+            continue
+        column = of_channels(scene, own)
+        rest = [s for s, (_, said) in zip(scene.series, known, strict=True) if own.key not in said]
+        if np.any(signature := part(column, rest)):
+            columns = shared_and_own(signature, rest) if own.own else signature
+            every.append(Error(name, own.unit, own.most, columns, sign=own.sign, chance=own.chance))
+        every += _as_stated(name, own, column, scene, known) if len(rest) < len(scene.series) else []
+    return [*every, *_steps(scene, known)]
 
 
-def _passed(clock: np.ndarray, seen: np.ndarray) -> float:
-    """What stands for a contact's duration in a record without one [s]: 2/w with w = rms(f'')/rms(f') of the reading.
-
-    w is about the highest frequency that the reading visibly carries. Priors of a tenth of 2/w and a hundredth of its square are
-    then a bandwidth and a resonance of 5 w: a sensor is used up to a fifth of its resonance, where it errs by 4 %.
-    """
-    first = np.gradient(seen, clock)
-    steep, bent = (float(np.sqrt(np.mean(x * x))) for x in (first, np.gradient(first, clock)))
-    return min(2.0 * steep / bent if bent > 0.0 else np.inf, float(np.ptp(clock)))
+def of_channels(scene: Scene, own: Sensor) -> np.ndarray:
+    """A unit of an error of the sensor (N, 1), in series that have a contact."""
+    read = zip(scene.series, scene.read, scene.peaks, strict=True)
+    errors = [
+        own.adds(s, x, max(peak, 1e-300), scene.contact) if _shows(s) else np.zeros(x.size) for s, x, peak in read
+    ]
+    return signatures.of_readings(scene, errors)
 
 
-def _part(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
-    """The rows of some series, of all columns; 0 elsewhere."""
-    part = np.zeros_like(columns)
-    for s in series:
-        part[s.rows] = columns[s.rows]
-    return part
-
-
-def _as_stated(
-    name: str, own: _Sensor, signature: np.ndarray, readings: np.ndarray, series: list[Series], known: _Known
-) -> list[Error]:
+def _as_stated(name: str, own: Sensor, column: np.ndarray, scene: Scene, known: _Known) -> list[Error]:
     """An error of which instruments say how large it is: no two channels share it."""
-    flat, sizes = readings.reshape(-1), {}
-    for k, (s, (_, said)) in enumerate(zip(series, known, strict=True)):
-        if own.key in said and np.any(signature[s.rows]):
-            sizes[k] = _amplitude(own.key, said[own.key], s, flat[s.rows])
+    sizes = {
+        k: _amplitude(own.key, said[own.key], scene.series[k], scene.peaks[k], scene.contact)
+        for k, (_, said) in enumerate(known)
+        if own.key in said and np.any(column[scene.series[k].rows])
+    }
     most, columns = max(sizes.values(), default=0.0), []
     if not most:
         return []
     for channel in dict.fromkeys(known[k][0] for k in sizes):
         of = [k for k in sizes if known[k][0] == channel]
-        column = sum((_part(signature, [series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(signature))
-        columns.append(_own(name, column, [series[k] for k in of]))
+        mine = sum((part(column, [scene.series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(column))
+        columns.append(shared_and_own(mine, [scene.series[k] for k in of]) if own.own else mine)
     return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
 
 
-def _amplitude(key: str, limit: Limit, s: Series, seen: np.ndarray) -> float:
+def _amplitude(key: str, limit: Limit, s: Series, peak: float, duration: float) -> float:
     """A stated size in the unit of an error's amplitude."""
-    peak, duration, step = _scales(s, seen)
     late = 1.0 / (2.0 * np.pi * limit.value * duration) if key in ("bandwidth", "resonance") else 0.0
     plain = limit.value if limit.share else limit.value / max(peak, 1e-300)
-    return {"bandwidth": late, "resonance": late**2, "clock": limit.value / step}.get(key, plain)
+    return {"bandwidth": late, "resonance": late**2, "clock": limit.value / step_of(s)}.get(key, plain)
 
 
-def _scales(s: Series, seen: np.ndarray) -> tuple[float, float, float]:
-    """Peak of a series, duration of a contact, time between samples."""
-    duration = s.longest if np.isfinite(s.longest) and s.longest > 0.0 else float(np.ptp(s.clock))
-    return float(np.max(np.abs(seen))), duration, float(np.median(np.diff(s.clock)))
-
-
-def _steps(readings: np.ndarray, series: list[Series], known: _Known, size: int) -> list[Error]:
+def _steps(scene: Scene, known: _Known) -> list[Error]:
     """Rounding to steps of q by its first harmonic, which has the variance q^2/12 and a phase that nobody knows."""
-    flat, columns = readings.reshape(-1), np.zeros((size, 2))
-    for s, (_, said) in zip(series, known, strict=True):
-        if "resolution" in said and s.rows.size > 3:
-            seen, limit = flat[s.rows], said["resolution"]
-            step = limit.value * (float(np.max(np.abs(seen))) if limit.share else 1.0)
-            for k, f in enumerate((np.sin, np.cos)):
-                columns[s.rows, k] = (
-                    s.white(QUANTILE * step / np.sqrt(12.0) * f(2.0 * np.pi * seen / step)) if step else 0.0
-                )
-    return [Error("resolution, as stated", "of its step", 1.0, columns, floor=1.0)] if columns.any() else []
-
-
-def _own(name: str, signature: np.ndarray, series: list[Series]) -> np.ndarray:
-    """(N, 1), or (N, 1 + E) of an error that E records share and have for themselves, each half of its variance."""
-    if name not in _EACH or len(series) < 2:
-        return signature[:, None]
-    return np.hstack([signature[:, None], _apart(signature[:, None], series)]) * np.sqrt(0.5)
-
-
-def _apart(columns: np.ndarray, series: Sequence[Series]) -> np.ndarray:
-    """(N, K E): the part of each record by itself."""
-    return np.hstack([_part(columns, [s]) for s in series])
+    steps = [said["resolution"].value * (peak if said["resolution"].share else 1.0) if "resolution" in said else 0.0
+             for (_, said), peak in zip(known, scene.peaks, strict=True)]  # fmt: skip
+    if not any(steps):
+        return []
+    columns = [
+        signatures.of_readings(
+            scene,
+            [
+                QUANTILE * q / np.sqrt(12.0) * f(2.0 * np.pi * x / (q or 1.0))
+                for x, q in zip(scene.read, steps, strict=True)
+            ],
+        )
+        for f in (np.sin, np.cos)
+    ]
+    return [Error("resolution, as stated", "of its step", 1.0, np.hstack(columns), floor=1.0)]
 
 
 def of_fixed(
@@ -247,111 +178,26 @@ def of_fixed(
         if np.isfinite(change).all():
             share = float(np.max(tolerance / np.where(own != 0.0, np.abs(own), np.inf)))
             unit, most = ("of itself", share) if share else ("of its tolerance", 1.0)
-            found.append(Error(name, unit, most, _own(name, change / most, series)))
+            column = change[:, None] / most
+            columns = shared_and_own(column, series) if name == "approach_speed" else column
+            found.append(Error(name, unit, most, columns))
     return found
 
 
-def of_weight(model: Model, best: End, series: list[Series]) -> list[Error]:
-    """The weight of a body that strikes at a speed, of a scene that knows no gravity: as much of it as may act."""
-    known = {axis.name for axis in model.coordinates} | model.data.fixed.keys()
-    if "approach_speed" not in known or "gravity" in known or budget(model).rough:
-        return []
-    return [Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(model, series, best.point, GRAVITY)[:, None])]
+def of_shape(scene: Scene, taken: Collection[str], slowest: float = np.inf) -> list[Error]:
+    """Errors with listed numbers, and those of what nobody listed.
 
-
-def of_law(signatures: dict[str, dict[str, np.ndarray]]) -> list[Error]:
-    """Errors of the contact law (``law_errors.signatures``); two of one kind stand for one between them."""
-    every = [item for found in signatures.values() for item in found.items()]
-    return [Error(name, "of the peak", _LAW, signature[:, None]) for name, signature in every]
-
-
-def of_shape(model: Model, scene: signatures.Scene, stated: frozenset[str], slowest: float = np.inf) -> list[Error]:
-    """Finite delays and low-passes without delay, which the slope of a reading is not; losses of another power of the rate.
-
-    Delays and widths are no longer than ``slowest``, of a contact, which a stated bandwidth lets pass.
+    Delays and widths are no longer than ``slowest`` [s], which a stated bandwidth lets pass.
     """
-    found, taken = (
-        [],
-        {axis.name for axis in model.coordinates} | stated | ({"bandwidth"} if model.data.passed else set()),
-    )
-    if "bandwidth" not in taken:
-        for share in (x for x in _LAGS if x <= slowest):
-            column = signatures.first_order(scene, 1.0 / (2.0 * np.pi * share * scene.contact))
-            found.append(Error(f"lag of {share:.0%} of a contact", "of itself", QUANTILE, column, "lag"))
-        for share in (x for x in _WIDTHS if x <= slowest):
-            smooth = [_smoothed(s, x, share * scene.contact) - x for s, x in zip(scene.series, scene.read, strict=True)]
-            column = signatures.of_readings(scene, smooth)
-            found.append(
-                Error(f"low-pass of {share:.0%} of a contact", "of itself", 1.0, column, "low-pass without delay")
-            )
-    if any(scene.motions):
-        columns = {f"loss as rate^{p:g}": signatures.loss(scene, p) for p in _LOSSES}
-        columns["plasticity"] = signatures.plasticity(scene)
-        peak = float(max(np.abs(s.white(x)).max() for s, x in zip(scene.series, scene.read, strict=True)))
-        for name, column in columns.items():
-            if size := float(np.abs(column).max()):
-                found.append(Error(name, "of the peak", _LAW, column * (peak / size), "another loss"))
-    return found
-
-
-def _smoothed(s: Series, read: np.ndarray, width: float) -> np.ndarray:
-    step = float(np.median(np.diff(s.clock)))
-    return gaussian_filter1d(read, width / step, mode="nearest")
-
-
-def generic(scene: signatures.Scene) -> list[Error]:
-    """Waves in time, of the clock and of the force by depth, for what nobody listed; shared by records and of each."""
-    series, read, peak = scene.series, scene.read, scene.peak
-    phases = [(s.clock - s.clock[0]) / max(float(np.ptp(s.clock)), 1e-300) for s in series]
-    slopes = [-np.gradient(x, s.clock) * scene.contact for s, x in zip(series, read, strict=True)]
-
-    def waves(count: int, of: list[np.ndarray]) -> np.ndarray:
-        shapes = [(f, np.pi * k) for k in range(1, count + 1) for f in (np.cos, np.sin)]
-        columns = [
-            signatures.of_readings(scene, [f(k * x) * own for x, own in zip(phases, of, strict=True)])
-            for f, k in shapes
-        ]
-        found = np.hstack(columns)
-        return found if len(series) < 2 else np.hstack([found, _apart(found, series)]) * np.sqrt(0.5)
-
-    shapes: list[tuple[Callable, float]] = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)]
-    shapes += [(np.sin, np.pi * k) for k in (0.5, 1.0, 2.0, 3.0)]
-    by_size = [signatures.of_readings(scene, [x * f(k * x / peak) for x in read]) for f, k in shapes]
-    found = [
-        Error(_GENERIC[0], "of the peak", _WAVES, waves(4, [np.full(x.size, peak) for x in read])),
-        Error(_GENERIC[1], "of a contact's duration", _BENT, waves(3, slopes)),
-        Error(_GENERIC[2], "of itself", _LAW_WAVES, np.hstack(by_size)),
-    ]
-    deepest = max((float(held[0].depth.max()) for held in scene.motions if held), default=0.0)
-    if deepest > 0.0:
-        forces = [
-            [held and held[0].elastic * f(k * held[0].depth.clip(0.0) / deepest) for held in scene.motions]
-            for f, k in shapes
-        ]
-        columns = np.hstack([signatures.of_force(scene, force) for force in forces])
-        found.append(Error("a smooth factor of the force by depth", "of itself", _LAW_WAVES, columns))
-    return found
-
-
-def _signatures(model: Model, readings: np.ndarray, series: list[Series]) -> dict[str, np.ndarray]:
-    """Errors of the sensor (N,) in deviations of the noise, a unit of each, freed of the noise's memory."""
-    size = model.data.values.size + model.data.features.size
-    found = {name: np.zeros(size) for name in _SENSOR}
-    flat = readings.reshape(-1)
-    for s in series:
-        if s.rows.size < 4 or not s.touching.any():
-            continue
-        seen, clock = flat[s.rows], s.clock
-        (peak, duration, step), first = _scales(s, seen), np.gradient(seen, clock)
-        errors = {
-            "gain": seen,
-            "bend of the gain": seen * np.abs(seen) / max(peak, 1e-300),
-            "lag": -duration * first,
-            _RESONANCE: -(duration**2) * np.gradient(first, clock),
-            "drift": peak * (clock - clock.mean()) / max(float(np.ptp(clock)), 1e-300),
-            "rest": np.full(clock.size, peak),
-            "clock": -step * first,
-        }
-        for name, error in errors.items():
-            found[name][s.rows] = s.white(error)
+    peak = float(max(np.abs(s.white(x)).max() for s, x in zip(scene.series, scene.read, strict=True)))
+    found = []
+    for shape in (e for e in SHAPES if not (e.nuisance and e.nuisance in taken) and (any(scene.motions) or not e.law)):
+        for name, numbers in shape.listed(scene).items():
+            if shape.nuisance and numbers["time"] > slowest:
+                continue
+            column = shape.columns(scene, **numbers)
+            size = float(np.abs(column).max())
+            if size > 0.0:
+                scaled = column * (peak / size) if shape.law else column
+                found.append(Error(name, shape.unit, shape.most, scaled, shape.kind, sign=shape.sign))
     return found

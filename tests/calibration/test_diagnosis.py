@@ -16,7 +16,7 @@ from scipy.signal import lsim
 
 from bcfj_jax import InputError, scenes, simulate
 from calibration import Channel, Experiment, Fit, Free, Problem, command, fit, load
-from calibration.diagnostics import signatures, suspects
+from calibration.diagnostics import catalogue, signatures, suspects
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.observables import low_pass, resonant
 from calibration.impacts import stated
@@ -134,8 +134,8 @@ def test_a_sensors_signature_is_what_the_model_would_read(force):
     scene = view(force, force, 2.0)
     x, t = jnp.asarray(force)[:, None], jnp.asarray(TIMES)
     for seen, read in (
-        (signatures.first_order(scene, 3e3), jax.jit(low_pass)(t, x, 3e3)),
-        (signatures.second_order(scene, 9e3, 0.05), jax.jit(resonant)(t, x, 9e3, 0.05)),
+        (catalogue.first_order(scene, 3e3), jax.jit(low_pass)(t, x, 3e3)),
+        (catalogue.second_order(scene, 9e3, 0.05), jax.jit(resonant)(t, x, 9e3, 0.05)),
     ):
         np.testing.assert_allclose(2.0 * seen, np.asarray(read) - force[:, None], atol=2e-3 * force.max())
 

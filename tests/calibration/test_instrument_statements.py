@@ -171,7 +171,7 @@ def test_python_states_it_by_texts_too():
 
 @pytest.mark.slow
 def test_what_would_narrow_it_is_what_does():
-    """Three runs at another speed are made and fitted: the interval is as wide as was foretold. A better gain changes little."""
+    """Three runs at another speed are made and fitted, thrice: as wide as was foretold. A better gain changes little."""
     plain = problem()
     found = fit(plain, starts=4)
     clock, sigma = 1.2 * TIMES, 2e-3 * float(np.max(plain.experiments[0].channels[0].values))
@@ -179,14 +179,19 @@ def test_what_would_narrow_it_is_what_does():
     better = Candidate("a better gain", np.zeros(0), {}, instrument={"gain": "0.2 %"})
     gains = {gain.name: gain for gain in next_experiment(plain, found, [planned, better])}
     force = simulate(SCENE, plain.params | {"approach_speed": 0.4}, clock, accuracy=1e-8).force["contact"][:, 0]
-    rng, more = np.random.default_rng(5), []
-    for k in range(3):
-        channel = Channel("contact.normal", force + sigma * rng.standard_normal(force.size), None)
-        more.append(Experiment(f"more {k}", clock, (channel,), fixed={"approach_speed": 0.4}))
-    after = fit(replace(plain, experiments=(*plain.experiments, *more)), starts=4)
+    # What is foretold is the median over records: one alone may show more or less of what acts.
+    halves: dict[str, list[float]] = {name: [] for name in gains["three more runs"].quoted}
+    for seed in (5, 6, 7):
+        rng, more = np.random.default_rng(seed), []
+        for k in range(3):
+            channel = Channel("contact.normal", force + sigma * rng.standard_normal(force.size), None)
+            more.append(Experiment(f"more {k}", clock, (channel,), fixed={"approach_speed": 0.4}))
+        after = fit(replace(plain, experiments=(*plain.experiments, *more)), starts=4)
+        for name, found_halves in halves.items():
+            low, high = after.every[name].ci95 or (np.nan, np.nan)
+            found_halves.append(0.5 * float(np.log(high / low)))
     for name, half in gains["three more runs"].quoted.items():
-        low, high = after.reference.ci95 if name == "reference force" else after.parameters[name].ci95
-        assert 0.5 * np.log(high / low) == pytest.approx(half.then, rel=0.3), name
+        assert np.median(halves[name]) == pytest.approx(half.then, rel=0.3), name
     assert gains["three more runs"].quoted["stiffness"].then < 0.8 * gains["three more runs"].quoted["stiffness"].now
     assert all(half.then == pytest.approx(half.now, rel=0.1) for half in gains["a better gain"].quoted.values())
     sentences = dict(text.split(": ", 1) for text in told(list(gains.values())))

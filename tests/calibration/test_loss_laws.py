@@ -19,7 +19,7 @@ from scipy.signal import lsim
 
 from bcfj_jax import scenes
 from calibration import Channel, Experiment, Fit, Free, Problem, command, fit
-from calibration.diagnostics.suspects import LOSS
+from calibration.diagnostics.catalogue import LOSS
 from calibration.report.diagnosis import as_json, sections
 from calibration.selection import agreement
 from calibration.selection.choice import decided, rival

@@ -17,7 +17,8 @@ import bcfj_jax as bj
 from bcfj_jax import InputError
 from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.command import text
-from calibration.diagnostics.signatures import weight
+from calibration.diagnostics.signatures import scene_of, weight
+from calibration.forward.model import predictions
 from calibration.impacts.events import alone, contacts
 from calibration.impacts.preparation import _first_contact as onset
 from calibration.noise.noise_model import _ratios as ratios
@@ -338,7 +339,8 @@ def test_weight_is_in_the_budget_of_an_impact_that_knows_none_and_may_be_asked_f
     problem = Problem(plain, {k: float(v) for k, v in plain.parameters(params).items()}, runs, free)
     found = fit(problem)
     at = found.optimum
-    seen = 0.05 * weight(at.model, at.series, at.end.point, 0.02)
+    scene = scene_of(at.model, at.series, predictions(at.model, at.end.point), at.end.point)
+    seen = 0.05 * weight(scene, 0.02)
     expected = force(0.02) - force(0.0)
     assert np.sqrt(np.mean((seen - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2))
     assert "gravity" in [line.error for line in found.systematic.lines]

@@ -31,8 +31,13 @@ class World:
 
 
 def dense(world: World, data: np.ndarray, scales: tuple[float, float], variance: float):
-    """Mean, deviation, Type A and log evidence of generalised least squares with S = v 1 + A A^T."""
+    """Mean, deviation, Type A and log evidence of generalised least squares with S = v 1 + A A^T, of readings less their mean.
+
+    An error that has a sign is half normal: mean and deviation are sqrt(2/pi) and sqrt(1 - 2/pi) of the normal one's.
+    """
     a, b = (e.columns * e.most / QUANTILE for e in world.errors)
+    if world.errors[1].sign:
+        data, b = data - scales[1] * np.sqrt(2.0 / np.pi) * b[:, 0], b * np.sqrt(1.0 - 2.0 / np.pi)
     columns = np.hstack([scales[0] * a, scales[1] * b, 0.3 * a])
     inverse = np.linalg.inv(variance * np.eye(COUNT) + columns @ columns.T)
     information = world.jacobian.T @ inverse @ world.jacobian
@@ -44,8 +49,10 @@ def dense(world: World, data: np.ndarray, scales: tuple[float, float], variance:
     return way @ data, deviation, np.sqrt(variance) * np.linalg.norm(way, axis=1), -0.5 * size + sum(odds)
 
 
-def test_every_set_is_generalised_least_squares():
+@pytest.mark.parametrize("sign", [0, 1])
+def test_every_set_is_generalised_least_squares(sign):
     world = World(0)
+    world.errors[1] = world.errors[1]._replace(sign=sign)
     data = 2.0 * world.rng.standard_normal(COUNT) + world.errors[1].columns[:, 0]
     found = mixture(world.at(data), world.errors)
     sets = list(product((0.0, *SCALES), repeat=2))
@@ -112,6 +119,19 @@ def test_units_of_coordinates_and_order_of_errors_do_not_matter():
     # An amplitude in other units is the same error.
     rescaled = [e._replace(columns=e.columns * 1e3, most=e.most * 1e-3) for e in world.errors]
     np.testing.assert_allclose(mixture(world.at(data), rescaled).ends(), plain, rtol=1e-6, atol=1e-9)
+
+
+def test_what_has_a_sign_or_is_likely_is_allowed_for_accordingly():
+    """An error that no residual shows: of one sign it moves one end; one that is likely to act widens more."""
+    world = World(7)
+    data, hidden = world.rng.standard_normal(COUNT), Error("c", "", 2.0, world.jacobian[:, :1])
+    kinds = (hidden, hidden._replace(sign=1), hidden._replace(chance=0.97))
+    both, one, likely = (mixture(world.at(data), [e]) for e in kinds)
+    way = np.sign((world.rows @ np.linalg.pinv(world.jacobian) @ hidden.columns)[:, 0])
+    for found, other in ((one, both), (both, likely)):
+        assert np.all(np.diff(found.ends(), axis=1) < np.diff(other.ends(), axis=1))
+    shift = way * (one.ends().mean(axis=1) - both.ends().mean(axis=1))
+    assert np.all(shift < 0.0) and likely.chances[0] == pytest.approx(0.97)
 
 
 def test_noise_with_a_memory_widens():

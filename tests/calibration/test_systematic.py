@@ -15,6 +15,8 @@ import bcfj_jax as bj
 from bcfj_jax import InputError, scenes, simulate
 from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
+from calibration.diagnostics import signatures
+from calibration.diagnostics.catalogue import SENSOR
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
@@ -197,9 +199,10 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         rows = 3 + np.arange(401)
         one = Series(rows, force > 1.0, 0.01, longest=longest, clock=clock, weights=np.full(401, 2.0))
         data = SimpleNamespace(values=np.zeros((1, 1, 404)), features=np.zeros((1, 2)))
-        model: Any = SimpleNamespace(data=data, coordinates=(Coordinate("gain", None, True, 0.0, 1.0),))
-        readings = np.r_[0.0, 0.0, 0.0, force].reshape(1, 1, -1)
-        found = systematic._signatures(model, readings, [one])
+        model: Any = SimpleNamespace(data=data, channels=("contact.normal",))
+        readings = np.r_[0.0, 0.0, 0.0, force, 0.0].reshape(1, 1, -1)
+        scene = signatures.scene_of(model, [one], readings, None)
+        found = {name: systematic.of_channels(scene, own)[:, 0] for name, own in SENSOR.items()}
         curved = (bell(clock + h) - 2.0 * force + bell(clock - h)) / h**2
         wanted = {
             "gain": force,
@@ -217,10 +220,11 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
             np.testing.assert_allclose(
                 found[name][rows], 2.0 * error, atol=0.02 * np.abs(2.0 * error).max(), err_msg=name
             )
-        errors = systematic.of_sensor(model, readings, [one], frozenset({"time_offset"}))
+        errors = systematic.of_sensor(scene, {"gain", "time_offset"})
         # What is fitted or stated is no error; neither is one of a record without a contact.
         assert [e.name for e in errors] == ["bend of the gain", "lag", "resonance", "drift", "rest"]
-        assert not systematic.of_sensor(model, readings, [one._replace(touching=force > 99.0)], frozenset())
+        apart = scene._replace(series=[one._replace(touching=force > 99.0)])
+        assert not systematic.of_sensor(apart, {"gain"})
 
 
 @pytest.mark.slow
