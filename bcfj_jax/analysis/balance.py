@@ -121,7 +121,7 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
         return Balance(
             UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
-    arguments = dict(params), run.times, run.trajectory
+    arguments = dict(model.completed(params)), run.times, run.trajectory
     samples = jax.device_get(program("accounts", sampled, (model,), arguments, QUICK)[0](*arguments))
     depth, rate = channels(run.penetration), channels(run.rate)
     hidden = [name for name in depth if len(features.unseen(depth[name], rate[name]))]

@@ -34,6 +34,7 @@ from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction, Coulomb
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.loads import CoordinateLoad
@@ -46,13 +47,14 @@ from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, axial_at, drive_at, torque_at
 from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
-from bcfj_jax.xla.programs import ask
+from bcfj_jax.xla.programs import QUICK, ask, program
 
 MOTIONS = ("none", "torsional")
 # A chord of the joint's equilibria: torques this share below and above, and instants over a ball's pitch.
 _CHORD, _PHASES = 0.1, 3
 # A joint's stiffness is not asked for below this share of the drive's torque, where play decides.
 _LEAST = 0.01
+_STIFFNESS = "joint_stiffness"
 NUMBERS: dict[str, tuple[float, str]] = {
     "segment_density": (7801.0, "paper: steel"),
     "bit_inertia": (0.1, "GUESS"),
@@ -264,9 +266,19 @@ class MovingString(StringModel):
         own = {name: value for name, (value, _) in NUMBERS.items()} | dict(self.names)
         return tuple((dict(super().defaults) | own).items())
 
+    def completed(self, params: Params) -> Params:
+        """With the joints' stiffness, by a program of its own where the parameters are numbers."""
+        if _STIFFNESS in params:
+            return params
+        if any(is_traced(x) for x in params.values()):
+            return {**params, _STIFFNESS: joint_stiffness(self, params)}
+        static, told = (StringModel(self.joint, self.count),), (dict(params),)
+        return {**params, _STIFFNESS: program(_STIFFNESS, joint_stiffness, static, told, QUICK)[0](*told)}
+
     def prepare(self, params: Params) -> dict[str, Array]:
         """Stiffness and damping of the springs, friction of the wall."""
-        return self.coupled(params, joint_stiffness(self, params))
+        found = self.completed(params)
+        return self.coupled(params, found[_STIFFNESS])
 
     def coupled(self, params: Params, own: Array) -> dict[str, Array]:
         """``prepare`` with the joints' own stiffness (n,) [N m/rad]."""
@@ -417,7 +429,7 @@ class MovingString(StringModel):
         """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""
         entry, tables = super().whole(params, run)
         states = np.asarray(run.trajectory)
-        torque = np.asarray(ask("torques", _torques, (self,), (dict(params), np.asarray(run.times), states)))
+        torque = np.asarray(ask("torques", _torques, (self,), (dict(self.completed(params)), np.asarray(run.times), states)))
         most = int(np.argmax(np.nanmax(np.abs(torque), 0))) + 1
         found = {
             "torque_least": np.nanmin(torque, 0).tolist(), "torque_greatest": np.nanmax(torque, 0).tolist(),
