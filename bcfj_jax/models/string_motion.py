@@ -132,8 +132,8 @@ def weight(over: Programmes, t: Array, p: Params) -> Array:
 class Bit(CoordinateLoad):
     """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law.
 
-    The law's normal force is the torque T of a bit that turns fast, its mu_d 1 and its mu_s ``stick_ratio``. Bristles of ``lugre``
-    (``contact.friction.LuGre``) are a state, one of every member of which the last has a rate: z [rad],
+    The law's normal force is the torque T of a bit that turns fast, its mu_d 1 and its mu_s ``stick_ratio``. Bristles of
+    ``lugre`` (``contact.friction.LuGre``) are a state, a number of every member of which the last has a rate: z [rad],
 
         z' = w - |w| s0 z/g(w),   g = 1 + (stick_ratio - 1) exp(-(w/v_t)^2),   torque = T (s0 z + s1 z')
     """
