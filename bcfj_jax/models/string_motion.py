@@ -262,13 +262,13 @@ class Row(AbstractStructure):
     def solve(self, factors: Any, right: Array) -> Array:
         """Speeds by elimination along the string (LAPACK's gtsv), then angles."""
         whole, by_angle, s, bent = factors
-        angle, speed, *bend = jnp.split(right, 2 if bent is None else 3)
-        if bent is not None:
-            speed = speed + bent[0] / bent[2] * bend[0]
+        push, bends, kept = bent or (0.0, 0.0, 1.0)
+        angle, speed, *bend = jnp.split(right, 3 if bent else 2)
+        speed = sum((push / kept * x for x in bend), speed)
         pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
         below, on, above = whole
         rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
-        return jnp.concatenate([s * (angle + rate), rate, *((x + bent[1] * rate) / bent[2] for x in bend)])
+        return jnp.concatenate([s * (angle + rate), rate, *((x + bends * rate) / kept for x in bend)])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """By forward differentiation."""
@@ -319,10 +319,11 @@ class MovingString(StringModel):
         """With the joints' stiffness, by a program of its own where the parameters are numbers."""
         if _STIFFNESS in params:
             return params
-        if any(is_traced(x) for x in params.values()):
-            return {**params, _STIFFNESS: joint_stiffness(self, params)}
-        static, told = (StringModel(self.joint, self.count),), (dict(params),)
-        return {**params, _STIFFNESS: program(_STIFFNESS, joint_stiffness, static, told, QUICK)[0](*told)}
+        told = {name: params[name] for name in self.quantities}
+        if any(is_traced(x) for x in told.values()):
+            return {**params, _STIFFNESS: joint_stiffness(self, told)}
+        rest = StringModel(self.joint, self.count)
+        return {**params, _STIFFNESS: program(_STIFFNESS, joint_stiffness, (rest,), (told,), QUICK)[0](told)}
 
     def prepare(self, params: Params) -> dict[str, Array]:
         """Stiffness and damping of the springs, friction of the wall."""
