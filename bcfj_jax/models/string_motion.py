@@ -319,7 +319,7 @@ class MovingString(StringModel):
         """With the joints' stiffness, by a program of its own where the parameters are numbers."""
         if _STIFFNESS in params:
             return params
-        told = {name: params[name] for name in self.quantities}
+        told = {name: params[name] for name in self.quantities if name in params}
         if any(is_traced(x) for x in told.values()):
             return {**params, _STIFFNESS: joint_stiffness(self, told)}
         rest = StringModel(self.joint, self.count)
