@@ -102,7 +102,7 @@ def of_run(model: AbstractModel, params: Params, run: Run, asked: float) -> Bala
         return Balance(
             UNKNOWN, "The balance is not known: the model has no inertia, and every instant is solved for itself."
         )
-    arguments = dict(params), run.times, run.trajectory
+    arguments = dict(model.completed(params)), run.times, run.trajectory
     return _judged(asked, run, jax.device_get(program("accounts", sampled, (model,), arguments, QUICK)[0](*arguments)))
 
 

@@ -53,6 +53,7 @@ class EnergyBalance(NamedTuple):
 @eqx.filter_jit
 def _flows(model: AbstractModel, params: Params, instants: Array, how: Plan) -> Flows:
     """Powers and stores at the instants; NaN from a failure on."""
+    params = model.completed(params)
     states = integrate(model, params, instants, how, "forward").states
     prepared = model.prepare(params)
 

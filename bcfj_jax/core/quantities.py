@@ -134,6 +134,14 @@ CATALOGUE: dict[str, Quantity] = {
         _positive("stick_ratio", "1", "torque of a bit that sticks over that of one that turns fast"),
         _positive("stick_speed", "rad/s", "speed of the head at which half of the torque's excess is gone"),
         _positive("stick_width", "rad/s", "speed of the head below which the torque fades: the width of its sign"),
+        _positive(
+            "bit_bristle_stiffness",
+            "1/rad",
+            "torque of a bit that sticks, by its turn, over that of one that turns fast",
+        ),
+        _not_negative(
+            "bit_bristle_damping", "s/rad", "sigma1 of LuGre at the bit, over the torque of one that turns fast"
+        ),
         # a string of such joints in a hole
         _positive("hole_radius", "m", "radius of the curve of the hole's axis"),
         _positive("segment_length", "m", "distance of neighbouring joints"),

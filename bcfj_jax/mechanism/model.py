@@ -173,6 +173,10 @@ class AbstractModel(eqx.Module):
 
     # The ODE.
 
+    def completed(self, params: Params) -> Params:
+        """Parameters with what takes a search: every program of a run that prepares would search for it again."""
+        return params
+
     def prepare(self, params: Params) -> Any:
         """What the field reads, computed once a run from the parameters; a pytree."""
         return dict(params)

@@ -59,7 +59,7 @@ class Observed(AbstractModel):
     coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
         _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")
     )
-    drawing, carriers, scenery, level = map(_of, ("drawing", "carriers", "scenery", "level"))
+    drawing, carriers, scenery, level, completed = map(_of, ("drawing", "carriers", "scenery", "level", "completed"))
 
     def __getattr__(self, name: str) -> Any:
         # What a model's own code asks of it beyond the interface: its structure solves with it.

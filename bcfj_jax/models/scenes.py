@@ -28,6 +28,7 @@ from bcfj_jax.models.oblique_impact import oblique_impact
 from bcfj_jax.models.slider_crank import slider_crank
 from bcfj_jax.models.slider_guide import slider_guide
 from bcfj_jax.models.string import DEFAULTS as STRING_NUMBERS
+from bcfj_jax.models.string_motion import LUGRE
 from bcfj_jax.models.string_motion import NUMBERS as STRING_IN_MOTION
 from bcfj_jax.models.string_options import string as string
 from bcfj_jax.models.string_options import string_of_keys
@@ -64,7 +65,10 @@ SOURCES: dict[str, Sources] = {
     "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
     "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
     "string": Sources(
-        {name: source for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION).items()},
+        {
+            name: source
+            for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION | LUGRE).items()
+        },
         joint_numbers.LEGEND,
     ),
 }

@@ -34,6 +34,7 @@ from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction, Coulomb
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.loads import CoordinateLoad
@@ -46,13 +47,20 @@ from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, axial_at, drive_at, torque_at
 from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
-from bcfj_jax.xla.programs import ask
+from bcfj_jax.xla.programs import QUICK, ask, program
 
 MOTIONS = ("none", "torsional")
 # A chord of the joint's equilibria: torques this share below and above, and instants over a ball's pitch.
 _CHORD, _PHASES = 0.1, 3
 # A joint's stiffness is not asked for below this share of the drive's torque, where play decides.
 _LEAST = 0.01
+_STIFFNESS = "joint_stiffness"
+# The bristles' coefficients (``contact.friction.LuGre``) at the bit.
+_BRISTLES = {"bristle_stiffness": "bit_bristle_stiffness", "bristle_damping": "bit_bristle_damping"}
+LUGRE: dict[str, tuple[float, str]] = {
+    "bit_bristle_stiffness": (1e3, "GUESS: breaks away after some milliradians"),
+    "bit_bristle_damping": (0.1, "GUESS: a sixth of critical at the default inertia"),
+}
 NUMBERS: dict[str, tuple[float, str]] = {
     "segment_density": (7801.0, "paper: steel"),
     "bit_inertia": (0.1, "GUESS"),
@@ -122,20 +130,52 @@ def weight(over: Programmes, t: Array, p: Params) -> Array:
 
 
 class Bit(CoordinateLoad):
-    """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law."""
+    """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law.
+
+    The law's normal force is the torque T of a bit that turns fast, its mu_d 1 and its mu_s ``stick_ratio``. Bristles of
+    ``lugre`` (``contact.friction.LuGre``) are a state, a number of every member of which the last has a rate: z [rad],
+
+        z' = w - |w| s0 z/g(w),   g = 1 + (stick_ratio - 1) exp(-(w/v_t)^2),   torque = T (s0 z + s1 z')
+    """
 
     programmes: Programmes
     law: AbstractFriction | None = None
     body: str = eqx.field(static=True, default="lump")
     name: str = eqx.field(static=True, default="bit")
 
-    def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
+    def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params, *bend: Any) -> Array:
         """On the last member, against its turning."""
         amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
-        if self.law is not None:
-            told = {"friction_dynamic": amount, "friction_static": p["stick_ratio"] * amount}
-            amount = self.law.coefficient(rate[-1], told | {"friction_speed": p["stick_width"]})
+        if self.law is not None and self.bristles:
+            _, stick, viscous = self.law.bond(rate[-1] ** 2, self._told(p))
+            amount = amount * (stick * bend[0][-1] + viscous * rate[-1])
+        elif self.law is not None:
+            amount = amount * self.law.coefficient(rate[-1], self._told(p))
         return jnp.zeros_like(rate).at[-1].set(-amount)
+
+    @property
+    def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The law's."""
+        return self.law is not None and self.law.bristles
+
+    def _told(self, p: Params) -> dict[str, Array]:
+        found = {
+            "friction_dynamic": jnp.ones(()),
+            "friction_static": p["stick_ratio"],
+            "friction_speed": p["stick_width"],
+        }
+        return found | {name: p[own] for name, own in _BRISTLES.items() if own in p}
+
+    def bending(self, rate: Any, bend: Any, p: Params) -> Array:
+        """z' of the last member."""
+        assert self.law is not None
+        forget = self.law.bond(rate[-1] ** 2, self._told(p))[0]
+        return jnp.zeros_like(rate).at[-1].set(rate[-1] - forget * bend[-1])
+
+    def reach(self, p: Params) -> Array:
+        """z of a bit that breaks away."""
+        assert self.law is not None
+        return self.law.reach(self._told(p))
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         """The torque's."""
@@ -177,18 +217,20 @@ def joint_stiffness(scene: StringModel, params: Params) -> Array:
 
 
 class _Factors(NamedTuple):
-    """Bands (3, n) below, on and above the diagonal of  I/s - B - s A  and of A; s; the length n of the string."""
+    """Bands (3, n) below, on and above the diagonal of  I/s - B - s A - C D/(1/s - E)  and of A; s; C, D and 1/s - E (n,)."""
 
     whole: Array
     by_angle: Array
     scale: Array
+    bent: tuple[Array, Array, Array] | None = None
 
 
 class Row(AbstractStructure):
     """The string's linear algebra: every lump meets its two neighbours alone.
 
     Of the Jacobian [0 1; A B] of angles and speeds A and B are tridiagonal: three tangents each tell all their entries
-    (Curtis, Powell and Reid 1974), and cost is linear in n.
+    (Curtis, Powell and Reid 1974), and cost is linear in n. Bristles of the bit (a third block, z' = D w + E z, whose force on
+    the speeds is C z) are those of one member each: C, D and E are diagonal.
     """
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
@@ -198,26 +240,35 @@ class Row(AbstractStructure):
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> _Factors:
         """Bands of the matrix of the speeds, angles eliminated."""
-        count = y.size // 2
+        count = args[0].count
         lump, colours = np.arange(count), np.arange(3)[:, None]
         ways = jnp.asarray(lump % 3 == colours, float)
         none, (_, along) = jnp.zeros_like(ways), jax.linearize(lambda y: self.field(t, y, args)[count:], y)
-        found = jax.vmap(along)(jnp.concatenate([jnp.block([ways, none]), jnp.block([none, ways])]))
+        bristly, rest = y.size > 2 * count, jnp.zeros((6, y.size - 2 * count))
+        moved = jnp.block([[ways, none], [none, ways]])
+        pushed = jax.vmap(along)(jnp.concatenate([moved, rest], 1))
+        found = pushed[:, :count]
         # Of row i the entries i - 1, i, i + 1; those beyond the ends do not exist.
         beside = lump + colours - 1
         picked = np.where((beside >= 0) & (beside < count), 1.0, 0.0)
         by_angle, by_speed = (x[beside % 3, lump] * picked for x in jnp.split(found, 2))
         whole = (-by_speed - scale * by_angle).at[1].add(1.0 / scale)
-        return _Factors(whole, by_angle, jnp.asarray(scale))
+        if not bristly:
+            return _Factors(whole, by_angle, jnp.asarray(scale))
+        push, own = jnp.split(along(jnp.concatenate([jnp.zeros(2 * count), jnp.ones(count)])), 2)
+        bends, kept = pushed[3:, count:][lump % 3, lump], 1.0 / scale - own
+        return _Factors(whole.at[1].add(-push * bends / kept), by_angle, jnp.asarray(scale), (push, bends, kept))
 
     def solve(self, factors: Any, right: Array) -> Array:
         """Speeds by elimination along the string (LAPACK's gtsv), then angles."""
-        whole, by_angle, s = factors
-        angle, speed = jnp.split(right, 2)
+        whole, by_angle, s, bent = factors
+        push, bends, kept = bent or (0.0, 0.0, 1.0)
+        angle, speed, *bend = jnp.split(right, 3 if bent else 2)
+        speed = sum((push / kept * x for x in bend), speed)
         pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
         below, on, above = whole
         rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
-        return jnp.concatenate([s * (angle + rate), rate])
+        return jnp.concatenate([s * (angle + rate), rate, *((x + bends * rate) / kept for x in bend)])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """By forward differentiation."""
@@ -264,9 +315,20 @@ class MovingString(StringModel):
         own = {name: value for name, (value, _) in NUMBERS.items()} | dict(self.names)
         return tuple((dict(super().defaults) | own).items())
 
+    def completed(self, params: Params) -> Params:
+        """With the joints' stiffness, by a program of its own where the parameters are numbers."""
+        if _STIFFNESS in params:
+            return params
+        told = {name: params[name] for name in self.quantities if name in params}
+        if any(is_traced(x) for x in told.values()):
+            return {**params, _STIFFNESS: joint_stiffness(self, told)}
+        rest = StringModel(self.joint, self.count)
+        return {**params, _STIFFNESS: program(_STIFFNESS, joint_stiffness, (rest,), (told,), QUICK)[0](told)}
+
     def prepare(self, params: Params) -> dict[str, Array]:
         """Stiffness and damping of the springs, friction of the wall."""
-        return self.coupled(params, joint_stiffness(self, params))
+        found = self.completed(params)
+        return self.coupled(params, found[_STIFFNESS])
 
     def coupled(self, params: Params, own: Array) -> dict[str, Array]:
         """``prepare`` with the joints' own stiffness (n,) [N m/rad]."""
@@ -297,7 +359,8 @@ class MovingString(StringModel):
         del end
         k = torsional_stiffness(params)
         twist = (params["bit_torque"] + 1e-3 * params["drive_torque"]) / k
-        return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count))])
+        bend = [jnp.full(self.count, self._bit.reach(params))] if self._bit.bristles else []
+        return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count)), *bend])
 
     def tolerance(self, force_error: float) -> float:
         """The mechanism's."""
@@ -306,7 +369,7 @@ class MovingString(StringModel):
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which a twist is gone at its speed."""
         del params
-        return 1e-2 * scales[0] / scales[-1]
+        return 1e-2 * scales[0] / scales[self.count]
 
     def breaks(self, params: Params, end: ArrayLike) -> Array | None:
         """Ends of ramps, knots of tables."""
@@ -332,8 +395,13 @@ class MovingString(StringModel):
         return found
 
     def _springs(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array, Array]:
-        angle, speed = jnp.split(y, 2)
+        angle, speed, _ = self._split(y)
         return self._shaft.torques(t, angle, speed, prepared)
+
+    def _split(self, y: Array) -> tuple[Array, Array, list[Array]]:
+        """Angles and speeds of the lumps, bristles of the bit."""
+        angle, speed, *bend = y.reshape(-1, self.count)
+        return angle, speed, bend
 
     def torque(self, t: Array, y: Array, prepared: Any) -> Array:
         """(n,) what passes through each joint [N m]."""
@@ -357,10 +425,11 @@ class MovingString(StringModel):
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """Power of the drive; what bit, wall and twisting take; kinetic and elastic energy."""
-        angle, speed = jnp.split(y, 2)
+        angle, speed, bend = self._split(y)
         elastic, damping, stretch, top = self._shaft.torques(t, angle, speed, prepared)
         closing = jnp.concatenate([top[None], speed[:-1]]) - speed
-        wall, bit = (load.on_coordinate(t, angle, speed, prepared) for load in self.torsion.loads[1:])  # pyright: ignore[reportAttributeAccessIssue]
+        bit = self._bit.on_coordinate(t, angle, speed, prepared, *bend)
+        wall = self.torsion.loads[1].on_coordinate(t, angle, speed, prepared)  # pyright: ignore[reportAttributeAccessIssue]
         _, given, rubs = self._top(t, y, prepared)
         taken = {"bit": -bit @ speed, "wall": rubs * top - wall @ speed, "damping": damping @ closing}
         kinetic = 0.5 * inertias(prepared, self.count) @ speed**2
@@ -368,7 +437,7 @@ class MovingString(StringModel):
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
         """Each joint's contacts under the torque that passes through it, at the angle of the lump above it."""
-        torque, (angle, speed) = self.torque(t, y, prepared), jnp.split(y, 2)
+        torque, (angle, speed, _) = self.torque(t, y, prepared), self._split(y)
         stretch, top = self._shaft.torques(t, angle, speed, prepared)[2:]
         # A joint that turns by this in the first second, under a load that has risen by then. Never 0: rates go by it.
         turn = jnp.mod(angle + stretch, 2.0 * jnp.pi) + 2.0 * jnp.pi
@@ -417,11 +486,14 @@ class MovingString(StringModel):
         """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""
         entry, tables = super().whole(params, run)
         states = np.asarray(run.trajectory)
-        torque = np.asarray(ask("torques", _torques, (self,), (dict(params), np.asarray(run.times), states)))
+        bit = states[:, 2 * self.count - 1]
+        torque = np.asarray(
+            ask("torques", _torques, (self,), (dict(self.completed(params)), np.asarray(run.times), states))
+        )
         most = int(np.argmax(np.nanmax(np.abs(torque), 0))) + 1
         found = {
             "torque_least": np.nanmin(torque, 0).tolist(), "torque_greatest": np.nanmax(torque, 0).tolist(),
-            "bit_speed": [float(np.nanmin(states[:, -1])), float(np.nanmax(states[:, -1]))],
+            "bit_speed": [float(np.nanmin(bit)), float(np.nanmax(bit))],
             "most_loaded": most, "why": f"the greatest torque passes through joint {most}",
         }  # fmt: skip
         return {"string": entry["string"] | found}, tables
@@ -446,6 +518,7 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
     names = {name: known[name] for name in over.names if name != "load_ramp"}
     names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}
     names |= {name: JOINT[name][0] for name in (("stick_ratio", "stick_width") if law else ())}
+    names |= {name: value for name, (value, _) in LUGRE.items() if law and law.bristles}
     tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed", "weight_on_bit": "axial_load"}
     names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
     return MovingString(scene.joint, count, torsion=torsion, names=tuple(names.items()), flexible=flexible)

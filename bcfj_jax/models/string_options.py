@@ -24,8 +24,8 @@ from bcfj_jax.models.joint.options import (
 from bcfj_jax.models.string import LEVELS, WHERE, StringModel
 from bcfj_jax.models.string_motion import MOTIONS, in_motion
 
-# Friction laws of the bit: those without a state.
-BITS = ("none", "coulomb", "step", "brown_mcphee")
+# Friction laws of the bit: those of hinges.
+BITS = ("none", "coulomb", "step", "brown_mcphee", "lugre")
 
 
 def _law(bit: str, options: JointOptions) -> AbstractFriction | None:
@@ -71,8 +71,9 @@ class _Options:
             and lumps between them turn with inertia; drive and loads may then be over time.
         fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
             quasistatic: equilibrium under the torque that passes through each, without friction.
-        bit_friction: one of none, coulomb, step, brown_mcphee. none: the bit's torque is what the loads say. Others: it
-            is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width.
+        bit_friction: one of none, coulomb, step, brown_mcphee, lugre. none: the bit's torque is what the loads say. Others: it
+            is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width; of lugre
+            the bit holds, by bristles.
     """
 
     n: int = 5
@@ -94,7 +95,7 @@ def string(
     Args:
         n: number of joints.
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
-        bit_friction: one of none, coulomb, step, brown_mcphee: a friction law of the bit, in place of a torque.
+        bit_friction: one of none, coulomb, step, brown_mcphee, lugre: a friction law of the bit, in place of a torque.
         fidelity: one of kinematic, quasistatic: of the joints' contact forces.
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
 

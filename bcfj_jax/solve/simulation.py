@@ -91,6 +91,7 @@ def outcome(
     """States at the times as ``integrate`` gives them, and what every contact reads in them; arguments are its own."""
     from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
 
+    params = scene.completed(params)
     solution = integrate(scene, params, times, how, mode, differentiable)
     return solution, readings(scene, params, times, solution.states)
 
@@ -200,6 +201,7 @@ def _histories(
 ) -> dict[str, Array]:
     from bcfj_jax.solve.integrate import integrate
 
+    params = scene.completed(params)
     return channels.histories(scene, params, times, integrate(scene, params, times, how, mode, True).states, wanted)
 
 
@@ -336,6 +338,7 @@ def compiled(
 
 def timed(scene: AbstractModel, params: Params, values: np.ndarray, how: Plan, wanted: tuple[Channel, ...] = ()) -> Run:
     """A run as planned, at times (T,) [s], with the seconds it took; nothing is checked."""
+    params = scene.completed(params)
     run_it, compile_s = compiled(scene, params, values, how, wanted)
     begin = time.perf_counter()
     solution, found, more = run_it(dict(params), np.asarray(values), how)

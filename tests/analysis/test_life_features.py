@@ -19,6 +19,7 @@ from bcfj_jax.analysis.derivatives.names import feature, feature_unit
 from bcfj_jax.io import scenefile
 from bcfj_jax.mechanism import materials
 from bcfj_jax.mechanism.observed import observing
+from calibration import Experiment, Free, Observation, Problem, fit
 
 WEAR, PRESSURE, LIFE = (f"track.{kind}" for kind in ("wear_volume", "peak_pressure", "rolling_life"))
 DEPTH, SPEED, RADIUS, STIFFNESS, END = 1e-5, 0.3, 8e-3, 1.3e10, 0.25
@@ -211,3 +212,16 @@ def test_a_string_reads_the_materials_of_its_joints():
     share = float(string.unit_pressure(params, "seat_ball", {})[0])
     assert np.allclose(run.force["seat_ball_8.pressure"][..., 0], share * np.cbrt(force), rtol=1e-12)
     assert np.allclose(run.force["seat_ball_8.load_share"][..., 0], force / 20e3, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_worn_volume_and_a_pressure_tell_the_stiffness():
+    """ln V goes with ln K, ln p with a third of it: 2 % of each leave 2 %/sqrt(1 + 1/9), by hand."""
+    scene, truth = dragged(), by_hand()
+    seen = tuple(Observation(name, truth[name], 0.02 * truth[name]) for name in (WEAR, PRESSURE))
+    one = Experiment("dragged", np.zeros(0), (), features=seen, span=END)
+    found = fit(Problem(scene, scene.parameters(stiffness=5e9), (one,), (Free("stiffness", 1e9, 1e11),)), starts=4)
+    assert found.verdict == "identified", found.reasons
+    assert found.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=1e-6)
+    low, high = np.log(found.parameters["stiffness"].ci95)
+    assert (high - low) / 2 == pytest.approx(1.96 * 0.02 / math.sqrt(1.0 + 1.0 / 9.0), rel=1e-3)

@@ -19,10 +19,10 @@ from bcfj_jax.models.string_motion import inertias
 OWN = 4e5  # A joint's stiffness [N m/rad], where the test gives it.
 
 
-def moving(count=4, fidelity="kinematic", own=OWN, drive=None, rock=None, more=None):
+def moving(count=4, fidelity="kinematic", own=OWN, drive=None, rock=None, more=None, bit="none"):
     """The scene, its parameters and what it prepares, by a given stiffness of joints."""
-    groups = {"drive": bj.scenes.JointDrive(**drive or {}), "loads": bj.scenes.JointLoads(**rock or {})}
-    scene: Any = bj.scenes.string(n=count, motion="torsional", fidelity=fidelity, **groups)
+    groups: Any = {"drive": bj.scenes.JointDrive(**drive or {}), "loads": bj.scenes.JointLoads(**rock or {})}
+    scene: Any = bj.scenes.string(n=count, motion="torsional", fidelity=fidelity, bit_friction=bit, **groups)
     params = scene.parameters(more or {})
     return scene, params, scene.coupled(params, jnp.full(count, own))
 
@@ -30,7 +30,8 @@ def moving(count=4, fidelity="kinematic", own=OWN, drive=None, rock=None, more=N
 def some_state(scene, params, seed=0):
     rng, n = np.random.default_rng(seed), scene.count
     speed = float(params["drive_speed"]) * rng.uniform(0.2, 1.5, n)
-    return jnp.asarray(np.concatenate([1e-3 * rng.standard_normal(n).cumsum(), speed]))
+    bend = 1e-4 * rng.standard_normal(n) if scene._bit.bristles else []
+    return jnp.asarray(np.concatenate([1e-3 * rng.standard_normal(n).cumsum(), speed, bend]))
 
 
 @pytest.mark.parametrize("count", [1, 7])
@@ -47,10 +48,12 @@ def test_natural_frequencies_are_those_of_a_fixed_free_chain(count):
     assert np.allclose(np.sort(np.abs(found.imag))[::2], right, rtol=1e-9)
 
 
-@pytest.mark.parametrize("count", [1, 2, 8])
-def test_its_linear_algebra_is_the_dense_one(count):
-    scene, params, held = moving(count, drive={"drive": "flexible"}, rock={"stick_slip": True})
-    y, t, right = some_state(scene, params), jnp.asarray(0.03), jnp.asarray(np.random.default_rng(1).random(2 * count))
+@pytest.mark.parametrize(("count", "bit"), [(1, "none"), (2, "none"), (8, "none"), (1, "lugre"), (5, "lugre")])
+def test_its_linear_algebra_is_the_dense_one(count, bit):
+    rock = {"stick_slip": True} if bit == "none" else {}
+    scene, params, held = moving(count, drive={"drive": "flexible"}, rock=rock, bit=bit)
+    y, t = some_state(scene, params), jnp.asarray(0.03)
+    right = jnp.asarray(np.random.default_rng(1).random(y.size))
 
     @jax.jit
     def both(scale):
@@ -62,9 +65,10 @@ def test_its_linear_algebra_is_the_dense_one(count):
             assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9 * float(jnp.abs(theirs).max()))
 
 
-@pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque", "axial"]}])
+@pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque", "axial"]}, "lugre"])
 def test_power_balances_at_every_instant(rock):
-    scene, params, held = moving(5, drive={"drive": "flexible"}, rock=rock)
+    given: Any = {"bit": rock} if rock == "lugre" else {"rock": rock}
+    scene, params, held = moving(5, drive={"drive": "flexible"}, **given)
     y, t = some_state(scene, params), jnp.asarray(0.06)
 
     @jax.jit
@@ -117,8 +121,8 @@ def test_what_is_refused():
         bj.scenes.string(fidelity="dynamic")
     with pytest.raises(bj.InputError, match="no option 'cages'"):
         bj.scenes.string(cages=None)
-    with pytest.raises(bj.InputError, match="no friction 'lugre'"):
-        bj.scenes.string(motion="torsional", bit_friction="lugre")
+    with pytest.raises(bj.InputError, match="no friction 'memory'"):
+        bj.scenes.string(motion="torsional", bit_friction="memory")
 
 
 @pytest.mark.parametrize(
@@ -169,14 +173,17 @@ STICKY = {
 
 
 @pytest.mark.slow
-def test_stick_slip_of_one_lump_is_scipys():
+@pytest.mark.parametrize("bit", ["none", "lugre"])
+def test_stick_slip_of_one_lump_is_scipys(bit):
     from scipy.integrate import solve_ivp
 
     scene = bj.scenes.string(
         n=1, motion="torsional", fidelity="kinematic", drive=bj.scenes.JointDrive(drive="flexible"),
-        loads=bj.scenes.JointLoads(stick_slip=True),
+        loads=bj.scenes.JointLoads(stick_slip=bit == "none"), bit_friction=bit,
     )  # fmt: skip
-    params = scene.parameters(STICKY)
+    # Stribeck's curve of ``lugre`` falls with the square of the speed within stick_width.
+    given = STICKY if bit == "none" else {k: x for k, x in STICKY.items() if k != "stick_speed"} | {"stick_width": 1.0}
+    params = scene.parameters(given)
     times = np.linspace(0.0, 12.0, 2401)
     run = bj.simulate(scene, params, times, accuracy=1e-3, read=["joint_1.torque", "lump_1.speed"])
     assert run.status == "ok"
@@ -189,10 +196,13 @@ def test_stick_slip_of_one_lump_is_scipys():
     def rates(t, y):
         s = min(t / 0.5, 1.0)
         rise = s**3 * (10.0 + s * (6.0 * s - 15.0))
-        rock = 1800.0 * rise * np.tanh(y[1] / 0.05) * (1.0 + 1.0 / (1.0 + y[1] ** 2))
-        return [y[1], (k * (6.0 * t - y[0]) + c * (6.0 - y[1]) - rock) / inertia]
+        rock, bends = np.tanh(y[1] / 0.05) * (1.0 + 1.0 / (1.0 + y[1] ** 2)), 0.0
+        if bit == "lugre":
+            bends = y[1] - abs(y[1]) * 1e3 * y[2] / (1.0 + np.exp(-(y[1] ** 2)))
+            rock = 1e3 * y[2] + 0.1 * bends
+        return [y[1], (k * (6.0 * t - y[0]) + c * (6.0 - y[1]) - 1800.0 * rise * rock) / inertia, bends]
 
-    right = solve_ivp(rates, (0.0, 12.0), [0.0, 6.0], "LSODA", rtol=1e-9, atol=1e-10, t_eval=times)
+    right = solve_ivp(rates, (0.0, 12.0), [0.0, 6.0, 0.0], "LSODA", rtol=1e-9, atol=1e-10, t_eval=times)
     torque = k * (6.0 * times - right.y[0]) + c * (6.0 - right.y[1])
     ours, theirs = run.readings["lump_1.speed"], right.y[1]
     # It sticks for a good part of the time, and slips at more than twice the drive's speed.
@@ -248,19 +258,25 @@ def test_derivatives_of_the_torque_are_differences():
         assert np.abs(slope - differences).max() < 1e-3 * max(np.abs(differences).max(), 1e-3 * size), name
 
 
-@pytest.mark.parametrize("law", ["coulomb", "step", "brown_mcphee"])
+@pytest.mark.parametrize("law", ["coulomb", "step", "brown_mcphee", "lugre"])
 def test_the_bit_has_the_friction_of_ideal_joints(law):
     scene: Any = bj.scenes.string(n=2, motion="torsional", bit_friction=law)
     params = scene.parameters(stick_ratio=1.5, stick_width=0.2)
     told: Any = {"sliding": 1800.0, "breakaway": 2700.0, "speed": 0.2}
-    joint = bj.loads.JointFriction("bit", "lump", friction=law, **told)
+    told |= {"bristle_stiffness": 1800.0 * 1e3, "bristle_damping": 1800.0 * 0.1} if law == "lugre" else {}
+    joint, bit = bj.loads.JointFriction("bit", "lump", friction=law, **told), scene.torsion.loads[2]
     known: Any = {f"bit.{key}": value for key, value in told.items()}
     for speed in (-3.0, 0.05, 0.2, 10.0):
-        push = scene.torsion.loads[2].on_coordinate(jnp.asarray(1.0), None, jnp.asarray([9.0, speed]), params)
+        bend = [-7e-4] if law == "lugre" else []
+        held, rates = [jnp.asarray([5e-4, x]) for x in bend], jnp.asarray([9.0, speed])
+        push = bit.on_coordinate(jnp.asarray(1.0), None, rates, params, *held)
         assert float(push[0]) == 0.0
         assert float(push[1]) == pytest.approx(
-            float(joint.on_coordinate(jnp.asarray(0.0), 0.0, speed, known)), rel=1e-12
+            float(joint.on_coordinate(jnp.asarray(0.0), 0.0, speed, known, *bend)), rel=1e-12
         )
+        if bend:
+            right = [0.0, float(joint.bending(speed, bend[0], known))]
+            assert np.allclose(bit.bending(rates, held[0], params), right, rtol=1e-12)
 
 
 def test_a_table_drives_the_bit():

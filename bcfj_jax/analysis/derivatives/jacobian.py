@@ -89,6 +89,7 @@ def histories(
     """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
     from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
 
+    params = scene.completed(params)
     solution = integrate(scene, params, times, how, mode, "whole")
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
     curve = jnp.full((force.shape[1], len(Curve._fields)), jnp.nan)

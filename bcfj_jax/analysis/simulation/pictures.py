@@ -194,7 +194,8 @@ def _loop(axis: Axes, one: Loop | None, width: float) -> str:
     # An artist: the limits are set below, and matplotlib need not look for them.
     corners = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
     axis.add_artist(Polygon(corners, color=COLOURS[0], alpha=0.2, linewidth=0))
-    margin = 0.05 * (deepest - least) * depth_scale
+    # A depth that does not change has a margin all the same.
+    margin = 0.05 * (deepest - least or size) * depth_scale
     axis.set(
         xlim=(least * depth_scale - margin, deepest * depth_scale + margin),
         ylim=(0.0, 1.06 * max(top, float(np.nanmax(one.before))) * force_scale),

@@ -221,10 +221,13 @@ class PinInBearing(AbstractGap):
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         radius, hole = c["radius"], c["radius"] + c["clearance"]
         long = c["half_length"] if self.ends else 0.7 * radius
-        ring = shapes.cylinder(1.4 * hole, 0.75 * long, hole, c["clearance"])
+        # A ring where the pin touches: of two ends one each, so that bearings of crossing pins do not cut each other.
+        thick = min(0.7 * radius, 0.3 * long) if self.ends else 0.75 * long
+        ring = shapes.cylinder(1.4 * hole, thick, hole, c["clearance"])
+        rings = tuple(ring.moved((0.0, 0.0, sign * (long - thick))) for sign in ((1.0, -1.0) if self.ends else (0.0,)))
         pin = shapes.cylinder(radius, long)
         # A mark shows how the pin turns.
-        return (ring,), (pin, shapes.box((0.45 * radius, 0.1 * radius, 1.04 * long)).moved((0.45 * radius, 0.0, 0.0)))
+        return rings, (pin, shapes.box((0.45 * radius, 0.1 * radius, 1.04 * long)).moved((0.45 * radius, 0.0, 0.0)))
 
 
 class SliderInGuide(AbstractGap):

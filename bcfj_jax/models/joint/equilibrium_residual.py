@@ -160,8 +160,8 @@ def balance(scene: Joint, problem: Problem, at: Places) -> tuple[Places, Matrix]
 
         force, stiff = jax.vmap(along, out_axes=(None, -1))(ways)
         column = jnp.einsum("nmij,mjb->nmib", stiff, moves)
-        own = jax.jacfwd(lambda x: _apart(scene, p, x))(coupling)
-        pushed = _apart(scene, p, coupling) + jnp.einsum("nmi,mib->b", force, moves)
+        own, apart = jax.jacfwd(lambda x: (_apart(scene, p, x),) * 2, has_aux=True)(coupling)
+        pushed = apart + jnp.einsum("nmi,mib->b", force, moves)
         return Places(jnp.sum(force[..., :3], 1).T + p.spring * moved, pushed), Matrix(
             jnp.transpose(jnp.sum(stiff[..., :3, :3], 1), (1, 2, 0)) + p.spring * jnp.eye(3)[..., None],
             jnp.transpose(jnp.sum(column[..., :3, :], 1), (1, 2, 0)),

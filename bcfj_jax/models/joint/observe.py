@@ -15,6 +15,7 @@ Axial and tangential are friction alone: normal, axial and tangential directions
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -82,8 +83,9 @@ def observe_at_rest(scene: Joint, c: Constants, y: Array) -> dict[str, Reading]:
     """As ``observe``, with forces as if nothing moved (no damping, no friction); rates and sliding as they are."""
     index = jnp.arange(y.size)
     velocities = (index >= 3 * scene.balls + scene.coupling) & (index < scene.moving)
-    # Of the first only rates and slips are read; XLA leaves its laws out.
-    moving, still = observe(scene, c, y), observe(scene, c, jnp.where(velocities, 0.0, y))
+    # Of the first only rates and slips are read, of the second only forces; one program looks at both.
+    both = jax.vmap(lambda y: observe(scene, c, y))(jnp.stack([y, jnp.where(velocities, 0.0, y)]))
+    moving, still = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
     return {name: still[name]._replace(rate=moving[name].rate, slip=moving[name].slip) for name in moving}
 
 
