@@ -64,6 +64,29 @@ def test_a_block_rests_on_a_slope_and_creeps_by_its_law():
     assert np.abs(np.asarray(field[3:])).max() < 1e-6 * G
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("angle", [0.3, -0.2])
+def test_a_block_on_two_corners_slides_and_does_not_turn(angle):
+    """Corners bear m g (cos a -+ sin a)/2; both creep at the speed of one, though a turn would let them slip as fast."""
+    block = Body("block", "planar", mass=2.0, inertia=5e-3, start={"y": 0.05})
+    corners = [
+        Contact(f"corner_{k}", (GROUND, "block"), gaps.PointOnPlane("y"), "memory_free", friction="coulomb",
+                at=((0, 0, 0), (x, -0.05, 0)))
+        for k, x in enumerate((-0.05, 0.05))
+    ]  # fmt: skip
+    given = {k: v for k, v in GIVEN.items() if k != "friction_static"}
+    down = Gravity((np.sin(angle), -np.cos(angle), 0.0))
+    scene = Mechanism("slope", [block], corners, [down], given=given, start="static", end=0.01)
+    params = scene.parameters()
+    state = jax.jit(scene.initial_state)(params)
+    r = np.tan(angle) / 0.4
+    np.testing.assert_allclose(state[3:], [1e-3 * r / np.sqrt(1.0 - r * r), 0.0, 0.0], rtol=1e-6, atol=1e-9)
+    run = bj.simulate(scene, params, np.linspace(0.0, 0.01, 6), accuracy=1e-5)
+    for k, sign in enumerate((-1.0, 1.0)):
+        bears = G * (np.cos(angle) + sign * np.sin(angle))
+        np.testing.assert_allclose(run.force[f"corner_{k}"][:, 0], bears, rtol=1e-4)
+
+
 def test_a_slope_too_steep_names_what_would_hold():
     scene = slope(0.6)
     with pytest.raises(InputError, match=r"nothing stops 'block' \(vx\).*friction of 0.684 at 'floor' \(it has 0.4\)"):
