@@ -199,7 +199,7 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         rows = 3 + np.arange(401)
         one = Series(rows, force > 1.0, 0.01, longest=longest, clock=clock, weights=np.full(401, 2.0))
         data = SimpleNamespace(values=np.zeros((1, 1, 404)), features=np.zeros((1, 2)))
-        model: Any = SimpleNamespace(data=data, channels=("contact.normal",))
+        model: Any = SimpleNamespace(data=data, channels=("contact.normal",), scene=SCENE, coordinates=())
         readings = np.r_[0.0, 0.0, 0.0, force, 0.0].reshape(1, 1, -1)
         scene = signatures.scene_of(model, [one], readings, None)
         found = {name: systematic.of_channels(scene, own)[:, 0] for name, own in SENSOR.items()}
