@@ -40,6 +40,15 @@ def problem(error, seed=0) -> Problem:
     return Problem(SCENE, params, (Experiment("drop", TIMES, (Channel("contact.normal", values, None),)),), free)
 
 
+def test_of_a_record_without_a_contact_the_fastest_swing_stands_for_one():
+    """Of a sine 2/w; of two of 1 and 0.5 deviations with w and 4 w, w rms(1, 8)/rms(1, 2); of a straight line all of it."""
+    clock, w = np.linspace(0.0, 1.0, 20001), 2.0 * np.pi * 20.0
+    assert signatures._passing(clock, np.sin(w * clock)) == pytest.approx(2.0 / w, rel=1e-3)
+    both = np.sin(w * clock) + 0.5 * np.sin(4.0 * w * clock)
+    assert signatures._passing(clock, both) == pytest.approx(2.0 / w * np.sqrt(5.0 / 65.0), rel=1e-3)
+    assert signatures._passing(clock, 3.0 * clock) == 1.0
+
+
 @pytest.mark.slow
 def test_a_line_says_what_a_fit_of_that_error_moves_by(tmp_path, monkeypatch):
     """Of the mass and of a bend of the gain, as large as their lines say."""
