@@ -98,7 +98,7 @@ def fitted(data: Path, starts: int, folder: Path) -> tuple[Fit, dict[str, Any]]:
         shutil.copy(data / f"toss_{k}.csv", folder)
     path = folder / "tosses.toml"
     init.run(folder / "toss_*.csv", path, init.Said(mass=f"{MASS} kg"), lambda line: None)
-    sizes = {"half_length": HALF, "half_width": HALF, "half_height": HALF}
+    sizes = {"half_length": HALF, "half_width": HALF, "half_height": HALF, "inertia": INERTIA}
     scene = folder / "tosses_scene.toml"
     lines = [
         f"{key} = {sizes[key]}" if (key := line.partition(" = ")[0]) in sizes else line
@@ -153,6 +153,7 @@ def table(data: Path, starts: int) -> dict[str, Any]:
     return {
         "verdict": found.verdict,
         "reasons": found.reasons,
+        "notes": found.notes,
         **seconds,
         "law": estimates,
         "mean": means,
@@ -208,7 +209,7 @@ def main() -> int:
     content: dict[str, Any] = {"gradient": gradient()}
     if given.data:
         content |= table(Path(given.data), given.starts)
-        print({key: content[key] for key in ("verdict", "wall_s", "cpu_s", "law", "mean")})
+        print({key: content[key] for key in ("verdict", "reasons", "notes", "wall_s", "cpu_s", "law", "mean")})
     if given.keep:
         common.add("cube", content)
     fine = [r for r in content["gradient"] if r["accuracy"] <= 1e-4]
