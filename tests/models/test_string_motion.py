@@ -65,6 +65,20 @@ def test_its_linear_algebra_is_the_dense_one(count, bit):
             assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9 * float(jnp.abs(theirs).max()))
 
 
+@pytest.mark.full
+def test_a_run_reads_what_its_joints_bear():
+    """By the stiffness that it finds of them: those of the same states at a stiffness given."""
+    scene, params, _ = moving(1, bit="lugre")
+    times = np.linspace(0.0, 0.02, 4)
+    run = bj.simulate(scene, params, times)
+    assert run.status == "ok", run.reason
+    found = scene.completed(params)
+    assert float(found["joint_stiffness"][0]) > 0.0 and scene.completed(found) is found
+    read = scene.observe(jnp.asarray(times[-1]), jnp.asarray(run.trajectory[-1]), scene.prepare(found))
+    for name, reading in read.items():
+        np.testing.assert_allclose(run.force[name][-1], reading.force, rtol=1e-6, atol=1e-6, err_msg=name)
+
+
 @pytest.mark.parametrize("rock", [{}, {"stick_slip": True}, {"fluctuating": ["torque", "axial"]}, "lugre"])
 def test_power_balances_at_every_instant(rock):
     given: Any = {"bit": rock} if rock == "lugre" else {"rock": rock}
