@@ -34,7 +34,7 @@ _ROUNDS, _HIT = 4, 0.1
 _HOPELESS = 4.0
 # A body that tumbles is followed no further where a sample costs so many times what it did on the data before, or, if that is
 # more, what it would at a tenth of the variance that is assumed of noise. At 10 times, eight measured tosses of a cube are
-# followed twice as far, and a fit takes more than 17 CPU minutes in place of four.
+# followed twice as far, and a fit takes more than 15 CPU minutes in place of three.
 _LOST, _LITTLE = 3.0, 0.1
 
 
