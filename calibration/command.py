@@ -165,8 +165,8 @@ class _Told:
         self.growing.write(found.stage, as_json(found))
         if found.stage == UNTESTED:
             head = "best fit, not tested yet" if not found.notes else f"best fit, not tested yet; {found.notes[0]}"
-            one_by_one, ranges = _own(found.parameters)
-            values = [[name, brief(found.parameters[name].value, found.parameters[name].unit)] for name in one_by_one]
+            alone, ranges = _own(found.parameters)
+            values = [[name, brief(found.parameters[name].value, found.parameters[name].unit)] for name in alone]
             rows = [head, report.text([["parameter", "value"], *values, *ranges]), _residual(found)]
         else:
             known = [row[:4] + row[5:] for row in (_head(found), *_rows(found))]
@@ -341,8 +341,8 @@ def _interval(value: float, ends: tuple[float, float] | None, unit: str) -> str:
 def _rows(result: Fit) -> list[list[str]]:
     """What to quote, first the force that the data know best; the interval of the noise alone beside."""
     rows, shown = [], _shown(result)
-    one_by_one, ranges = _own(shown)
-    for name in _in_order(one_by_one):
+    alone, ranges = _own(shown)
+    for name in _in_order(alone):
         p = shown[name]
         allowed, remark = MEANING.get(p.headline, ""), _remark(p)
         if name == REFERENCE:

@@ -113,7 +113,8 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
             if known.followed is not None and share > _LOST * max(known.shares[0], _LITTLE):
                 return known._replace(shares=(known.shares[0], share))
             # Those given up cost that much on less data.
-            sums = np.where(np.isin(np.arange(count), going), costs, np.maximum(costs, costs[going].max()))
+            most = np.max(costs[going], initial=0.0, where=np.isfinite(costs[going]))
+            sums = np.where(np.isin(np.arange(count), going), costs, np.maximum(costs, most))
             known = Ends(Descents(at.copy(), sums, converged.copy()), ends[leg.reached], (share, share))
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
