@@ -136,22 +136,6 @@ def test_many_first_states_are_shown_by_their_range():
 
 
 @pytest.mark.slow
-def test_a_toss_that_goes_another_way_is_fitted_up_to_there_and_says_so(tmp_path):
-    places, attitudes = toss()
-    # As where the next corner falls otherwise.
-    other = toss(1, vx=-0.2, wy=3.0)
-    part = slice(int(0.6 * TIMES.size), None)
-    places[:, part], attitudes[:, part] = other[0][:, part], other[1][:, part]
-    init.run(write(tmp_path / "toss.csv", places, attitudes), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), print)
-    problem = load(tmp_path / "toss.toml")
-    found = fit(problem, starts=4)
-    assert any("records are fitted up to 0.447 s" in note for note in found.notes), found.notes
-    assert found.records[0].times[-1] < 0.45 < problem.experiments[0].times[-1]
-    low, high = found.parameters["friction_dynamic"].ci95 or (np.nan, np.nan)
-    assert low < FRICTION < high
-
-
-@pytest.mark.slow
 def test_friction_of_a_toss_is_found_with_its_first_state_free(tmp_path):
     init.run(write(tmp_path / "toss.csv", *toss()), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), lambda line: None)
     found = fit(load(tmp_path / "toss.toml"), starts=4)
