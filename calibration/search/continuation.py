@@ -63,7 +63,7 @@ class _Leg(NamedTuple):
         return "the optimum" if self.last else f"{self.reached + 1} of {stages}"
 
 
-class Ends(NamedTuple):
+class Continued(NamedTuple):
     """Where starts end, in their order, with costs on all data; or on those up to ``followed`` (E,) [s], where they are
     followed no further, and what a sample costs there and farther, ``shares``.
     """
@@ -73,7 +73,7 @@ class Ends(NamedTuple):
     shares: tuple[float, float] = (0.0, 0.0)
 
 
-def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Ends:
+def continued(model: Model, points: np.ndarray, size: int, journal: Journal | None = None) -> Continued:
     """Where all starts (B, P) end.
 
     Raises:
@@ -82,7 +82,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
     ends, count = stages(model), len(points)
     at, costs, converged = points.copy(), np.full(count, np.inf), np.zeros(count, dtype=bool)
     going, given_up, best = np.arange(count), np.zeros(0, dtype=int), (np.inf, None)
-    tumbling, known = tumbles(model), Ends(Descents(at, costs, converged))
+    tumbling, known = tumbles(model), Continued(Descents(at, costs, converged))
     leg: _Leg | None = _Leg(0, len(ends) > 1, len(ends) == 1 and budget(model).apart)
     while leg is not None:
         part = model if leg.last else loosened(until(model, ends[leg.reached]))
@@ -115,7 +115,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
             # Those given up cost that much on less data.
             most = np.max(costs[going], initial=0.0, where=np.isfinite(costs[going]))
             sums = np.where(np.isin(np.arange(count), going), costs, np.maximum(costs, most))
-            known = Ends(Descents(at.copy(), sums, converged.copy()), ends[leg.reached], (share, share))
+            known = Continued(Descents(at.copy(), sums, converged.copy()), ends[leg.reached], (share, share))
         if not leg.last:
             going = going[np.argsort(costs[going], kind="stable")]
             hopeless = np.arange(len(going)) >= budget(model).kept
@@ -128,7 +128,7 @@ def continued(model: Model, points: np.ndarray, size: int, journal: Journal | No
         name = f"given up from {first}"
         costs[rows] = _once(journal, name, at[rows], size, lambda b: _evaluated(model, b)).costs
         converged[rows] = False
-    return Ends(Descents(at, costs, converged))
+    return Continued(Descents(at, costs, converged))
 
 
 def _next(model: Model, leg: _Leg, ends: list[np.ndarray], points: np.ndarray) -> _Leg | None:

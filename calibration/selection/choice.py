@@ -132,8 +132,9 @@ def choose(
 def rival(name: str, problem: Problem, found: Fit) -> Rival:
     """A model's scores: likelihood, held-out error, seconds a prediction."""
     at = found.optimum
-    fitted = problem.fitted
-    likelihood = None if problem.loss != "linear" else likelihood_of(fitted, at.model, at.end.residuals, at.noise)
+    likelihood = (
+        None if problem.loss != "linear" else likelihood_of(at.experiments, at.model, at.end.residuals, at.noise)
+    )
     errors = [e["rms_error_of_peak"] for e in (found.held_out or {}).values()]
     score = float(np.sqrt(np.mean(np.square(errors)))) if errors else None
     return Rival(name, found, likelihood, score, _seconds(at.model, at.end.point))

@@ -191,7 +191,7 @@ def _bic(problem: Problem, found: Fit, weights: np.ndarray | None = None) -> flo
     if weights is not None:
         model = eqx.tree_at(lambda m: m.data.weights, model, weights)
         residuals = np.r_[residuals[: weights.size] * (weights.ravel() > 0), residuals[weights.size :]]
-    estimated = problem.fitted
+    estimated = at.experiments
     if at.noise.sigma:  # As it was fitted: a suspect's lines may state the noise.
         estimated = tuple(replace(e, channels=tuple(replace(c, sigma=None) for c in e.channels)) for e in estimated)
     return likelihood_of(estimated, model, residuals, at.noise).bic
