@@ -182,16 +182,13 @@ def _trial(problem: Problem, plain: Fit, names: tuple[str, ...], text: str, seed
     weights = np.where(
         np.asarray(found.optimum.model.data.weights) > 0, np.asarray(plain.optimum.model.data.weights), 0
     )
-    return Trial(names, text, found, _bic(other, plain, weights) - _bic(other, found), law=law)
+    return Trial(names, text, found, _bic(plain, weights) - _bic(found), law=law)
 
 
-def _bic(problem: Problem, found: Fit, weights: np.ndarray | None = None) -> float:
+def _bic(found: Fit, weights: np.ndarray | None = None) -> float:
     at = found.optimum
     model, residuals = at.model, at.end.residuals
     if weights is not None:
         model = eqx.tree_at(lambda m: m.data.weights, model, weights)
         residuals = np.r_[residuals[: weights.size] * (weights.ravel() > 0), residuals[weights.size :]]
-    estimated = at.experiments
-    if at.noise.sigma:  # As it was fitted: a suspect's lines may state the noise.
-        estimated = tuple(replace(e, channels=tuple(replace(c, sigma=None) for c in e.channels)) for e in estimated)
-    return likelihood_of(estimated, model, residuals, at.noise).bic
+    return likelihood_of(at.experiments, model, residuals, at.noise).bic
