@@ -38,6 +38,7 @@ from bcfj_jax.solve.seeking import Breaking, Limited, Seeker, Seeking, allowed_i
 from bcfj_jax.solve.tangents import beside
 from bcfj_jax.solve.wrapped import Watched
 from bcfj_jax.xla.batched_jvp import lane_by_lane, still, together
+from bcfj_jax.xla.diffrax_loop import shortened
 
 _ADJOINTS = {"forward": dfx.ForwardMode(), "reverse": dfx.RecursiveCheckpointAdjoint()}
 
@@ -300,22 +301,24 @@ def _by_diffrax(
 ) -> tuple[Solution, Any]:
     """What diffrax finds with a step control, and, where its ``memory`` is asked for, what the control knows at the end."""
     problem = problem._replace(solver=looped(problem.solver, mode))
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
-        seeker(problem, how),
-        t0=0.0,
-        t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
-        dt0=problem.first_step,
-        y0=problem.start,
-        args=problem.args,
-        saveat=dfx.SaveAt(
-            subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), solver_state=how.extremes, controller_state=memory
-        ),
-        stepsize_controller=control,
-        adjoint=_ADJOINTS[mode],
-        max_steps=how.max_steps,
-        throw=False,
+    kept = dfx.SaveAt(
+        subs=(dfx.SubSaveAt(ts=times), dfx.SubSaveAt(t1=True)), solver_state=how.extremes, controller_state=memory
     )
+    with shortened():
+        solution = dfx.diffeqsolve(
+            dfx.ODETerm(problem.field),  # pyright: ignore[reportArgumentType]
+            seeker(problem, how),
+            t0=0.0,
+            t1=jnp.where(times[-1] > 0.0, times[-1], problem.first_step),
+            dt0=problem.first_step,
+            y0=problem.start,
+            args=problem.args,
+            saveat=kept,
+            stepsize_controller=control,
+            adjoint=_ADJOINTS[mode],
+            max_steps=how.max_steps,
+            throw=False,
+        )
     assert solution.ys is not None
     assert solution.ts is not None
     states, _ = solution.ys

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from jax.core import ShapedArray as ShapedArray
+from jax.core import Tracer as Tracer
 from jax.extend.core import ClosedJaxpr as ClosedJaxpr
 from jax.extend.core import Jaxpr as Jaxpr
 from jax.extend.core import Literal as Literal
