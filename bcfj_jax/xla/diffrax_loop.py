@@ -1,10 +1,10 @@
 """Diffrax's loop over steps, without the operations that it makes of one number and one question.
 
 ``diffrax._integrate.loop`` (0.7.2) goes down from the run's end by a hundred ULPs, one unrolled call after the other: 500
-of the 1 800 operations of an impact's program. It also traces a whole step twice to learn which of the step's results are
-known beforehand, and checks its times by branches. Within ``shortened`` the hundred calls are one subtraction, with the
-same bits. The step is traced once for that question, since no step control here lets the result of a step decide whether
-there is a jump. What is wrong is NaN without a branch. What others solve by diffrax, in this process or thread, is as it was.
+of the 1 800 operations of an impact's program. It also traces a whole step twice beforehand, to learn whether its jump and
+its result are constants, which here they hardly ever are, and checks its times by branches. Within ``shortened`` the hundred
+calls are one subtraction, with the same bits. A step is traced once. What is wrong is NaN without a branch. What others
+solve by diffrax, in this process or thread, is as it was.
 """
 
 from __future__ import annotations
@@ -48,19 +48,15 @@ def _before(time: Any) -> Below:
 
 
 def _shapes(fun: Any, *args: Any) -> Any:
-    """``filter_eval_shape``, once for each step of a loop."""
-    if getattr(fun, "__name__", "") != "body_fun_aux":
-        return eqx.filter_eval_shape(fun, *args)
-    if fun is not getattr(_thread, "step", None):
-        _thread.step, _thread.shapes = fun, eqx.filter_eval_shape(fun, *args)
-    return _thread.shapes
+    """``filter_eval_shape``, but that a step's jump and result are never known beforehand, which is always right."""
+    return (None, True, True) if getattr(fun, "__name__", "") == "body_fun_aux" else eqx.filter_eval_shape(fun, *args)
 
 
 def _checked(x: Any, wrong: Any, message: str) -> Any:
     """``error_if``; where ``EQX_ON_ERROR`` makes errors NaN, by a choice. Equinox formats the stack for a message first."""
     if config.EQX_ON_ERROR != "nan" or not isinstance(wrong, Tracer):
         return eqxi.error_if(x, wrong, message)
-    return jnp.where(eqxi.unvmap_any(wrong), jnp.nan, x)
+    return jnp.where(jnp.any(wrong), jnp.nan, x)
 
 
 class _Module:
@@ -87,4 +83,3 @@ def shortened() -> Iterator[None]:
         yield
     finally:
         _thread.shortened = before
-        _thread.step = _thread.shapes = None

@@ -41,6 +41,7 @@ from bcfj_jax.solve.integrate import Problem, code_of, controller, integrate, pr
 from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
 from bcfj_jax.solve.sdirk import Sdirk
 from bcfj_jax.solve.tangents import SdirkTangents
+from bcfj_jax.xla.diffrax_loop import shortened
 
 _TIMES = (
     Quantity("interval", "s", "time after which the tangent is shortened", 0.0, open_low=True),
@@ -384,12 +385,13 @@ def _beside(scene: AbstractModel, posed: Problem) -> Problem:
 
 def advance(both: Problem, how: Plan, rows: Array, begin: Array, end: Array) -> tuple[Array, Array]:
     """Rows, or a state alone, carried from one time to another [s]; with a status code (``core.status``)."""
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
-        seeker(both, how), t0=begin, t1=end, dt0=jnp.minimum(both.first_step, end - begin), y0=rows, args=both.args,
-        saveat=dfx.SaveAt(t1=True), stepsize_controller=controller(both, how), adjoint=dfx.ForwardMode(),
-        max_steps=how.max_steps, throw=False,
-    )  # fmt: skip
+    with shortened():
+        solution = dfx.diffeqsolve(
+            dfx.ODETerm(both.field),  # pyright: ignore[reportArgumentType]
+            seeker(both, how), t0=begin, t1=end, dt0=jnp.minimum(both.first_step, end - begin), y0=rows, args=both.args,
+            saveat=dfx.SaveAt(t1=True), stepsize_controller=controller(both, how), adjoint=dfx.ForwardMode(),
+            max_steps=how.max_steps, throw=False,
+        )  # fmt: skip
     assert solution.ys is not None
     found = solution.ys[0]
     return found, code_of(solution.result, found)
