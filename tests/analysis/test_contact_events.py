@@ -145,6 +145,7 @@ def implicit(law, count, exact):
 WRT = ("stiffness", "mass", "gravity", "drop_height")
 
 
+@pytest.mark.slow
 def test_implicit_steps_give_the_contacts_of_the_closed_form():
     exact = closed(LINEAR, 10)
     found = implicit(LINEAR, 10, exact)

@@ -22,6 +22,7 @@ REMEMBERING = ("flores", "lankarani_nikravesh", "gonthier", "hunt_crossley", "ex
 IMPULSE = {"flores": 0.197105, "lankarani_nikravesh": 0.21032, "gonthier": 0.19551, "hunt_crossley": 0.20704}
 
 
+@pytest.mark.slow
 def test_a_peak_is_that_of_the_continuous_force():
     m, h, g, k = 0.5, 0.1, 9.81, 1e7
     body = Body("b", "slide", axis="y", mass=m, start={"position": "height"})

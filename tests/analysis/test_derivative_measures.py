@@ -46,7 +46,7 @@ def histories(t, changes):
 
 
 @pytest.mark.parametrize(
-    "even", [pytest.param(True, marks=pytest.mark.slow), pytest.param(False, marks=pytest.mark.full)]
+    "even", [pytest.param(True, marks=pytest.mark.slow), pytest.param(False, marks=pytest.mark.slow)]
 )
 def test_the_same_as_jax(even):
     t = np.linspace(0.0, 2.0, 1201) ** (1.0 if even else 1.1)

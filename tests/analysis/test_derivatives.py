@@ -91,7 +91,7 @@ def test_all_directions_agree(impact):
         close(way(POINT) * POINT, expected, 1e-9)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_impact_against_differences(impact):
     # Noise: a force error of 1e-9 over a step of 1e-3. Truncation: (1e-3)^4. Both are well below 1e-5.
     close(impact.only_forward(POINT) * POINT, differences(impact.force, POINT, 1e-3), 1e-5)

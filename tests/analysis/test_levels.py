@@ -89,6 +89,7 @@ def test_measures_by_hand():
     assert found == pytest.approx({"onset": 0.1, "loss": 0.1, "durations": 2.0}, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_beyond_the_envelope_is_reported(tmp_path):
     from bcfj_jax.io.scenefile import from_table
 

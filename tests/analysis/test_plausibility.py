@@ -71,7 +71,7 @@ def test_a_stiffness_in_another_unit_is_said_with_its_cause():
     assert "the bodies pass into each other" in text and "unit of the stiffness" in text
 
 
-@pytest.mark.parametrize("scale", [1e-2, 1.0, 1e2])
+@pytest.mark.parametrize("scale", tiers.ci([1e-2, 1.0, 1e2], 1e2))
 @pytest.mark.parametrize(("stiffness", "sound"), [(1e10, True), (1e7, True), (10.0, False)])
 def test_without_sizes_a_depth_is_judged_by_the_mass(scale, stiffness, sound):
     """Lengths x s, masses x s^3, K/s^(1/2): the same depth d = (5 m v^2/(4 K))^(2/5) by the edge of a cube of water."""
@@ -131,6 +131,7 @@ def run(*arguments: str):
     return bcfj(*list(arguments))
 
 
+@pytest.mark.slow
 def test_simulate_says_it_first(folder):
     done = run("simulate", str(folder / "ball.toml"), "--out", str(folder / "run"))
     assert done.stdout.startswith("Not plausible. floor is pressed"), done.stdout

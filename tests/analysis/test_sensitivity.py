@@ -249,7 +249,7 @@ def bcfj(*arguments):
     return CliRunner().invoke(app, ["sensitivity", *map(str, arguments)])
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_command_line(here):
     done = bcfj("impact", "--wrt", "stiffness, exponent,mass", "--out", "out")
     assert done.exit_code == 0, done.stderr

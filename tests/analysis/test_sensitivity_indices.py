@@ -148,6 +148,7 @@ def test_elementary_effects_of_the_impacts_peak_are_in_order(here):
     np.testing.assert_array_equal(found.values["mu"], found.values["mu_star"])
 
 
+@pytest.mark.slow
 def test_on_the_command_line(here):
     text = IMPACT + '[design]\nkind = "saltelli"\nsamples = 256\nsecond_order = true'
     Path("study.toml").write_text(text)

@@ -75,6 +75,7 @@ def test_derivatives_of_a_study_are_those_of_single_runs(done, monkeypatch):
         assert together == pytest.approx(row.tolist(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_block_with_derivatives_that_is_lost_comes_back_in_the_same_bytes(done):
     _, folder = done
     files = [*sorted((folder / "blocks").glob("*.parquet")), folder / "results.parquet"]

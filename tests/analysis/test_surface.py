@@ -92,7 +92,7 @@ def test_the_surface_goes_through_the_points_and_knows_it():
     assert float(jnp.max(deviation)) < 1e-2 * found.error.spread
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_errors_are_far_below_the_spread_and_derivatives_help():
     plain, enhanced = fitted(32, False), fitted(32, True)
     assert plain.directions == () and enhanced.directions == ALL

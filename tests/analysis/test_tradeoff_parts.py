@@ -79,6 +79,7 @@ def test_errors_of_known_histories():
     assert derivative_error(slope * np.array([1.1, 1.0])[:, None, None, None], slope) == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_settings_of_a_joint():
     given = load("joint")
     found = {s.name: s for s in settings(given)}

@@ -198,7 +198,7 @@ def test_fits_of_other_data_compile_nothing_and_a_short_record_is_said_to_be_sho
     assert any("shorter than a contact" in reason for reason in short.reasons)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_point_whose_values_contradict_each_other_is_named_and_passed_over():
     scene = scenes.impact(law="hertz", elastic="two_stage", smoothing=False)
     free = (Free("stiffness", 1e4, 1e6), Free("exponent", 1.0, 2.0), Free("bottoming_width", 1e-6, 1e-2))

@@ -74,6 +74,7 @@ def test_what_nothing_tells_apart_is_given_with_one_of_them_held(elastic):
     assert " is " in found.conditional.condition and "95 % interval, if so" in text(found)
 
 
+@pytest.mark.slow
 def test_what_is_identified_has_no_condition(elastic):
     found = fit(elastic, starts=4)
     assert found.verdict == "identified" and found.conditional is None and "if so" not in text(found)

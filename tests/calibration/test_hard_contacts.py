@@ -23,7 +23,7 @@ def problem(truth: dict[str, float], count: int) -> tuple[Problem, float]:
     return Problem(hard_bounces.SCENE, params, (experiment,), free), share
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_contact_of_a_thousandth_of_the_flight_is_seen():
     given, share = problem(TRUTH, 3)
     assert share < 1e-3

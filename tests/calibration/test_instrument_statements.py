@@ -113,6 +113,7 @@ def test_a_fit_says_what_is_stated_and_what_it_costs():
     assert width(tight) < width(loose)
 
 
+@pytest.mark.slow
 def test_a_smaller_gain_error_narrows_a_fit_as_the_closed_form_says():
     """Generalised least squares with a reading 0 of the gain, by the fit's own Jacobian and the reading itself."""
     for said, share in (("2 %, k = 2", 0.02 * QUANTILE / 2.0), ("0.2 %", 0.002)):

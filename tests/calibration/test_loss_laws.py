@@ -116,7 +116,7 @@ SENSORS = {
 }
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "speeds"),
     tiers.ci(

@@ -100,7 +100,7 @@ def test_stated_and_estimated_noise_mix(force):
     assert np.sum(residual**2) == pytest.approx(freedom, rel=1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_noise_that_grows_with_the_reading_weighs_the_model_not_the_data(force):
     """With weights from the data a gain is biased by -2 times the relative variance; from the model it is not."""
     rng = np.random.default_rng(2)
@@ -247,7 +247,7 @@ def test_correlation_that_is_not_declared_is_reported(force):
             assert np.exp(-step / found.correlation["contact.normal"]) == pytest.approx(0.6, abs=0.25)
 
 
-@pytest.mark.parametrize(("count", "lags"), [(25, (2, 3, 4)), (350, (1,))], ids=["few", "many"])
+@pytest.mark.parametrize(("count", "lags"), [tiers.slow((25, (2, 3, 4))), (350, (1,))], ids=["few", "many"])
 def test_correlation_has_its_level(count, lags):
     """p-values of white noise after a fit of five smooth columns are uniform where it matters."""
     rng, t = np.random.default_rng(6), np.linspace(0.0, 1.0, count)

@@ -69,6 +69,7 @@ def shared_and_own():
     return build(problem, problem.experiments)
 
 
+@pytest.mark.slow
 def test_a_sensors_own_numbers_are_shared_and_a_records_are_not():
     assert [(a.name, a.experiment) for a in shared_and_own().coordinates] == [
         ("stiffness", None), ("resonance", None), ("gain", None), ("drift", 0), ("drift", 1),

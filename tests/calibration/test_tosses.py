@@ -48,6 +48,7 @@ def write(path, places, attitudes, names=("x [m]", "y [m]", "z [m]", "q0", "q1",
     return path
 
 
+@pytest.mark.slow
 def test_the_first_state_is_within_its_bounds_whatever_the_signs():
     truth = {**START}
     length = np.linalg.norm([truth[f"q{k}"] for k in range(4)])

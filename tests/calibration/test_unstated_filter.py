@@ -146,7 +146,7 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
     assert unstated_filter.ambiguity(at, halves) is None
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_one_step_is_the_fit_with_a_filter_that_does_little():
     """Against the search from the same point; a filter that does much is no step away."""
     scene = bj.scenes.impact(smoothing=False)

@@ -51,7 +51,7 @@ def pin(times, rub=RUB, drag=0.0):
             "bar.reaction.y in bar": M * (G * np.cos(angle) + L * turned)}  # fmt: skip
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_friction_from_a_pins_reaction():
     """Of a record in which nothing touches every sample counts: a model that misses is not called adequate."""
     times, free = np.linspace(0.0, 1.5, 61), (Free("bar.mass", 0.5, 8.0), Free("rub.sliding", 0.02, 2.0))

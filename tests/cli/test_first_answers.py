@@ -155,6 +155,7 @@ def test_a_study_shows_its_first_block_first(tmp_path, monkeypatch):
     assert json.loads((out / "study.json").read_text())["status"] == "finished"
 
 
+@pytest.mark.slow
 def test_what_a_study_tells_is_what_it_will_hold(tmp_path):
     file, told = tmp_path / "study.toml", []
     file.write_text(STUDY)

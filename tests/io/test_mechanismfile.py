@@ -431,7 +431,7 @@ def test_a_bad_mechanism_is_refused_by_place_before_anything_is_compiled(which, 
     assert not COMPILED and not Path("out").exists()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_good_mechanism_is_checked_without_compiling_and_then_compiled(monkeypatch):
     written(TOML)
     monkeypatch.setattr(programs.Settings, "folder", None)

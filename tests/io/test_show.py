@@ -47,6 +47,7 @@ def test_a_result_is_told_in_a_few_lines(shown, kind):
     brief(shown[kind], FIRST[kind])
 
 
+@pytest.mark.slow
 def test_a_failed_run_says_when_and_why():
     scene = bj.scenes.impact()
     found = bj.simulate(scene, scene.parameters(), TIMES, max_steps=3)

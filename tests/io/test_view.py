@@ -96,7 +96,7 @@ SHOWN = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", tiers.ci(SHOWN, "chain", "impact"))
+@pytest.mark.parametrize("name", tiers.ci(SHOWN, "impact"))
 def test_pictures_show_the_tables_numbers(name):
     """Every arrow is as long as the force of its sample in forces.csv, and points as its readings in the world's axes."""
     scene = SHOWN[name]()
@@ -220,6 +220,7 @@ def joint():
     return scene, params, run, animation.animation(scene, params, run, "The joint", 31)
 
 
+@pytest.mark.slow
 def test_the_joint_is_drawn_where_it_is(joint):
     scene, params, run, of = joint
     prepared = jax.jit(scene.prepare)(params)

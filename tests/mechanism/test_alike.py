@@ -127,6 +127,7 @@ def without_levers(found: dict) -> dict:
 MACHINES = tiers.ci(itertools.product([tossed, row, heap], LAWS, FRICTIONS), (row, "memory_free", "brown_mcphee"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("made", "law", "friction"), MACHINES)
 def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction, monkeypatch):
     together = made(law, friction)

@@ -68,7 +68,7 @@ def test_a_box_slides_as_far_as_its_energy_goes():
     assert float(slope) == pytest.approx(-(0.2**2) / (2.0 * MU**2 * G), rel=1e-2)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_box_bears_a_push_on_its_far_corners_and_tips():
     """At rest by friction: far corners bear m g/4 + F h/(4 a), h above the floor; it tips at F = m g a/h."""
     tall = 0.08

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from joints import plain_joint
 
 import bcfj_jax as bj
@@ -64,7 +65,7 @@ def test_velocities_and_accelerations_are_derivatives(run):
     assert np.abs(run.readings["rod.spin.z"]).max() > 100.0
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_drives_torque_is_the_power_that_the_bodies_gain(run):
     """Torque times speed against the derivative of all kinetic energy, in the flight before the first touch."""
     first = np.argmax(run.readings["journal.penetration"] > 0)
@@ -177,7 +178,7 @@ def test_axes_that_are_not_known_are_refused():
         simulate(scene, scene.parameters(), np.linspace(0.0, 0.01, 3), read=("seat_cage.force.x in ball",))
 
 
-@pytest.mark.parametrize("joint", [name for name in JOINTS if name != "fixed"])
+@pytest.mark.parametrize("joint", tiers.ci([name for name in JOINTS if name != "fixed"], "hinge", "free", "universal"))
 def test_what_a_start_names_is_a_reading(joint):
     """One vocabulary: a run reads at time 0 what its start was given, by the same names."""
     names = (*(plain := bj.Body("b", joint)).coordinates, *plain.rates)

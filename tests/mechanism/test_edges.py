@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, InputError, Mechanism, gaps
@@ -36,7 +37,7 @@ LYING = {"q0": np.sqrt(0.5), "q1": -np.sqrt(0.5)}
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("gap", [gaps.CylinderOnPlane, gaps.CapsuleOnPlane])
+@pytest.mark.parametrize("gap", tiers.ci([gaps.CylinderOnPlane, gaps.CapsuleOnPlane], gaps.CapsuleOnPlane))
 def test_a_cylinder_rolls_down_a_slope(gap):
     """It goes s = g sin(b) t^2/(2 (1 + I/(m R^2))), and so does its derivative by b, while friction holds: tan b < 3 mu."""
     slope, end = 0.3, 0.2
@@ -59,6 +60,7 @@ def test_a_cylinder_rolls_down_a_slope(gap):
     np.testing.assert_allclose(np.abs(run.readings["log.spin.y"]) * R, down * times, atol=1.5e-3)
 
 
+@pytest.mark.slow
 def test_a_cylinder_at_rest_bears_on_its_rims():
     """Two points of half the weight each; on points of its rim a standing one bears n of them, whatever its turn."""
     for gap, start, count, low in (
@@ -75,6 +77,7 @@ def test_a_cylinder_at_rest_bears_on_its_rims():
         gaps.CylinderOnPlane(points=2)
 
 
+@pytest.mark.slow
 def test_a_standing_cylinder_tips_over_its_rim():
     """Under a push F at the height h it is at rest while F h < m g R cos(pi/n), and leans on the edge of two points."""
     n, height = 6, 0.08
@@ -231,7 +234,7 @@ def test_points_that_are_none_are_refused():
             gaps.SphereOnBox(points=wrong)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_ball_rolls_off_a_table():
     """On the table it stays, beyond the edge it falls; without friction its energy stays what it was."""
     ball = Body("ball", "sphere", mass=M, inertia=1e-3, start={"x": 0.15, "z": 0.02 + R - M * G / K, "vx": 1.0})

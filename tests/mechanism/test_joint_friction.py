@@ -68,6 +68,7 @@ def test_its_power_is_friction_in_the_balance():
     assert float(taken["friction"]) == pytest.approx(3 * TORQUE * SPEED, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_derivative_of_the_stopping_angle_by_the_torque():
     scene, times = wheel(), np.linspace(0.0, 3.0, 7)
     p = scene.parameters()

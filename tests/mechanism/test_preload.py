@@ -22,6 +22,7 @@ def at_rest(scene, **values):
     return y, scene.efforts(jnp.zeros(()), y, params), scene.observe(jnp.zeros(()), y, params)
 
 
+@pytest.mark.slow
 def test_an_interference_fit():
     """p = F/2k while both sides press, F < 2 k i, and F/k - i beyond; the reading is the difference of the sides."""
     pin = Body("pin", "slide", axis="x", mass=0.1)
@@ -41,7 +42,7 @@ def test_an_interference_fit():
                   given={**LINEAR, "radius": 0.01}).parameters({"pin_1.clearance": -1e-6})  # fmt: skip
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_press_fit_on_pads():
     """N pads hold as N k/2 in every direction, and against turning with N mu k i r; both follow the interference."""
     n, k, i, r, mu = 8, 1e6, 10e-6, 0.01, 0.3

@@ -32,7 +32,10 @@ def ball(names=("ball",), friction=True, **start):
     return scene, scene.parameters({key: x for key, x in NUMBERS.items() if key in scene.quantities})
 
 
-@pytest.mark.parametrize("names", [("ball",), ("b1", "b2", "b3", "b4")], ids=["one", "row"])
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(("ball",), id="one"), pytest.param(("b1", "b2", "b3", "b4"), id="row", marks=pytest.mark.slow)],
+)
 def test_torques_and_powers(names):
     """-N r w_t/|w_t| and -N b w_n/|w_n| on each ball, and their power is friction's; in a row, too."""
     spin = np.array([3.0, -4.0, 12.0])

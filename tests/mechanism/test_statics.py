@@ -60,6 +60,7 @@ def chain(n=4, k=3.0, **more):
     return Mechanism("chain", links, loads=[Gravity(), *springs], start="static", **more)
 
 
+@pytest.mark.slow
 def test_a_hanging_chain_hangs_straight_and_a_stiff_one_sags():
     """Free pins: straight down. With springs: the moment of all weights beyond each pin by NumPy."""
     free = chain(k=0.0)
@@ -146,7 +147,7 @@ def test_a_start_that_is_none_is_refused():
                      .initial_state({"bead.mass": jnp.ones(()), "gravity": jnp.asarray(G)})[0])  # fmt: skip
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_balls_side_by_side_rest_and_bear_as_each_alone():
     """Five that are alike are one row of the equations: each presses by its own weight, with six numbers of inertia, rolling."""
     masses = np.array([0.2, 0.4, 0.6, 0.8, 1.0])

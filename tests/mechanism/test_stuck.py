@@ -42,7 +42,7 @@ def test_the_coefficient_rises_up_to_its_crest():
     assert float(mobility * share) == pytest.approx(0.5, rel=1e-8)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_block_rests_on_a_slope_and_creeps_by_its_law():
     """m g sin a = N mu_d v/sqrt(v^2 + v_t^2): v = v_t r/sqrt(1 - r^2), r = tan a/mu_d, and dv/dmu_d; the place follows its start.
 

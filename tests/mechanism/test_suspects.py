@@ -99,6 +99,7 @@ def test_none_of_the_joints_that_are_refused_is_left_out(name, options):
     assert bad.any() != (name == "what no check reads")
 
 
+@pytest.mark.slow
 def test_a_speed_that_is_not_remembered_is_said():
     body = Body("body", "slide", axis="y", mass=0.1, start={"position": "height", "velocity": "speed"})
     floor = Contact("floor", ("ground", "body"), PointOnPlane("y"), "exact", smoothing=False)

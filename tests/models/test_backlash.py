@@ -67,7 +67,7 @@ def test_what_is_lost_is_what_the_reference_loses():
     assert lost == pytest.approx(reference.simulate(made, TIMES, 1e-12, max_step=5e-3).loss[-1], rel=3e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_momentum_of_free_bodies():
     run = simulate(FREE, FREE.parameters(), TIMES)
     assert np.abs(run.trajectory[:, 2:].sum(axis=1) - 1.0).max() < 1e-12

@@ -24,7 +24,7 @@ def struck(count, exponent, accuracy=1e-6):
 
 @pytest.mark.parametrize(
     ("count", "exponent"),
-    [pytest.param(*x, marks=pytest.mark.full if x[0] == 5 else pytest.mark.slow) for x in LADDER],
+    [pytest.param(*x, marks=pytest.mark.slow) for x in LADDER],
 )
 def test_published_velocities(count, exponent):
     # Physics sheet, B3 and B3': to nine digits, or seven.

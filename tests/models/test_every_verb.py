@@ -201,7 +201,7 @@ def test_frictional_lag_between_two_driven_bodies():
     assert drag.min() < 0.94 * drag.max()
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_an_approach_is_remembered_between_two_driven_bodies():
     own = {"stiffness": 1e8, "exponent": 1.5, "restitution": 0.6}
     fall = Body("fall", "slide", axis="y", mass=1.0, drive=Drive("constant", speed=-SPEED, start=1e-4))
@@ -234,7 +234,7 @@ def test_the_exponent_of_a_drive_that_swings():
     assert not found.reason and found.value == pytest.approx(-2.0, abs=1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_section_of_a_drive_that_swings():
     scene, rate = swinging(), 20.0
     params = scene.parameters()

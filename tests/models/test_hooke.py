@@ -166,6 +166,7 @@ def test_power_balance(scene):
     assert abs(stored[-1] - stored[0] - float(given - taken)) < 1e-3 * work["input drive"]
 
 
+@pytest.mark.slow
 def test_turning_the_other_way_is_the_mirror_image():
     """Across the plane of the shafts: the pin along y swaps its ends, the input's does not."""
     params = SINGLE.parameters(QUICK)

@@ -112,7 +112,7 @@ def pushes(scene, params, t, now, rates, spin):
     ("joints", "seed"),
     [
         (["free", "hinge", "spherical", "sphere"], 1),
-        (["slide", "planar", "bearing", "particle"], 2),
+        pytest.param(["slide", "planar", "bearing", "particle"], 2, marks=pytest.mark.slow),
         pytest.param(["hinge"] * 5, 3, marks=pytest.mark.slow),
     ],
 )

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 
 from bcfj_jax import laws, scenes, simulate
 from bcfj_jax.solve.measured_error import measured
@@ -48,7 +49,7 @@ def rebound(run):
     return along, away, -turning
 
 
-@pytest.mark.full
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [True, *(pytest.param(x, marks=pytest.mark.slow) for x in ("coulomb", "step"))])
 @pytest.mark.parametrize("spin", [0.0, 500.0, -500.0])
 def test_gross_sliding(spin, friction):
@@ -78,10 +79,14 @@ def test_sticking(friction):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("asked", [1e-2, 1e-4])
+@pytest.mark.parametrize("asked", tiers.ci([1e-2, 1e-4], 1e-2))
 @pytest.mark.parametrize(
     ("name", "friction"),
-    [("brown_mcphee", True), pytest.param("step", "step", marks=pytest.mark.slow), ("lugre", "lugre")],
+    [
+        pytest.param("brown_mcphee", True, marks=pytest.mark.slow),
+        pytest.param("step", "step", marks=pytest.mark.slow),
+        ("lugre", "lugre"),
+    ],
 )
 def test_forces_are_those_of_the_reference(name, friction, asked):
     for angle in (8.0, 25.0, 55.0):

@@ -77,7 +77,7 @@ def test_ideal_kinematics():
 
 @pytest.mark.full
 @pytest.mark.parametrize("asked", tiers.ci([1e-2, 1e-3], 1e-3))
-@pytest.mark.parametrize("clearance", tiers.ci(UNTIL, 2e-4, 5e-4))
+@pytest.mark.parametrize("clearance", tiers.ci(UNTIL, 5e-4))
 def test_forces_and_motion_are_those_of_the_reference(clearance, asked):
     made, motion, read = of(clearance)
     run, params = ours(SCENE, made, motion.times, asked)

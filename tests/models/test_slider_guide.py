@@ -24,7 +24,7 @@ def absolute(run):
     return np.cumsum(run.trajectory[:, :3], axis=1), np.cumsum(run.trajectory[:, 3:], axis=1)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_free_motion_to_the_printed_digits():
     # Physics sheet, B4: crank [rev], rod [rad], their speeds [rad/s] at 1 and 2 ms.
     run = simulate(SCENE, PARAMS, np.array([0.0, 1e-3, 2e-3]), accuracy=1e-9)

@@ -150,6 +150,7 @@ def test_derivative_of_the_greatest_torque_by_wall_friction():
     assert float(jax.grad(top)(0.25)) == pytest.approx(0.05 * 20e3 * angle, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_summary_tells_what_each_joint_bears_and_which_most():
     scene = bj.scenes.string(n=3, fidelity="kinematic")
     params = scene.parameters()

@@ -71,7 +71,7 @@ COTANGENTS = jnp.asarray(np.random.default_rng(2).normal(size=(TIMES.size, 2)))
 
 @pytest.mark.parametrize(
     ("segment", "controlled", "tolerance"),
-    [(4096, 1, 1e-6), pytest.param(4096, 0, 1e-3, marks=pytest.mark.full), pytest.param(7, 0, 1e-3, marks=pytest.mark.full)],
+    [(4096, 1, 1e-6), pytest.param(4096, 0, 1e-3, marks=pytest.mark.slow), pytest.param(7, 0, 1e-3, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_reverse_is_forward_along_the_same_steps(segment, controlled, tolerance):
     found, forward, reverse = run(segment, controlled, tolerance, 100_000, COTANGENTS)
@@ -87,7 +87,7 @@ def test_segments_that_are_solved_again():
     assert np.max(np.abs(reverse - forward)) < 1e-10 * np.max(np.abs(forward))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_run_that_stopped_has_the_derivatives_of_what_it_reached():
     few = COTANGENTS.at[20:].set(0.0)
     found, forward, reverse = run(64, 1, 1e-6, 100, few)

@@ -90,7 +90,7 @@ def test_tangents_are_bounded_however_stiff():
     assert int(found.accepted) < 300
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_spent_budget_and_a_blow_up_end_where_they_are():
     short = solved(pol, jnp.array([2.0, 0.3]), 2.0, 1e-8, TIMES, max_steps=50)
     rows = np.asarray(short.rows)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from joints import GROOVES, LITTLE, plain_joint
 from oracles import within
 
@@ -67,7 +68,7 @@ def test_restitution_1_keeps_the_energy_over_a_thousand_bounces():
     assert np.max(np.abs(energy / (GRAVITY * drop) - 1.0)) < 1e-6
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_restitution_0_comes_to_rest():
     scene = scenes.bounce("exact")
     params = scene.parameters(restitution=0.0, stiffness=1e5, exponent=1.0, mass=MASS, drop_height=1e-3)
@@ -82,7 +83,7 @@ def test_restitution_0_comes_to_rest():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("n", [1.0, 1.5, 3.0])
+@pytest.mark.parametrize("n", tiers.ci([1.0, 1.5, 3.0], 1.5))
 @pytest.mark.parametrize("law", [pytest.param("hertz", marks=pytest.mark.slow), "memory_free"])
 def test_what_rests_presses_by_its_weight(law, n):
     scene = scenes.bounce(law)

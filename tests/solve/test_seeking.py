@@ -239,7 +239,7 @@ def test_one_program_of_a_queue_misses_none():
     assert np.asarray(found.states)[:, -1, 9] == within(np.full(8, 0.5), 3e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_plane_that_turns_strikes_what_it_would_pass():
     """A drive turns a plane; the point leaves it with the normal velocity that restitution gives."""
     paddle = Body("paddle", "hinge", mass=1.0, inertia=1e-2, drive=Drive("constant", speed=3.0))
@@ -266,7 +266,7 @@ def wave(t, bodies, p):
     return [loads.Action("block", (jnp.where(inside, 10.0, 0.0), 0.0, 0.0))]
 
 
-@pytest.mark.parametrize("width", tiers.ci([1e-5, 1e-3, 1e-1], 1e-3))
+@pytest.mark.parametrize("width", tiers.ci([1e-5, 1e-3, 1e-1]))
 def test_a_pulse_of_a_table_gives_its_momentum(width):
     table = (np.array([0.0, 0.3, 0.3 + 0.5 * width, 0.3 + width]), np.array([0.0, 0.0, 7.0 / width, 0.0]))
     scene = block(loads.Force("push", "block", "x", table=tuple(tuple(x.tolist()) for x in table)))

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from oracles import family, within
 from oracles import impact as struck
 
@@ -65,7 +66,9 @@ def test_chung_and_ooi_1():
     assert times[force > 0][-1] == within(40.339e-6, 1e-3)  # and one sample is 0.1 % of two durations
 
 
-@pytest.mark.parametrize(("scene", "value"), [(MEMORY_FREE, {"damping": 0.02}), (EXACT, {"restitution": 0.6})])
+@pytest.mark.parametrize(
+    ("scene", "value"), [(MEMORY_FREE, {"damping": 0.02}), tiers.slow((EXACT, {"restitution": 0.6}))]
+)
 def test_the_impulse_is_that_of_the_rebound(scene, value):
     times, force = strike(scene, until=3.0, **value)
     e = value.get("restitution") or float(delivered_restitution(value["damping"] * 20.0))
@@ -97,6 +100,7 @@ def touches(scene, **values):
     return touch[first], speed[first]
 
 
+@pytest.mark.slow
 def test_bounces_with_a_restitution():
     touch, speed = touches(scenes.bounce("exact"), restitution=0.8)
     assert touch[0] == within(0.42835294, 1e-7)
@@ -106,7 +110,7 @@ def test_bounces_with_a_restitution():
     assert (speed[1:7] / speed[:6]) ** 2 == pytest.approx(0.64, abs=1e-3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_bounces_without_memory_lose_by_their_own_speed():
     _, speed = touches(scenes.bounce("memory_free"), damping=0.1)
     e = speed[1:7] / speed[:6]

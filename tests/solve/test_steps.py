@@ -99,6 +99,7 @@ def test_a_state_that_the_slopes_do_not_lead_to_is_refused(begin, good, monkeypa
     assert bool(np.all(np.isfinite(error))) is good
 
 
+@pytest.mark.slow
 def test_the_shortest_step_is_a_share_of_the_run_and_not_of_its_first_step():
     scene = bj.scenes.impact()
     how, end = plan(scene), jnp.asarray(2.0)

@@ -121,6 +121,7 @@ def test_gradients_are_exported():
     np.testing.assert_array_equal(again.call(jnp.array([0.3, 0.4])), gradient(jnp.array([0.3, 0.4])))
 
 
+@pytest.mark.slow
 def test_what_has_gradients_alone_says_so():
     f = lambda a: jnp.sum(back(reverse_only({"a": a, "b": a}))["sum"])  # noqa: E731
     x = jnp.array([0.3, 0.4])

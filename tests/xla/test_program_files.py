@@ -71,6 +71,7 @@ def test_options_change_no_result_and_none_is_needed(folder, options):
     np.testing.assert_array_equal(made(np.array([1.0, 2.0]))["twice"], [2.0, 4.0])
 
 
+@pytest.mark.slow
 def test_a_run_has_the_same_bits_with_and_without_kept_programs(folder, monkeypatch):
     scene = bj.scenes.oblique_impact()
     runs = [bj.simulate(scene, scene.parameters(), TIMES)]

@@ -156,7 +156,7 @@ def test_pilots_of_the_straight_joint_bear_twice_what_the_windows_push():
     assert min(pilots) > 0.9 * max(pilots)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_equilibrium_is_found_where_the_cage_stands_on_two_edges():
     # There it is held by next to nothing, and some places of equilibrium are saddles: a search that climbs finds none.
     found = at_rest()()
@@ -182,6 +182,7 @@ def test_matrix_of_equilibrium_is_the_derivative(options):
     assert np.allclose(found, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
 def test_within_the_bands_latitudes_nothing_has_changed():
     full, banded = (plain_joint(bands=flag) for flag in (False, True))
     params = banded.parameters()

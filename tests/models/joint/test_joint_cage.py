@@ -292,7 +292,7 @@ def test_without_friction_window_ends_bear_nothing():
     assert not np.any(readings["cage_window_end"].force) and np.all(readings["seat_cage"].force[:, 0] > 1e3)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_motion_with_window_ends_repeats_itself_with_balls_and_windows_renumbered():
     scene, params, times, states = steady()
     before = np.asarray(periodic.pitch_before(scene, params, states[-1]))

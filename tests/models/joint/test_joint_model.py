@@ -29,7 +29,7 @@ def jolted():
     return prepared, y + 0.3 * JOINT.error_scale(PARAMS) * rng.standard_normal(y.size)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_bodies_move_as_their_states_say():
     prepared, y = jolted()
     t, step = jnp.asarray(0.03), 1e-9

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from joints import plain_joint
 from oracles import within
 
@@ -73,7 +74,10 @@ def test_the_five_states_and_the_unknown():
 
 # The face is 10 um away; the smoothed onset bears a little before, which is no contact.
 @pytest.mark.full
-@pytest.mark.parametrize(("height", "wanted"), [(4e-6, APART), (9e-6, APART), (1.1e-5, CREEPING), (2e-5, CREEPING)])
+@pytest.mark.parametrize(
+    ("height", "wanted"),
+    tiers.ci([(4e-6, APART), (9e-6, APART), (1.1e-5, CREEPING), (2e-5, CREEPING)], (1.1e-5, CREEPING)),
+)
 def test_a_ball_in_its_window(height, wanted):
     params, y = state(up=(2, height))
     readings, states = read(params, y)
@@ -118,6 +122,7 @@ def test_without_friction_what_presses_is_touching(friction, fidelity):
     assert states["seat_cage"].tolist() == [TOUCHING, APART]
 
 
+@pytest.mark.slow
 def test_a_run_of_one_mass_has_its_states():
     scene = bj.scenes.impact(law="hertz")
     params = scene.parameters(clearance_contact=1e-6)

@@ -251,7 +251,7 @@ def test_derivatives_against_differences_and_batches():
     assert np.max(abs(reverse - forward[some]) / abs(forward).max(0)) < 1e-9
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_rates_are_derivatives_by_time_and_what_does_not_converge_is_nan_alone():
     step = 1e-6
     found = quasistatic(SMALL, SMALL.parameters(), jnp.array([1.01, 1.01 + step, 1.01 - step, jnp.nan]))

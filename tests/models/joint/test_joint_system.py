@@ -123,6 +123,7 @@ def test_small_inverses():
     assert np.allclose(inverse(jnp.asarray(one)), np.linalg.inv(one), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_matrix_has_derivatives_at_rest():
     """No contact slides in the start of a joint that does not turn; the square root of a slip has no derivative there."""
     scene, params, c = made({})
