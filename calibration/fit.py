@@ -288,8 +288,7 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
             conditional = replace(conditional, **widened(conditional.every, known))
     found = replace(found, systematic=known, conditional=conditional, **widened(found.every, allowed))
     shown = (conditional or found).parameters
-    said = [n for n in found.notes if not n.startswith(intervals.WIDE)] + intervals.of_spanning(at, shown)
-    return _doubted(problem, replace(found, notes=said))
+    return _doubted(problem, replace(found, notes=[*found.notes, *intervals.of_spanning(at, shown)]))
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -481,7 +480,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
         *(f"{s['text']}. What helps: {s['remedy']}" for s in scales),
         *intervals.of_integrator(at.noise),
     ]
-    said += intervals.of_wide(model, own) + intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
+    said += intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
     reasons = [*of_search.because, *law.because, *of_data.because]
     return Fit(
         verdict, **_estimating(found.parameters), **_shown(at, ends, asked, own, seen.records),
