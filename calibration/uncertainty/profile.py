@@ -83,22 +83,20 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
 
     With a reference force, "reference_force" is its profile, and "stiffness" that of the force at a depth of 1 m.
     """
-    model, how, found = at.model, moving(at), dict[str, Profile]()
-    slopes = {**dict(zip(how.names, how.slopes, strict=True)), "reference_force": how.slopes[-1]}
-    searched = [(model, list(at.labels))]
+    model, how = at.model, moving(at)
+    every = [(name, k, model) for k, name in enumerate(at.labels)]
     if model.referenced:
-        searched.insert(0, (model.at_depth(0.0), list(at.labels)))
-        searched[1][1][model.pair()[0]] = "reference_force"
-    for k, (one, names) in enumerate(searched):
-        own = zip(names, *one.box, (axis.log for axis in one.coordinates), strict=True)
-        targets = [Target(name, i, *rest) for i, (name, *rest) in enumerate(own) if only is None or name in only]
-        # Of the first of two the stiffness alone.
-        targets = [t for t in targets if k == len(searched) - 1 or t.name not in searched[1][1]]
-        place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
-        asked = [(t, rise_allowed(at.spread, slopes[t.name])) for t in targets]
-        drawn = profiles(evaluator(one), asked, place, labels=at.labels, at_once=budget(model).apart)
-        found |= {p.name: p for p in drawn}
-    return found
+        k = model.pair()[0]
+        every[k : k + 1] = [(at.labels[k], k, model.at_depth(0.0)), ("reference_force", k, model)]
+    slopes = {**dict(zip(how.names, how.slopes, strict=True)), "reference_force": how.slopes[-1]}
+    asked = []
+    for name, k, one in every:
+        if only is None or name in only:
+            lower, width = (x[k] for x in one.box)
+            target = Target(name, k, lower, width, one.coordinates[k].log)
+            place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
+            asked.append(Asked(target, rise_allowed(at.spread, slopes[name]), evaluator(one), place))
+    return {p.name: p for p in profiles(asked, labels=at.labels, at_once=budget(model).apart)}
 
 
 def rise_allowed(quality: Spread, slope: np.ndarray) -> float:
@@ -111,22 +109,28 @@ def rise_allowed(quality: Spread, slope: np.ndarray) -> float:
     return quantile**2 * quality.rise
 
 
-def profiles(
-    residuals: Evaluate, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
-    at_once: bool = False, scouts: int = 3,
-) -> tuple[Profile, ...]:  # fmt: skip
-    """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
-
-    Args:
-        residuals: of points of the unit box (B, P); NaN where a simulation fails.
-        asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
-        scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
+class Asked(NamedTuple):
+    """What to profile: the rise of the sum of squares that bounds its interval; residuals of points of the unit box (B, P), NaN
+    where a simulation fails; and the optimum (P,).
     """
 
-    def both(one: tuple[Target, float]) -> Profile:
-        walks = [_Walk(residuals, *one, scouts) for _ in range(2)]
-        below, above = (walk.outwards(place, sign) for walk, sign in zip(walks, (-1.0, 1.0), strict=True))
-        return _profile(one[0], below, above, one[1], labels)
+    target: Target
+    threshold: float
+    residuals: Evaluate
+    place: np.ndarray
+
+
+def profiles(
+    asked: Sequence[Asked], *, labels: Sequence[str], at_once: bool = False, scouts: int = 3
+) -> tuple[Profile, ...]:
+    """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
+
+    ``scouts``: looks beyond an interval's end, evenly up to the range's, for another region as good.
+    """
+
+    def both(one: Asked) -> Profile:
+        below, above = (_Walk(one, scouts).outwards(one.place, sign) for sign in (-1.0, 1.0))
+        return _profile(one.target, below, above, one.threshold, labels)
 
     return tuple((each if at_once else map)(both, asked))
 
@@ -151,6 +155,10 @@ class _Side(NamedTuple):
     why: str = ""
     other: bool = False
 
+    def at(self, target: Target) -> float | None:
+        """The parameter's value at its end."""
+        return None if self.end is None else target.physical(self.end)
+
 
 class _Lost(ArithmeticError):
     """No constrained optimum is found."""
@@ -159,8 +167,9 @@ class _Lost(ArithmeticError):
 class _Walk:
     """Along constrained optima: one quantity held, all other coordinates following, until the cost has risen."""
 
-    def __init__(self, residuals: Evaluate, target: Target, threshold: float, scouts: int) -> None:
-        self.residuals, self.target, self.threshold, self.scouts = residuals, target, threshold, scouts
+    def __init__(self, asked: Asked, scouts: int) -> None:
+        self.target, self.threshold, self.residuals, _ = asked
+        self.scouts = scouts
 
     def outwards(self, place: np.ndarray, sign: float) -> _Side:
         """From the optimum to the threshold or the end of the range."""
@@ -278,7 +287,7 @@ def _profile(target: Target, below: _Side, above: _Side, threshold: float, label
         rises=rises,
         best=target.physical(best.c),
         threshold=threshold,
-        ends=tuple(None if side.end is None else target.physical(side.end) for side in (below, above)),
+        ends=(below.at(target), above.at(target)),
         quadratic=quadratic,
         shape=_shape(below, above, rises, threshold),
         log=target.log,

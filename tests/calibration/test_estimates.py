@@ -154,8 +154,8 @@ def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
     """The stiffness as the force at a depth of 1 m, between its own bounds; each about the optimum's own value."""
     asked = {}
 
-    def drawn(residuals, targets, place, **more):
-        asked.update({t.name: (t, place, rise) for t, rise in targets})
+    def drawn(every, **more):
+        asked.update({one.target.name: (one.target, one.place, one.threshold) for one in every})
         return ()
 
     monkeypatch.setattr(profile, "profiles", drawn)

@@ -43,7 +43,7 @@ def analytic(function, jacobian):
 
 def found_by(residuals, targets, best, **more):
     """Profiles with the threshold of stated noise."""
-    return profile.profiles(residuals, [(target, THRESHOLD) for target in targets], best, **more)
+    return profile.profiles([profile.Asked(target, THRESHOLD, residuals, best) for target in targets], **more)
 
 
 def box(count):
