@@ -288,8 +288,7 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
             conditional = replace(conditional, **widened(conditional.every, known))
     found = replace(found, systematic=known, conditional=conditional, **widened(found.every, allowed))
     shown = (conditional or found).parameters
-    said = [n for n in found.notes if not n.startswith(intervals.WIDE)] + intervals.of_spanning(at, shown)
-    return _doubted(problem, replace(found, notes=said))
+    return _doubted(problem, replace(found, notes=[*found.notes, *intervals.of_spanning(at, shown)]))
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:
@@ -463,7 +462,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     of_data = answers.data(identification, {name: found.parameters[name].identifiable for name in at.labels})
     verdict = answers.verdict(of_search, of_data, law)
     exact = consistent and not any(s.declared or overstated(s, residuals) for s in at.series)
-    misses = {} if exact else _misses(at, at.end, at.spread)
+    misses = {} if exact else _misses(at)
     # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
     given = converged and whole and not any(p.at_bound for p in found.parameters.values())
     found = headlined(at, misses, found, given and (consistent or bool(misses)))
@@ -481,7 +480,7 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
         *(f"{s['text']}. What helps: {s['remedy']}" for s in scales),
         *intervals.of_integrator(at.noise),
     ]
-    said += intervals.of_wide(model, own) + intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
+    said += intervals.of_bent(bent) + intervals.of_overstated(at.series, residuals)
     reasons = [*of_search.because, *law.because, *of_data.because]
     return Fit(
         verdict, **_estimating(found.parameters), **_shown(at, ends, asked, own, seen.records),
@@ -527,15 +526,13 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
     for _ in range(_HELD):
         if fixed[own].all():
             break
-        part, rest = fit_tests.held(at.end, fixed, at.samples, at.noise.moved, at.model.loss)
-        spread = fit_tests.padded(part, fixed)
+        spread = fit_tests.spread(at.end, at.samples, at.noise.moved, at.model.loss, ~fixed)
         if spread.covariance is not None:
-            misses = {} if exact else _misses(at, rest, part)
+            held = replace(at, spread=spread, end=replace(at.end, jacobian=at.end.jacobian * ~fixed))
+            misses = {} if exact else _misses(held)
             if not (exact or misses):
                 return None
-            kinds = {kind: fit_tests.padded(one, fixed) for kind, one in misses.items()}
-            held = replace(at, spread=spread)
-            found = headlined(held, kinds, estimates(held), True)
+            found = headlined(held, misses, estimates(held), True)
             for name in names[fixed]:
                 found.parameters[name] = _withheld(name, found.parameters[name])
             if any(found.parameters[name].ci95 for name in names[own & ~fixed]):
@@ -547,12 +544,9 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
     return None
 
 
-def _misses(at: Optimum, best: End, spread: fit_tests.Spread) -> dict[str, fit_tests.Spread]:
-    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost.
-
-    ``best`` and ``spread`` are of the coordinates that are not held.
-    """
-    model, series = at.model, at.series
+def _misses(at: Optimum) -> dict[str, fit_tests.Spread]:
+    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost."""
+    model, series, best, spread = at.model, at.series, at.end, at.spread
     if spread.covariance is None or model.loss != "linear" or budget(model).rough:
         return {}
     shape = model.data.weights.shape

@@ -104,7 +104,7 @@ class Shape(NamedTuple):
         suspect: its name in the diagnosis, "" for none there; sought: its numbers on a grid.
         given: whether its amplitude is 1, the numbers alone saying how large it is.
         sign: as of ``Sensor``; amplitude: its name, where that is one number.
-        nuisance: of a problem that fits it.
+        nuisance: of a problem that fits it, or knows it of a record.
     """
 
     columns: Callable[..., np.ndarray]
@@ -255,7 +255,7 @@ def _powers(scene: Scene) -> dict[str, np.ndarray]:
 
 SHAPES = (
     Shape(
-        first_order, suspect="bandwidth", given=True,
+        first_order, suspect="bandwidth", nuisance="bandwidth", given=True,
         sought=lambda x: {"bandwidth": np.geomspace(0.3, 50.0, 30) / x.contact},
     ),
     Shape(
@@ -267,12 +267,15 @@ SHAPES = (
         _smoothed, "of itself", 1.0, kind="low-pass without delay", nuisance="bandwidth", sign=1,
         listed=lambda x: {f"low-pass of {t:.0%} of a contact": {"time": t * x.contact} for t in _WIDTHS},
     ),
-    Shape(second_order, suspect="resonance", sought=_resonances, given=True),
-    Shape(_hum, suspect="hum", sought=_hums),
-    Shape(lambda x: _each(x, lambda s, read: s.clock), suspect="drift"),
-    Shape(lambda x: _each(x, lambda s, read: -_slope(s, read)), suspect="clock offset"),
-    Shape(lambda x: _each(x, lambda s, read: np.ones(read.size)), suspect="offset"),
-    Shape(lambda x: of_readings(x, [r * np.abs(r) for r in x.read]), suspect="gain bend", amplitude="gain_bend"),
+    Shape(second_order, suspect="resonance", nuisance="resonance", sought=_resonances, given=True),
+    Shape(_hum, suspect="hum", nuisance="hum_frequency", sought=_hums),
+    Shape(lambda x: _each(x, lambda s, read: s.clock), suspect="drift", nuisance="drift"),
+    Shape(lambda x: _each(x, lambda s, read: -_slope(s, read)), suspect="clock offset", nuisance="time_offset"),
+    Shape(lambda x: _each(x, lambda s, read: np.ones(read.size)), suspect="offset", nuisance="force_offset"),
+    Shape(
+        lambda x: of_readings(x, [r * np.abs(r) for r in x.read]),
+        suspect="gain bend", nuisance="gain_bend", amplitude="gain_bend",
+    ),
     Shape(
         _stop, "of the peak", _LAW, suspect="stop", sign=1, amplitude="bottoming_stiffness", law=True,
         listed=lambda x: {

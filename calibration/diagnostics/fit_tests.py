@@ -8,7 +8,6 @@ So at most 1.4 % of fits of a right model with right noise are called ``misfit``
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,21 +88,26 @@ class Spread(NamedTuple):
         return self.quantile_of(slope) * float(np.sqrt(slope @ self.covariance @ slope))
 
 
-def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: str) -> Spread:
+def spread(
+    end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: str, free: np.ndarray | None = None
+) -> Spread:
     """Covariance (J^T J)^-1 of white residuals of variance 1, and of an M-estimator where the loss is robust.
 
     Then it is multiplied by k^2 [sum psi^2 / (n - p)] / mean(psi')^2, k = 1 + (p/n) var(psi')/mean(psi')^2
-    (Huber 1981, 7.6).
+    (Huber 1981, 7.6). Coordinates that are not ``free`` (P,) stay where they are, without any covariance.
     """
-    count = end.jacobian.shape[1]
+    free = np.ones(end.jacobian.shape[1], bool) if free is None else free
+    own, place = end.jacobian[:, free], np.eye(free.size)[free]
+    count = own.shape[1]
     freedom = samples - count
-    _, singular, directions = np.linalg.svd(end.jacobian, full_matrices=False)
+    _, singular, directions = np.linalg.svd(own, full_matrices=False)
+    directions = directions @ place
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     if condition >= WORST_CONDITION:
         return Spread(None, float(special.ndtri(0.975)), freedom, directions[-1], condition)
     factor, mean = 1.0, 1.0
     if loss != "linear":
-        informed = np.abs(end.jacobian).max(axis=1) > 0
+        informed = np.abs(own).max(axis=1) > 0
         informed |= end.residuals != 0
         psi, bend = (a[informed] for a in influence(loss, end.residuals))
         mean = max(float(np.mean(bend)), 1e-3)
@@ -113,36 +117,7 @@ def spread(end: End, samples: int, moved: list[tuple[np.ndarray, float]], loss: 
     covariance = factor * (directions.T / singular**2) @ directions
     changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
     found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
-    return found._replace(quantile=max(found.quantile_of(unit) for unit in np.eye(count)))
-
-
-def held(
-    end: End, fixed: np.ndarray, samples: int, moved: list[tuple[np.ndarray, float]], loss: str
-) -> tuple[Spread, End]:
-    """The spread where some coordinates, ``fixed`` (P,), stay where they are, and the optimum of the others alone.
-
-    Arguments as ``spread``. The spread is of the others' coordinates (Q,); ``padded`` makes it one of all.
-    """
-    rest = np.flatnonzero(~fixed)
-    own = replace(end, jacobian=end.jacobian[:, rest], point=end.point[rest])
-    return spread(own, samples, [(change[np.ix_(rest, rest)], v) for change, v in moved], loss), own
-
-
-def padded(found: Spread, fixed: np.ndarray) -> Spread:
-    """A spread of the coordinates that are not ``fixed`` (P,) as one of all, those that are without any."""
-    rest = np.flatnonzero(~fixed)
-
-    def full(part: np.ndarray) -> np.ndarray:
-        whole = np.zeros((fixed.size, fixed.size))
-        whole[np.ix_(rest, rest)] = part
-        return whole
-
-    weakest = np.zeros(fixed.size)
-    weakest[rest] = found.weakest
-    return found._replace(
-        covariance=None if found.covariance is None else full(found.covariance), weakest=weakest,
-        moved=tuple((full(change), variance) for change, variance in found.moved),
-    )  # fmt: skip
+    return found._replace(quantile=max(found.quantile_of(unit) for unit in place))
 
 
 def shown(stated: Spread, end: End) -> Spread:

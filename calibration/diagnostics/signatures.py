@@ -16,7 +16,7 @@ from scipy.linalg import solve_banded
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.model import Model
-from calibration.forward.runs import instants, of_contacts, params_at, ran
+from calibration.forward.runs import instants, of_contacts, params_at, ran, stretches
 
 # Samples of a block of flight that is kept where there are too many.
 _BLOCK = 32
@@ -174,8 +174,7 @@ def thinned(scene: Scene, most: int) -> Scene:
 
 def _kept(touching: np.ndarray, most: int) -> np.ndarray:
     """Which samples of a series stay; contacts at even distances, each as far again as it is long."""
-    edges = np.flatnonzero(np.diff(np.r_[False, touching, False].astype(int)))
-    spans = [(a, min(2 * b - a, touching.size)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    spans = [(a, min(2 * b - a, touching.size)) for a, b in stretches(touching)]
     near = sum(b - a for a, b in spans)
     kept = np.zeros(touching.size, dtype=bool)
     for a, b in spans[:: max(1, -(-2 * near // most))]:
@@ -201,8 +200,8 @@ def _motion(model: Model, experiment: int, params: dict[str, float], name: str, 
     touching = depth > 0.0
     shallow = np.maximum(depth, _DEEP * depth.max())
     tangent = np.stack([exponent * force / shallow, damping * force], axis=1) * touching[:, None]
-    deepest, edges = np.zeros(depth.size), np.flatnonzero(np.diff(np.r_[False, touching, False].astype(int)))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    deepest = np.zeros(depth.size)
+    for a, b in stretches(touching):
         deepest[a:b] = np.maximum.accumulate(depth[a:b])
     mass = _one_mass(times, rate, force)
     moves = _moves(times, tangent / mass) if mass else None

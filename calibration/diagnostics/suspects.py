@@ -74,15 +74,58 @@ class _Errors(NamedTuple):
     amplitudes: np.ndarray
 
 
-class Rank(NamedTuple):
-    """Residuals, Jacobian and rows in ``order`` of their folds; ``starts`` of these; errors without any suspect; freedom."""
+class _Folds:
+    """Residuals (n,) and Jacobian (n, P) in the ``order`` of their folds, whose first rows are ``starts``; errors without any
+    suspect, and degrees of freedom.
 
-    order: np.ndarray
-    starts: np.ndarray
-    residuals: np.ndarray
-    jacobian: np.ndarray
-    plain: _Errors
-    count: int
+    Folds: runs where there are three or more, else contacts, else blocks of a contact's eighth. Every second block of a run or
+    contact is held out at a time: a hum's phase in a run can be learnt there only.
+    """
+
+    def __init__(self, scene: Scene, residuals: np.ndarray, jacobian: np.ndarray) -> None:
+        fold, runs = np.full(residuals.size, -1), len(set(scene.runs))
+        for s, run in zip(scene.series, scene.runs, strict=True):
+            starts = s.touching & ~np.r_[False, s.touching[:-1]]
+            contacts = int(starts.sum())
+            blocks = np.arange(s.rows.size) // max(_FEWEST, int(s.touching.sum()) // max(contacts, 1) // _BLOCKS)
+            if runs >= _SEVERAL or contacts >= _SEVERAL:
+                part = run if runs >= _SEVERAL else np.maximum(np.cumsum(starts) - 1, 0)
+                fold[s.rows] = 2 * (part % _MOST) + blocks % 2
+            else:
+                fold[s.rows] = blocks % _FOLDS
+        rows = np.flatnonzero(fold >= 0)
+        self.order = rows[np.argsort(fold[rows], kind="stable")]
+        self.starts = np.flatnonzero(np.diff(np.r_[-1, fold[self.order]]))
+        size = np.linalg.norm(jacobian, axis=0)
+        self.residuals = residuals[self.order]
+        self.jacobian = (jacobian / np.where(size > 0.0, size, 1.0))[self.order]
+        self.plain = self.errors(self.jacobian, self.residuals)
+        self.count = int(self.order.size) - jacobian.shape[1]
+
+    def errors(self, columns: np.ndarray, target: np.ndarray) -> _Errors:
+        """Of least squares of the target by columns: on all rows, and on all folds but one."""
+        ends = [*self.starts[1:], self.order.size]
+        parts = [(columns[a:b], target[a:b]) for a, b in zip(self.starts, ends, strict=True)]
+        gram, push = np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts])
+        square, ridge = np.array([t @ t for _, t in parts]), 1e-9 * np.eye(columns.shape[1])
+        rest, given = gram.sum(axis=0) - gram + ridge, push.sum(axis=0) - push
+        amplitudes = np.linalg.solve(gram.sum(axis=0) + ridge, push.sum(axis=0))
+        x = np.linalg.solve(rest, given[..., None])[..., 0]
+        trained = square.sum() - square - np.einsum("fp,fp->f", given, x)
+        held = square - 2.0 * np.einsum("fp,fp->f", push, x) + np.einsum("fp,fpq,fq->f", x, gram, x)
+        return _Errors(float(square.sum() - push.sum(axis=0) @ amplitudes), trained, held, amplitudes)
+
+    def tried(self, columns: np.ndarray, given: bool) -> _Errors | None:
+        """Errors with a signature's columns (N, K) beside the Jacobian."""
+        own = columns[self.order]
+        if not np.isfinite(own).all():
+            return None
+        if given:
+            # The data have what the prediction lacks: residuals are prediction less data.
+            return self.errors(self.jacobian, self.residuals + own[:, 0])
+        size = np.linalg.norm(own, axis=0)
+        own = own[:, size > 0.0] / size[size > 0.0]
+        return self.errors(np.hstack([self.jacobian, own]), -self.residuals) if own.size else None
 
 
 def ranked(
@@ -94,7 +137,7 @@ def ranked(
     ``laws``: suspects of the law that may be tried; ``taken``: suspects that the model has in it already.
     """
     scene = thinned(scene, _SAMPLES)
-    at = _folded(scene, residuals, jacobian)
+    at = _Folds(scene, residuals, jacobian)
     tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
     tried = [name for name in tried if name not in taken]
     tests = len(tried) + len(NOISES)
@@ -112,59 +155,7 @@ def ranked(
     return [f._replace(named=k == 0 and f.likely) for k, f in enumerate(found)]
 
 
-def _folded(scene: Scene, residuals: np.ndarray, jacobian: np.ndarray) -> Rank:
-    """Folds: runs where there are three or more, else contacts, else blocks of a contact's eighth.
-
-    Every second block of a run or contact is held out at a time: a hum's phase in a run can be learnt there only.
-    """
-    fold, runs = np.full(residuals.size, -1), len(set(scene.runs))
-    for s, run in zip(scene.series, scene.runs, strict=True):
-        starts = s.touching & ~np.r_[False, s.touching[:-1]]
-        contacts = int(starts.sum())
-        blocks = np.arange(s.rows.size) // max(_FEWEST, int(s.touching.sum()) // max(contacts, 1) // _BLOCKS)
-        if runs >= _SEVERAL or contacts >= _SEVERAL:
-            part = run if runs >= _SEVERAL else np.maximum(np.cumsum(starts) - 1, 0)
-            fold[s.rows] = 2 * (part % _MOST) + blocks % 2
-        else:
-            fold[s.rows] = blocks % _FOLDS
-    rows = np.flatnonzero(fold >= 0)
-    order = rows[np.argsort(fold[rows], kind="stable")]
-    starts = np.flatnonzero(np.diff(np.r_[-1, fold[order]]))
-    size = np.linalg.norm(jacobian, axis=0)
-    scaled = (jacobian / np.where(size > 0.0, size, 1.0))[order]
-    nothing = _Errors(0.0, np.zeros(0), np.zeros(0), np.zeros(0))
-    at = Rank(order, starts, residuals[order], scaled, nothing, int(order.size) - jacobian.shape[1])
-    return at._replace(plain=_errors(at, scaled, at.residuals))
-
-
-def _errors(at: Rank, columns: np.ndarray, target: np.ndarray) -> _Errors:
-    """Of least squares of the target by columns: on all rows, and on all folds but one."""
-    ends = [*at.starts[1:], at.order.size]
-    parts = [(columns[a:b], target[a:b]) for a, b in zip(at.starts, ends, strict=True)]
-    gram, push = np.stack([c.T @ c for c, _ in parts]), np.stack([c.T @ t for c, t in parts])
-    square, ridge = np.array([t @ t for _, t in parts]), 1e-9 * np.eye(columns.shape[1])
-    rest, given = gram.sum(axis=0) - gram + ridge, push.sum(axis=0) - push
-    amplitudes = np.linalg.solve(gram.sum(axis=0) + ridge, push.sum(axis=0))
-    x = np.linalg.solve(rest, given[..., None])[..., 0]
-    trained = square.sum() - square - np.einsum("fp,fp->f", given, x)
-    held = square - 2.0 * np.einsum("fp,fp->f", push, x) + np.einsum("fp,fpq,fq->f", x, gram, x)
-    return _Errors(float(square.sum() - push.sum(axis=0) @ amplitudes), trained, held, amplitudes)
-
-
-def _tried(at: Rank, columns: np.ndarray, given: bool) -> _Errors | None:
-    """Errors with a signature's columns (N, K) beside the Jacobian."""
-    own = columns[at.order]
-    if not np.isfinite(own).all():
-        return None
-    if given:
-        # The data have what the prediction lacks: residuals are prediction less data.
-        return _errors(at, at.jacobian, at.residuals + own[:, 0])
-    size = np.linalg.norm(own, axis=0)
-    own = own[:, size > 0.0] / size[size > 0.0]
-    return _errors(at, np.hstack([at.jacobian, own]), -at.residuals) if own.size else None
-
-
-def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
+def _scanned(at: _Folds, name: str, scene: Scene, tests: int) -> Found | None:
     """A suspect's best shape, and what it explains of held-out samples, the shape sought in each training part."""
     suspect = SUSPECTS[name]
     grid = suspect.sought(scene)
@@ -172,7 +163,7 @@ def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
     tried: list[tuple[dict[str, float], _Errors]] = []
 
     def attempt(values: dict[str, float]) -> None:
-        errors = _tried(at, suspect.columns(scene, **values), suspect.given)
+        errors = at.tried(suspect.columns(scene, **values), suspect.given)
         if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
             tried.append((values, errors))
 
@@ -195,7 +186,8 @@ def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
     columns = suspect.columns(scene, **values)
     more = len(grid) + (0 if suspect.given else int(np.count_nonzero(np.any(columns, axis=0))))
     if suspect.amplitude:
-        values = {**values, suspect.amplitude: _amplitude(at, columns)}
+        size = np.linalg.norm(columns[at.order, 0])
+        values = {**values, suspect.amplitude: float(best.amplitudes[-1] / size)}
     explained = 1.0 - held / float(at.plain.held_out.sum())
     chance = _chance(at.plain.whole, best.whole, more, at.count) * len(points) * tests
     return Found(name, explained, min(chance, 1.0), values, columns, suspect.given, more)
@@ -204,12 +196,6 @@ def _scanned(at: Rank, name: str, scene: Scene, tests: int) -> Found | None:
 def _within(values: dict[str, float]) -> dict[str, float]:
     damping = values.get("resonance_damping")
     return values if damping is None else {**values, "resonance_damping": min(max(damping, 2e-3), 0.6)}
-
-
-def _amplitude(at: Rank, columns: np.ndarray) -> float:
-    own = columns[at.order, 0]
-    size = float(np.linalg.norm(own))
-    return float(_errors(at, np.hstack([at.jacobian, own[:, None] / size]), -at.residuals).amplitudes[-1] / size)
 
 
 def _chance(before: float, after: float, more: int, count: int) -> float:
@@ -221,7 +207,7 @@ def _chance(before: float, after: float, more: int, count: int) -> float:
     return float(special.fdtrc(more, left, ratio))
 
 
-def _jitter(at: Rank, scene: Scene, tests: int) -> Found:
+def _jitter(at: _Folds, scene: Scene, tests: int) -> Found:
     """Whether the variance grows with the square of the slope: 1 + (j w x')^2, j sought on a grid.
 
     Of the residuals' second differences, (r_-1 - 2 r + r_+1)/sqrt(6), in which a smooth shape leaves little.
@@ -268,7 +254,7 @@ def _second(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.pad(np.convolve(values, weights, "valid"), 1, "edge")
 
 
-def _quantised(at: Rank, scene: Scene) -> Found:
+def _quantised(at: _Folds, scene: Scene) -> Found:
     """Share of the residuals' variance that steps of the readings have: step^2/12."""
     share, widest = 0.0, 0.0
     for s in scene.series:
@@ -291,7 +277,7 @@ def lattice(values: np.ndarray) -> float:
     return step if np.max(np.abs(parts - np.round(parts))) < 1e-3 else 0.0
 
 
-def _saturated(at: Rank, scene: Scene, tests: int) -> list[Found]:
+def _saturated(at: _Folds, scene: Scene, tests: int) -> list[Found]:
     """What is left without the samples that equal the largest reading."""
     level = max((float(np.abs(s.values).max()) for s in scene.series), default=0.0)
     clipped = np.zeros(scene.size, dtype=bool)
@@ -302,7 +288,7 @@ def _saturated(at: Rank, scene: Scene, tests: int) -> list[Found]:
     if count < _EQUAL:
         return []
     keep = np.where(rows, 0.0, 1.0)
-    errors = _errors(at, at.jacobian * keep[:, None], at.residuals * keep)
+    errors = at.errors(at.jacobian * keep[:, None], at.residuals * keep)
     before = at.plain.held_out.sum() / at.order.size
     explained = 1.0 - float(errors.held_out.sum() / (at.order.size - count) / before)
     chance = _chance(at.plain.whole, errors.whole, count, at.count) * tests

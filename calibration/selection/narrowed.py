@@ -62,24 +62,35 @@ def narrowed(
         return {}
     if at.model.data.features.size or at.spread.covariance is None:
         return {}
-    now = dict(zip(quote.moving(at).names, _halves(*_evaluated(problem, at)), strict=True))
-    there = replace(at, experiments=tuple(_known(e, said, problem.where) for e in at.experiments))
-    if planned is not None:
-        there = _extended(problem, there, _known(planned, said, problem.where), runs)
-    lin, errors = _evaluated(problem, there)
-    after = _halves(lin, errors) if planned is None else _drawn(at, there, lin, errors)
-    then = dict(zip(quote.moving(there).names, after, strict=True))
+    how = quote.moving(at)
+    now = dict(zip(how.names, _halves(*_evaluated(problem, at)), strict=True))
+    # What is stated acts always, in full, where it is taken alone (JCGM 100, 4.3.3); beside what is known without it no statement
+    # makes anything less known (4.3.1: all the information that there is).
+    each = [_after(problem, at, planned, runs, known) for known in ([{}, said] if said else [{}])]
+    then = {name: min(one[name] for one in each) for name in each[0]}
     ends = {name: p.ci95 for name, p in found.parameters.items()} | {
         REFERENCE: found.reference and found.reference.ci95
     }
-    log = dict(zip(quote.moving(at).names, quote.moving(at).log, strict=True))
+    log = dict(zip(how.names, how.log, strict=True))
     halves = {}
     for name, own in ends.items():
         # Values of one record alone stay what they are.
         if own and now.get(name) and name in then:
             half = 0.5 * float(np.log(own[1] / own[0]) if log[name] else own[1] - own[0])
-            halves[name] = Half(half, half * float(then[name] / now[name]), log[name])
+            halves[name] = Half(half, half * then[name] / float(now[name]), log[name])
     return halves
+
+
+def _after(
+    problem: Problem, at: Optimum, planned: Experiment | None, runs: int, said: Mapping[str, Any]
+) -> dict[str, float]:
+    """Half widths by name where the runs are made, with what is said of the instruments."""
+    there = replace(at, experiments=tuple(_known(e, said, problem.where) for e in at.experiments))
+    if planned is not None:
+        there = _extended(problem, there, _known(planned, said, problem.where), runs)
+    lin, errors = _evaluated(problem, there)
+    halves = _halves(lin, errors) if planned is None else _drawn(at, there, lin, errors)
+    return dict(zip(quote.moving(there).names, halves.tolist(), strict=True))
 
 
 def _known(e: Experiment, said: Mapping[str, Any], where: str) -> Experiment:

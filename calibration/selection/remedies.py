@@ -13,7 +13,7 @@ from bcfj_jax.contact import laws
 from bcfj_jax.core.quantities import CATALOGUE
 from bcfj_jax.mechanism.channels import unit_of
 from bcfj_jax.mechanism.model import AbstractModel
-from calibration.diagnostics.catalogue import LOSS
+from calibration.diagnostics.catalogue import LOSS, SUSPECTS
 from calibration.diagnostics.signatures import Scene
 from calibration.diagnostics.suspects import Found
 from calibration.fit import Fit
@@ -48,11 +48,7 @@ def taken(problem: Problem) -> frozenset[str]:
     """Suspects that the problem has in it already."""
     named = {f.name for f in problem.free}.union(*(e.fixed for e in problem.experiments))
     channels = [c for e in problem.experiments for c in e.channels]
-    own = {
-        "bandwidth": "bandwidth", "resonance": "resonance", "hum": "hum_frequency", "drift": "drift",
-        "gain bend": "gain_bend", "clock offset": "time_offset", "offset": "force_offset",
-    }  # fmt: skip
-    taken = {name for name, nuisance in own.items() if nuisance in named}
+    taken = {name for name, shape in SUSPECTS.items() if shape.nuisance in named}
     taken |= {"offset"} if named & {*OFFSETS.values()} else set()
     # One number in the channels' unit needs channels of one unit.
     taken |= {"hum", "drift", "offset", "gain bend"} if len(units_of(problem.observed)) > 1 else set()

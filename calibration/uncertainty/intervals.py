@@ -15,7 +15,6 @@ from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series, overstated
 from calibration.forward.coordinates import Coordinate
-from calibration.forward.model import Model
 from calibration.noise.noise_model import Estimate
 from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
@@ -169,7 +168,6 @@ def _everything(ends: Ends, axis: Coordinate) -> bool:
 
 
 # What a reader must know though nothing failed, in sentences.
-WIDE = "with what the law misses and runs differ by allowed for, the data do not determine"
 SPANNING = "with every error that may act allowed for, not to a factor of two:"
 
 
@@ -180,16 +178,6 @@ def of_integrator(noise: Estimate) -> list[str]:
         f"and count as {noise.sigma[name]:.2g} {unit_of(name)}"
         for name in noise.integrator
     ]
-
-
-def of_wide(model: Model, parameters: dict[str, Parameter]) -> list[str]:
-    """Of headlines that are wider than what is called determined, though the noise's interval is not."""
-    wide = [
-        name
-        for axis, (name, p) in zip(model.coordinates, parameters.items(), strict=True)
-        if p.intervals.get("noise") and (p.ci95 is None or half(p.ci95, axis.log) >= fit_tests.widest(axis))
-    ]
-    return [f"{WIDE} {' and '.join(wide)} to a factor of two"] if wide else []
 
 
 def of_spanning(at: Optimum, parameters: dict[str, Parameter]) -> list[str]:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calibration.diagnostics.fit_tests import Spread
+from calibration.diagnostics.fit_tests import WORST_CONDITION, Spread
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.runs import stretches
 
@@ -54,6 +54,11 @@ class Discrepancy(NamedTuple):
     length: float
 
 
+def _inverse(jacobian: np.ndarray) -> np.ndarray:
+    """J^+ (P, N) of a Jacobian (N, P), whose columns of coordinates that are held are 0; then (J^T J)^-1 = J^+ J^+T."""
+    return np.linalg.pinv(jacobian, rcond=1.0 / WORST_CONDITION)
+
+
 def discrepancy(
     series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread
 ) -> Discrepancy | None:
@@ -63,42 +68,38 @@ def discrepancy(
     basis, inside = _cosines(series, residuals.size)
     if inside < _FEW or not np.any(residuals[basis[:, 0] != 0.0]):
         return None
+    way = _inverse(jacobian)
+    inverse, beside = way @ way.T, basis - jacobian @ (way @ basis)
+    gram, push, square = beside.T @ beside, beside.T @ residuals, float(residuals @ residuals)
     count = int(np.count_nonzero(np.abs(jacobian).any(axis=1) | (residuals != 0)))
-    sums = _Sums(
-        basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals, float(residuals @ residuals), count
-    )  # fmt: skip
-    gram, cross, own = sums[:3]
+    freedom = max(count - int(np.count_nonzero(np.diag(inverse))), 1)
 
-    def cost(x: np.ndarray, power: np.ndarray) -> float:
-        return _restricted(sums, np.exp(2.0 * x[0]), np.exp(2.0 * x[1]) * power)
+    def cost(noise: float, size: float, power: np.ndarray) -> float:
+        return _restricted(gram, push, square, freedom, np.exp(2.0 * noise), np.exp(2.0 * size) * power)
 
     # Without a process, and with one of each length.
     nothing = _power(_LENGTHS[0])
-    alone: Any = minimize_scalar(lambda x: cost(np.array([x, _NOTHING]), nothing), bounds=_NOISE, method="bounded")
+    alone: Any = minimize_scalar(lambda x: cost(x, _NOTHING, nothing), bounds=_NOISE, method="bounded")
     best = (float(alone.fun) - _SEEN, 0.0, _LENGTHS[0])
     # No larger than what is seen: what coefficients could take up altogether would else have no bound.
     peaks = np.sum(basis[:, 0] ** 2)
     most = float(np.log(_MOST * np.sqrt(np.sum(residuals[basis[:, 0] != 0.0] ** 2) / peaks)))
-    deviation = float(np.exp(alone.x))
     for length in _LENGTHS:
         power = _power(length)
         found: Any = minimize_scalar(
-            lambda x, power=power: cost(np.array([alone.x, x]), power),
+            lambda x, power=power: cost(alone.x, x, power),
             bounds=(most - 8.0, most), method="bounded", options={"xatol": 1e-3},
         )  # fmt: skip
         if found.fun < best[0]:
             best = (float(found.fun), float(np.exp(found.x)), length)
     _, share, length = best
-    variance = share**2 * _power(length)
-    inverse = np.linalg.inv(own)
-    way = inverse @ cross.T
-    plain, missed = deviation**2 * inverse, (way * variance) @ way.T
-    changes = [(plain, 2.0 / max(count - len(own), 1))]
+    variance, own = share**2 * _power(length), float(np.exp(2.0 * alone.x))
+    plain, missed = own * inverse, (way @ basis * variance) @ (way @ basis).T
+    changes = [(plain, 2.0 / freedom)]
     if share > 0.0:
         # As many numbers of the process as the data show say how well its size is known.
-        root, beside = np.sqrt(variance), gram - cross @ np.linalg.solve(own, cross.T)
-        seen = np.maximum(np.linalg.eigvalsh(root[:, None] * beside * root), 0.0)
-        changes.append((missed, 2.0 / max(float(np.sum(seen / (seen + deviation**2))), 1.0)))
+        seen = np.maximum(np.linalg.eigvalsh(np.sqrt(variance)[:, None] * gram * np.sqrt(variance)), 0.0)
+        changes.append((missed, 2.0 / max(float(np.sum(seen / (seen + own))), 1.0)))
     return Discrepancy(noise._replace(covariance=plain + missed, moved=tuple(changes)), share, length)
 
 
@@ -130,34 +131,19 @@ def _power(length: float) -> np.ndarray:
     return density / (density[0] + 0.5 * np.sum(density[1:]))
 
 
-class _Sums(NamedTuple):
-    """B^T B, B^T J, J^T J, B^T r, r^T r of the cosines B, the Jacobian J and the residuals r, and their number."""
+def _restricted(
+    gram: np.ndarray, push: np.ndarray, square: float, freedom: int, noise: float, power: np.ndarray
+) -> float:
+    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T, but for a constant.
 
-    gram: np.ndarray
-    cross: np.ndarray
-    own: np.ndarray
-    push: np.ndarray
-    square: float
-    count: int
-
-
-def _restricted(sums: _Sums, noise: float, power: np.ndarray) -> float:
-    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T.
-
-    With L = power^1/2 (noise 1 + power^1/2 B^T B power^1/2)^-1 power^1/2: S^-1 = (1 - B L B^T)/noise, of the
-    residuals of a least-squares fit, whose J^T r is 0.
+    Of least-squares residuals r, whose J^T r is 0: ``square`` r^T r, ``gram`` B'^T B' and ``push`` B'^T r of the part B' of
+    the cosines that no coordinate explains. Then |S| |J^T S^-1 J| is noise^freedom |H| |J^T J| and r^T P r is
+    (r^T r - b^T H^-1 b/noise)/noise with H = 1 + power^1/2 B'^T B' power^1/2/noise and b = power^1/2 B'^T r.
     """
-    gram, cross, own, push, square, count = sums
     root = np.sqrt(power)
-    inner = np.eye(power.size) + root[:, None] * gram * root / noise
-    middle = root[:, None] * np.linalg.solve(inner, np.diag(root)) / noise
-    information = (own - cross.T @ middle @ cross) / noise
-    sign, size = np.linalg.slogdet(information)
-    if not sign > 0.0:
-        return np.inf
-    tilt = -(cross.T @ middle @ push) / noise
-    form = (square - push @ middle @ push) / noise - tilt @ np.linalg.solve(information, tilt)
-    return 0.5 * float(count * np.log(noise) + np.linalg.slogdet(inner)[1] + size + form)
+    inner, pulled = np.eye(power.size) + root[:, None] * gram * root / noise, root * push
+    form = (square - pulled @ np.linalg.solve(inner, pulled) / noise) / noise
+    return 0.5 * float(freedom * np.log(noise) + np.linalg.slogdet(inner)[1] + form)
 
 
 def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> dict[str, Spread]:
@@ -171,15 +157,13 @@ def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noi
     count = len(names)
     scores = np.stack([jacobian[runs == g].T @ residuals[runs == g] for g in names])
     meat = scores.T @ scores * count / (count - 1)
-    whole = np.linalg.inv(jacobian.T @ jacobian)
+    way = _inverse(jacobian)
+    whole = way @ way.T
     found = {"robust": noise._replace(covariance=whole @ meat @ whole, moved=(), student=count - 1.0)}
-    steps = []
-    for g, score in zip(names, scores, strict=True):
-        own = jacobian[runs == g]
-        if np.linalg.cond(own) > _WORST:
-            return found
-        steps.append(np.linalg.solve(own.T @ own, score))
-    scatter = np.cov(np.stack(steps).T).reshape(len(whole), len(whole)) / count
+    fits = [np.linalg.lstsq(jacobian[runs == g], residuals[runs == g], rcond=1.0 / _WORST) for g in names]
+    if min(rank for _, _, rank, _ in fits) < np.count_nonzero(np.diag(whole)):
+        return found
+    scatter = np.cov(np.stack([step for step, *_ in fits]).T).reshape(whole.shape) / count
     runs_differ = noise._replace(covariance=scatter, moved=(), student=count - 1.0)
     return found | {"runs": runs_differ, NEXT_RUN: runs_differ._replace(covariance=(count + 1) * scatter)}
 
@@ -192,15 +176,15 @@ def in_blocks(series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndar
     """
     if noise.covariance is None:
         return None
-    whole = np.linalg.inv(jacobian.T @ jacobian)
-    scores = [residuals[s.rows, None] * jacobian[s.rows] @ whole for s in series if s.rows.size > 3 * _QUIET]
+    way = _inverse(jacobian)
+    scores = [residuals[s.rows, None] * way.T[s.rows] for s in series if s.rows.size > 3 * _QUIET]
     if not scores:
         return None
     length = max(1, round(max(block_length(column) for score in scores for column in score.T)))
     count = sum(len(score) for score in scores) / length
     if count < FEWEST_RUNS:
         return None
-    covariance = np.zeros_like(whole)
+    covariance = np.zeros((len(way), len(way)))
     for score in scores:
         sums = np.array([score[k : k + length].sum(axis=0) for k in range(len(score) - length + 1)])
         away = sums - length * score.mean(axis=0)

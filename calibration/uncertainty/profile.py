@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,11 +12,11 @@ from scipy.optimize import brentq
 from bcfj_jax.xla.threads import each
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
-from calibration.forward.model import Model
 from calibration.search.descent import Evaluate
 from calibration.search.evaluate import evaluator
 from calibration.search.refinement import trust_region
 from calibration.solver_budget import budget
+from calibration.uncertainty.estimates import moving
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
 _DIP = 0.05
@@ -24,28 +24,25 @@ _DIP = 0.05
 _POINTS, _MOST_POINTS = 4, 60
 # Evaluations of a constrained optimum, and of a look for another region; where the first ends.
 _TRIES, _SCOUT_TRIES, _PRECISE = 40, 6, 1e-9
-# The furthest that extrapolation along a profile may carry another coordinate.
-_LEAP = 0.2
+# The longest step; the furthest that extrapolation along a profile may carry another coordinate.
+_LONGEST, _LEAP = 1.0 / 8.0, 0.2
 # A cost lower than the best by this share of the threshold is another optimum, not the integrator's error.
 _BETTER = 0.01
 
 
 class Target(NamedTuple):
-    """What a profile holds fixed: c = u[index] - shift(u), where ``shift`` does not depend on u[index].
-
-    Attributes:
-        low, high: ends of the range of c.
-        shift: from a unit-box point to the shift and its slope (P,).
-        physical: from c to the parameter's value, SI.
-    """
+    """What a profile holds: a coordinate u of the unit box, whose parameter is lower + width u, or the exponential of that."""
 
     name: str
     index: int
-    low: float
-    high: float
-    shift: Callable[[np.ndarray], tuple[float, np.ndarray]]
-    physical: Callable[[float], float]
-    log: bool
+    lower: float = 0.0
+    width: float = 1.0
+    log: bool = False
+
+    def physical(self, u: float) -> float:
+        """The parameter's value, SI."""
+        z = float(self.lower + self.width * u)
+        return float(np.exp(z)) if self.log else z
 
 
 @dataclass(frozen=True)
@@ -84,77 +81,56 @@ class Profile:
 def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Profile]:
     """Profiles of a problem's parameters around its optimum, by label; ``only``: of these, by default of all.
 
-    With a reference force, "reference_force" is its profile and "stiffness" that of K = F_ref / d_ref^n, for which
-    K is held and F_ref follows n.
+    With a reference force, "reference_force" is its profile, and "stiffness" that of the force at a depth of 1 m.
     """
-    targets = [t for t in _targets(at.model, at.labels) if only is None or t.name in only]
-    place, allowed = np.asarray(at.end.point, float), rise_allowed(at.spread)
-    asked = [(t, allowed(np.eye(place.size)[t.index] - t.shift(place)[1])) for t in targets]
-    apart = budget(at.model).apart
-    found = profiles(evaluator(at.model), asked, place, labels=at.labels, at_once=apart)
-    return {p.name: p for p in found}
+    model, how = at.model, moving(at)
+    every = [(name, k, model) for k, name in enumerate(at.labels)]
+    if model.referenced:
+        k = model.pair()[0]
+        every[k : k + 1] = [(at.labels[k], k, model.at_depth(0.0)), ("reference_force", k, model)]
+    slopes = {**dict(zip(how.names, how.slopes, strict=True)), "reference_force": how.slopes[-1]}
+    asked = []
+    for name, k, one in every:
+        if only is None or name in only:
+            lower, width = (x[k] for x in one.box)
+            target = Target(name, k, lower, width, one.coordinates[k].log)
+            place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
+            asked.append(Asked(target, rise_allowed(at.spread, slopes[name]), evaluator(one), place))
+    return {p.name: p for p in profiles(asked, labels=at.labels, at_once=budget(model).apart)}
 
 
-def rise_allowed(quality: Spread) -> Callable[[np.ndarray], float]:
+def rise_allowed(quality: Spread, slope: np.ndarray) -> float:
     """Rise of the cost that bounds the 95 % interval of a combination of coordinates (P,).
 
     The square of the covariance interval's quantile: chi-square of 1 degree of freedom for stated noise, F(1, freedom)
     for estimated, whose deviation the weights know; a robust loss multiplies it.
     """
-
-    def allowed(slope: np.ndarray) -> float:
-        quantile = quality.quantile if quality.covariance is None else quality.quantile_of(slope)
-        return quantile**2 * quality.rise
-
-    return allowed
+    quantile = quality.quantile if quality.covariance is None else quality.quantile_of(slope)
+    return quantile**2 * quality.rise
 
 
-def _targets(model: Model, labels: Sequence[str]) -> list[Target]:
-    lower, width = model.box
-    pair = model.pair() if model.referenced else None
-    targets = []
-    for i, (axis, label) in enumerate(zip(model.coordinates, labels, strict=True)):
-        name = "reference_force" if pair and i == pair[0] else label
-        targets.append(coordinate(name, i, lower=lower[i], width=width[i], log=axis.log))
-    if pair:
-        (k, n), depth = pair, model.log_depth
-        exponent_is_log = model.coordinates[n].log
+class Asked(NamedTuple):
+    """What to profile: the rise of the sum of squares that bounds its interval; residuals of points of the unit box (B, P), NaN
+    where a simulation fails; and the optimum (P,).
+    """
 
-        def shift(u: np.ndarray) -> tuple[float, np.ndarray]:
-            z = lower[n] + u[n] * width[n]
-            exponent = np.exp(z) if exponent_is_log else z
-            rate = exponent * width[n] if exponent_is_log else width[n]
-            return exponent * depth / width[k], np.eye(u.size)[n] * rate * depth / width[k]
-
-        # The box of F_ref is wider than that of K: K keeps its own.
-        low, high = ((b - lower[k]) / width[k] for b in (model.coordinates[k].lower, model.coordinates[k].upper))
-        plain = coordinate(labels[k], k, lower=lower[k], width=width[k], log=True)
-        targets.insert(k, plain._replace(low=low, high=high, shift=shift))
-    return targets
-
-
-def coordinate(name: str, index: int, *, lower: float = 0.0, width: float = 1.0, log: bool = False) -> Target:
-    """One coordinate of the unit box, whose parameter is lower + width u, or the exponential of that."""
-    physical = (lambda c: float(np.exp(lower + width * c))) if log else (lambda c: float(lower + width * c))
-    return Target(name, index, 0.0, 1.0, lambda u: (0.0, np.zeros(u.size)), physical, log)
+    target: Target
+    threshold: float
+    residuals: Evaluate
+    place: np.ndarray
 
 
 def profiles(
-    residuals: Evaluate, asked: Sequence[tuple[Target, float]], place: np.ndarray, *, labels: Sequence[str],
-    at_once: bool = False, scouts: int = 3,
-) -> tuple[Profile, ...]:  # fmt: skip
+    asked: Sequence[Asked], *, labels: Sequence[str], at_once: bool = False, scouts: int = 3
+) -> tuple[Profile, ...]:
     """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
 
-    Args:
-        residuals: of points of the unit box (B, P); NaN where a simulation fails.
-        asked: what to hold fixed, each with the rise of the sum of squares that bounds its interval.
-        scouts: looks beyond an interval's end, evenly up to the range's, for another region as good.
+    ``scouts``: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
 
-    def both(one: tuple[Target, float]) -> Profile:
-        walks = [_Walk(residuals, *one, scouts) for _ in range(2)]
-        below, above = (walk.outwards(place, sign) for walk, sign in zip(walks, (-1.0, 1.0), strict=True))
-        return _profile(one[0], below, above, one[1], labels)
+    def both(one: Asked) -> Profile:
+        below, above = (_Walk(one, scouts).outwards(one.place, sign) for sign in (-1.0, 1.0))
+        return _profile(one.target, below, above, one.threshold, labels)
 
     return tuple((each if at_once else map)(both, asked))
 
@@ -179,6 +155,10 @@ class _Side(NamedTuple):
     why: str = ""
     other: bool = False
 
+    def at(self, target: Target) -> float | None:
+        """The parameter's value at its end."""
+        return None if self.end is None else target.physical(self.end)
+
 
 class _Lost(ArithmeticError):
     """No constrained optimum is found."""
@@ -187,21 +167,21 @@ class _Lost(ArithmeticError):
 class _Walk:
     """Along constrained optima: one quantity held, all other coordinates following, until the cost has risen."""
 
-    def __init__(self, residuals: Evaluate, target: Target, threshold: float, scouts: int) -> None:
-        self.residuals, self.target, self.threshold, self.scouts = residuals, target, threshold, scouts
+    def __init__(self, asked: Asked, scouts: int) -> None:
+        self.target, self.threshold, self.residuals, _ = asked
+        self.scouts = scouts
 
     def outwards(self, place: np.ndarray, sign: float) -> _Side:
         """From the optimum to the threshold or the end of the range."""
-        target, goal = self.target, np.sqrt(self.threshold)
-        limit, reach = target.high if sign > 0 else target.low, target.high - target.low
+        target, goal, limit = self.target, np.sqrt(self.threshold), float(sign > 0)
         residuals, jacobian = (a[0] for a in self.residuals(place[None]))
         if not np.isfinite(residuals).all():
             raise ValueError("the simulation fails at the optimum itself")
         # The root of the rise is linear in c where the cost is quadratic, and its first slope follows from the Jacobian.
-        tangent, held = self._tangent(jacobian, place), jacobian[:, target.index]
-        first = float(np.linalg.norm(held + tangent @ np.linalg.lstsq(tangent, -held)[0]))
-        best = _Point(place[target.index] - target.shift(place)[0], place, float(residuals @ residuals), 0.0)
-        step = least = min(goal / _POINTS / first, reach / 8) if first > 0 else reach / 8
+        others, held = np.delete(jacobian, target.index, axis=1), jacobian[:, target.index]
+        first = float(np.linalg.norm(held - others @ np.linalg.lstsq(others, held)[0]))
+        best = _Point(place[target.index], place, float(residuals @ residuals), 0.0)
+        step = least = min(goal / _POINTS / first, _LONGEST) if first > 0 else _LONGEST
         trail = [best]
         while len(trail) < _MOST_POINTS:
             at = trail[-1]
@@ -223,7 +203,7 @@ class _Walk:
             slope = sign * found.slope / max(root, 1e-12)
             wanted = min(goal / _POINTS, goal - root) / slope if slope > 0 else np.inf
             trail.append(found)
-            step = float(np.clip(wanted, step / 4, min(3 * step, reach / 8)))
+            step = float(np.clip(wanted, step / 4, min(3 * step, _LONGEST)))
         return _Side(trail, None, first, f"it is not bounded after {_MOST_POINTS} steps")
 
     def _ended(self, trail: list[_Point], outside: _Point, limit: float, first: float) -> _Side:
@@ -260,35 +240,20 @@ class _Walk:
 
     def _relaxed(self, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point | None:
         """The least squares over the other coordinates; None where nothing simulates, or none is found in all tries."""
-        target, others = self.target, np.arange(place.size) != self.target.index
-        held: dict[bytes, np.ndarray] = {}
-
-        def whole(rest: np.ndarray) -> np.ndarray:
-            full = place.copy()
-            full[others] = rest
-            full[target.index] = c + target.shift(full)[0]
-            return full
+        index, held = self.target.index, dict[bytes, np.ndarray]()
 
         def evaluate(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            full = whole(rest)
-            residuals, jacobian = (a[0] for a in self.residuals(full[None]))
-            held[rest.tobytes()] = jacobian[:, target.index]
-            return residuals, self._tangent(jacobian, full)[:, others]
+            residuals, jacobian = (a[0] for a in self.residuals(np.insert(rest, index, c)[None]))
+            held[rest.tobytes()] = jacobian[:, index]
+            return residuals, np.delete(jacobian, index, axis=1)
 
         precise = dict.fromkeys(("xtol", "ftol", "gtol"), _PRECISE)
-        found = trust_region(evaluate, np.clip(place[others], 0.0, 1.0), method="dogbox", max_nfev=tries, **precise)
+        begin = np.clip(np.delete(place, index), 0.0, 1.0)
+        found = trust_region(evaluate, begin, method="dogbox", max_nfev=tries, **precise)
         if found.failed or not (found.converged or tries == _SCOUT_TRIES):
             return None
-        residuals = found.residuals
-        slope = float(residuals @ held[found.point.tobytes()])
-        return _Point(c, whole(found.point), float(residuals @ residuals), slope)
-
-    def _tangent(self, jacobian: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Jacobian (N, P) of the other coordinates with c held; the held one's column is 0."""
-        index = self.target.index
-        tangent = jacobian + np.outer(jacobian[:, index], self.target.shift(place)[1])
-        tangent[:, index] = 0.0
-        return tangent
+        slope = float(found.residuals @ held[found.point.tobytes()])
+        return _Point(c, np.insert(found.point, index, c), float(found.residuals @ found.residuals), slope)
 
 
 def _root(at: _Point, best: _Point) -> float:
@@ -322,16 +287,12 @@ def _profile(target: Target, below: _Side, above: _Side, threshold: float, label
         rises=rises,
         best=target.physical(best.c),
         threshold=threshold,
-        ends=(_physical(target, below.end), _physical(target, above.end)),
+        ends=(below.at(target), above.at(target)),
         quadratic=quadratic,
         shape=_shape(below, above, rises, threshold),
         log=target.log,
         notes=tuple(notes),
     )
-
-
-def _physical(target: Target, end: float | None) -> float | None:
-    return None if end is None else target.physical(end)
 
 
 def _shape(below: _Side, above: _Side, rises: np.ndarray, threshold: float) -> str:

@@ -21,7 +21,6 @@ from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
 from calibration.uncertainty.sets import (
     QUANTILE,
     Error,
-    Evaluated,
     Linear,
     Mixture,
     evaluated,
@@ -136,10 +135,10 @@ class _Around(NamedTuple):
     at: Optimum
     lin: Linear
     errors: list[Error]
-    sets: Evaluated
+    sets: Mixture
 
     @property
-    def quoted(self) -> Evaluated:
+    def quoted(self) -> Mixture:
         """The sets' moves of what is quoted alone."""
         count = self.lin.rows.shape[0]
         return self.sets._replace(**{n: getattr(self.sets, n)[:, :count] for n in ("means", "type_a", "type_b")})
@@ -170,7 +169,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
 
 
 def _leading(
-    own: Sequence[Evaluated], found: Mixture, begin: _Around, places: Sequence[np.ndarray]
+    own: Sequence[Mixture], found: Mixture, begin: _Around, places: Sequence[np.ndarray]
 ) -> tuple[int, int] | None:
     """The point and the most probable of the sets that lead further than a line reaches, where no point is yet; None of few."""
     how, ends = moving(begin.at), found.ends()

@@ -87,19 +87,30 @@ class Mixture(NamedTuple):
     """Normal estimates by set of acting errors.
 
     Attributes:
-        weights: (M,), sum 1; members: (M, E) with which share of its prior an error acts, 0 where not.
-        means, type_a, type_b: (M, Q) moves from the optimum and their deviations.
+        log: (M,) logarithms of weights; members: (M, E) with which share of its prior an error acts, 0 where not.
+        means, type_a, type_b: (M, Q) moves from the optimum, or from the point that they are about, and their deviations.
         variance: of the noise.
         prior: (E,) that each error acts, before the record is looked at.
     """
 
-    weights: np.ndarray
+    log: np.ndarray
     members: np.ndarray
     means: np.ndarray
     type_a: np.ndarray
     type_b: np.ndarray
     variance: float
     prior: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(M,), sum 1."""
+        weights = np.exp(self.log - self.log.max())
+        return weights / weights.sum()
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(M,) how far sets lead from the point, in deviations of the noise alone."""
+        return np.max(np.abs(self.means) / np.maximum(self.type_a[0], 1e-300), axis=1)
 
     def ends(self, level: float = 0.95) -> np.ndarray:
         """(Q, 2) ends of the interval, as moves from the optimum."""
@@ -123,42 +134,22 @@ class Mixture(NamedTuple):
     def without(self, error: int) -> Mixture:
         """As if one error were known not to act."""
         kept = self.members[:, error] == 0.0
-        weights = self.weights * kept
-        return self._replace(weights=weights / max(weights.sum(), 1e-300)) if weights.sum() > 0 else self
+        return self._replace(log=np.where(kept, self.log, -np.inf)) if kept.any() else self
 
 
-class Evaluated(NamedTuple):
-    """Every set about one point: (M,) logarithm of its weight, and what ``Mixture`` has of it."""
-
-    log: np.ndarray
-    members: np.ndarray
-    means: np.ndarray
-    type_a: np.ndarray
-    type_b: np.ndarray
-    variance: float
-    prior: np.ndarray
-
-    @property
-    def reach(self) -> np.ndarray:
-        """(M,) how far sets lead from the point, in deviations of the noise alone."""
-        return np.max(np.abs(self.means) / np.maximum(self.type_a[0], 1e-300), axis=1)
-
-
-def nearest(every: Sequence[Evaluated], of: Sequence[Evaluated], *names: str) -> tuple[np.ndarray, ...]:
+def nearest(every: Sequence[Mixture], of: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
     """Of every set the point that it leads away from least, and what is found there."""
     k = np.argmin([e.reach for e in every], axis=0)
     return k, *(np.stack([getattr(e, n) for e in of])[k, np.arange(k.size)] for n in names)
 
 
-def merged(every: Sequence[Evaluated], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
-    """Of every set what was found about the point that it leads away from least; (Q,) where each point is."""
+def merged(every: Sequence[Mixture], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
+    """Of every set that counts what was found about the point that it leads away from least; (Q,) where each point is."""
+    names = ("log", "means", "type_a", "type_b")
     there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
-    _, log, means, type_a, type_b = nearest(every, there, "log", "means", "type_a", "type_b")
-    weights = np.exp(log - log.max())
-    kept = weights > _LEAST
-    first, weights = every[0], weights[kept] / weights[kept].sum()
-    members, means, type_a, type_b = (x[kept] for x in (first.members, means, type_a, type_b))
-    return Mixture(weights, members, means, type_a, type_b, first.variance, first.prior)
+    found = dict(zip(names, nearest(every, there, *names)[1:], strict=True)) | {"members": every[0].members}
+    kept = found["log"] > found["log"].max() + np.log(_LEAST)
+    return every[0]._replace(**{name: x[kept] for name, x in found.items()})
 
 
 def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
@@ -200,7 +191,7 @@ class _Batch(NamedTuple):
         return _Batch(self.head, *(x[kept] for x in self[1:]))
 
 
-def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None) -> Evaluated:
+def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None) -> Mixture:
     """All sets of at most ``MOST`` errors, those of the prior's scales each; beside them what is stated acts always.
 
     ``variance``: of the noise, where that is known from another point.
@@ -242,7 +233,7 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
     # Of all sets alike, and other about another point: what no coordinate explains, and how many readings tell them apart.
     common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
     log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
-    return Evaluated(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
+    return Mixture(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
 
 
 def _prior(every: Sequence[_Batch]) -> np.ndarray:

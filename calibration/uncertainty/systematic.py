@@ -49,7 +49,7 @@ def every(problem: Problem, at: Optimum) -> list[Error]:
         "approach_speed" in fixed and "gravity" not in fixed
     ):  # A body that strikes at a speed, of a scene without weight.
         found.append(Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(scene, GRAVITY)[:, None]))
-    slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value) for _, own in known if "bandwidth" in own]
+    slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value) for own in known if "bandwidth" in own]
     slowest = max(slow) if len(slow) == len(known) else np.inf
     return [*found, *of_shape(scene, taken | ({"bandwidth"} if model.data.passed else set()), slowest)]
 
@@ -68,28 +68,24 @@ def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
     }
 
 
-# Of each series the channel that it is of, and what is stated of its instrument.
-_Known = Sequence[tuple[str, Mapping[str, Limit]]]
+# Of each series what is stated of its instrument.
+_Known = Sequence[Mapping[str, Limit]]
 
 
 def _instruments(at: Optimum) -> _Known:
-    found = []
-    for s in at.series:
-        i, j, _ = np.unravel_index(s.rows[0], at.model.data.values.shape)
-        name = at.model.channels[j]
-        own = {c.observes: c.instrument for c in at.experiments[int(i)].channels}
-        found.append((name, own.get(name, {})))
-    return found
+    places = [np.unravel_index(s.rows[0], at.model.data.values.shape)[:2] for s in at.series]
+    every = [{c.observes: c.instrument for c in e.channels} for e in at.experiments]
+    return [every[i].get(at.model.channels[j], {}) for i, j in places]
 
 
 def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[Error]:
     """Errors of the sensor, but for nuisances that are ``taken``: fitted, or stated of every record."""
-    known, every = known or [("", {}) for _ in scene.series], []
+    known, every = known or [{} for _ in scene.series], []
     for name, own in SENSOR.items():
         if own.nuisance in taken:
             continue
         column = of_channels(scene, own)
-        rest = [s for s, (_, said) in zip(scene.series, known, strict=True) if own.key not in said]
+        rest = [s for s, said in zip(scene.series, known, strict=True) if own.key not in said]
         if np.any(signature := part(column, rest)):
             columns = shared_and_own(signature, rest) if own.own else signature
             every.append(Error(name, own.unit, own.most, columns, sign=own.sign, chance=own.chance))
@@ -110,14 +106,14 @@ def _as_stated(name: str, own: Sensor, column: np.ndarray, scene: Scene, known: 
     """An error of which instruments say how large it is: no two channels share it."""
     sizes = {
         k: _amplitude(own.key, said[own.key], scene.series[k], scene.peaks[k], scene.contact)
-        for k, (_, said) in enumerate(known)
+        for k, said in enumerate(known)
         if own.key in said and np.any(column[scene.series[k].rows])
     }
     most, columns = max(sizes.values(), default=0.0), []
     if not most:
         return []
-    for channel in dict.fromkeys(known[k][0] for k in sizes):
-        of = [k for k in sizes if known[k][0] == channel]
+    for channel in dict.fromkeys(scene.channels[k] for k in sizes):
+        of = [k for k in sizes if scene.channels[k] == channel]
         mine = sum((part(column, [scene.series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(column))
         columns.append(shared_and_own(mine, [scene.series[k] for k in of]) if own.own else mine)
     return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
@@ -133,7 +129,7 @@ def _amplitude(key: str, limit: Limit, s: Series, peak: float, duration: float) 
 def _steps(scene: Scene, known: _Known) -> list[Error]:
     """Rounding to steps of q by its first harmonic, which has the variance q^2/12 and a phase that nobody knows."""
     steps = [said["resolution"].value * (peak if said["resolution"].share else 1.0) if "resolution" in said else 0.0
-             for (_, said), peak in zip(known, scene.peaks, strict=True)]  # fmt: skip
+             for said, peak in zip(known, scene.peaks, strict=True)]  # fmt: skip
     if not any(steps):
         return []
     columns = [

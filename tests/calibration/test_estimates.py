@@ -150,25 +150,32 @@ def test_deviations_behind_a_filter_are_those_of_its_jacobian(built):
     np.testing.assert_allclose(deviations, wanted, rtol=1e-6)
 
 
-def test_what_a_profile_holds_is_the_value_of_its_name(built):
-    """The stiffness by a combination of reference force and exponent, between its own bounds; slopes by differences."""
-    rng, values = np.random.default_rng(3), {}
-    targets = profile._targets(built, NAMES)
-    assert [t.name for t in targets] == ["stiffness", "reference_force", "exponent", "mass"]
-    for point in rng.uniform(0.1, 0.9, (3, 3)):
-        values = dict(zip(NAMES, built.values(point), strict=True))
-        values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
-        for t in targets:
-            shift, slope = t.shift(point)
-            assert t.physical(point[t.index] - shift) == pytest.approx(values[t.name], rel=1e-9)
-            steps = 1e-6 * np.eye(3)
-            wanted = [(t.shift(point + step)[0] - t.shift(point - step)[0]) / 2e-6 for step in steps]
-            assert slope == pytest.approx(wanted, rel=1e-6, abs=1e-9) and slope[t.index] == 0.0
-            assert t.log == (t.name != "mass" and (t.name != "exponent" or built.coordinates[1].log))
-    ends = {t.name: (t.physical(t.low), t.physical(t.high)) for t in targets}
+def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
+    """The stiffness as the force at a depth of 1 m, between its own bounds; each about the optimum's own value."""
+    asked = {}
+
+    def drawn(every, **more):
+        asked.update({one.target.name: (one.target, one.place, one.threshold) for one in every})
+        return ()
+
+    monkeypatch.setattr(profile, "profiles", drawn)
+    point, known = np.array([0.4, 0.6, 0.3]), spread(1)
+    profile.of_optimum(at(built, point, known))
+    assert list(asked) == ["stiffness", "reference_force", "exponent", "mass"]
+    values = dict(zip(NAMES, built.values(point), strict=True))
+    values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
+    for name, (t, place, rise) in asked.items():
+        assert t.physical(place[t.index]) == pytest.approx(values[name], rel=1e-9)
+        assert t.log == (name != "mass" and (name != "exponent" or built.coordinates[1].log))
+        assert rise == pytest.approx(1.959964**2)
+    ends = {name: (t.physical(0.0), t.physical(1.0)) for name, (t, _, _) in asked.items()}
     assert ends["stiffness"] == pytest.approx((1e7, 1e9)) and ends["exponent"] == pytest.approx((1.0, 2.5))
     assert ends["mass"] == pytest.approx((0.05, 0.2))
+    asked.clear()
+    profile.of_optimum(at(built, point, known), only=["exponent"])
+    assert list(asked) == ["exponent"]
     # The square of the interval's quantile, times what a robust loss makes of the rise.
-    known = spread(1)._replace(rise=1.5)
-    assert profile.rise_allowed(known)(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
-    assert profile.rise_allowed(known._replace(covariance=None, quantile=2.5))(np.ones(3)) == pytest.approx(1.5 * 6.25)
+    known = known._replace(rise=1.5)
+    assert profile.rise_allowed(known, np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    wide = known._replace(covariance=None, quantile=2.5)
+    assert profile.rise_allowed(wide, np.ones(3)) == pytest.approx(1.5 * 6.25)

@@ -122,9 +122,11 @@ def test_the_restricted_likelihood_is_that_of_its_dense_covariance():
     rng = np.random.default_rng(18)
     basis, jacobian, residuals = rng.standard_normal((30, 5)), rng.standard_normal((30, 2)), rng.standard_normal(30)
     residuals -= jacobian @ np.linalg.lstsq(jacobian, residuals)[0]
-    products = (basis.T @ basis, basis.T @ jacobian, jacobian.T @ jacobian, basis.T @ residuals)
+    beside = basis - jacobian @ np.linalg.lstsq(jacobian, basis)[0]
+    products = (beside.T @ beside, beside.T @ residuals, float(residuals @ residuals), 28)
+    constant = 0.5 * np.linalg.slogdet(jacobian.T @ jacobian)[1]
     for noise, power in ((1.0, np.ones(5)), (0.3, rng.uniform(0.1, 4.0, 5)), (2.0, 1e-9 * np.ones(5))):
-        found = law_miss._restricted(law_miss._Sums(*products, float(residuals @ residuals), 30), noise, power)
+        found = law_miss._restricted(*products, noise, power) + constant
         assert found == pytest.approx(dense(noise, power, basis, jacobian, residuals), rel=1e-9)
 
 
@@ -140,7 +142,7 @@ def test_what_the_law_misses_is_the_most_likely_process(seed, share, length):
     basis, inverse = law_miss._cosines([one], 120)[0], np.linalg.inv(jacobian.T @ jacobian)
     (plain, first), (missed, second) = found.spread.moved
     size = plain[0, 0] / inverse[0, 0]
-    np.testing.assert_allclose(plain, size * inverse, rtol=1e-12)
+    np.testing.assert_allclose(plain, size * inverse, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(found.spread.covariance, plain + missed, rtol=1e-12)
     power = found.share**2 * _power(found.length)
     way = inverse @ jacobian.T @ basis

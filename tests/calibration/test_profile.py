@@ -43,11 +43,11 @@ def analytic(function, jacobian):
 
 def found_by(residuals, targets, best, **more):
     """Profiles with the threshold of stated noise."""
-    return profile.profiles(residuals, [(target, THRESHOLD) for target in targets], best, **more)
+    return profile.profiles([profile.Asked(target, THRESHOLD, residuals, best) for target in targets], **more)
 
 
 def box(count):
-    return [profile.coordinate(f"u{i}", i) for i in range(count)]
+    return [profile.Target(f"u{i}", i) for i in range(count)]
 
 
 def test_linear_problem_has_the_covariance_interval():
@@ -93,27 +93,20 @@ def profiled(target, end, sign, best_cost, bounds):
 
 
 def test_derived_stiffness_follows_its_own_profile():
-    """Searched as (ln F_ref, n), K = F_ref / d_ref^n held: SciPy on (ln K, n) directly."""
-    lower, width = np.array([np.log(2e9) + 1.5 * LOG_REFERENCE - 2, 1.0]), np.array([4.0, 1.5])
+    """Searched as (ln F, n) with F at a depth of 1 m, which is K: SciPy on (ln K, n) directly."""
+    lower, width = np.array([np.log(1e7), 1.0]), np.array([np.log(1e5), 1.5])
 
     def split(u):
-        log_f, n = lower + u * width
-        return power_law(log_f - n * LOG_REFERENCE, n)
+        return power_law(*(lower + u * width))
 
     def jacobian(u):
         _, force = split(u)
-        return np.stack([force, force * (np.log(DEPTH) - LOG_REFERENCE)], axis=1) * width
+        return np.stack([force, force * np.log(DEPTH)], axis=1) * width
 
-    best = least_squares(lambda u: split(u)[0], [0.5, 0.33], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    best = least_squares(lambda u: split(u)[0], [0.46, 0.33], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     cost = float(np.sum(split(best)[0] ** 2))
-    slope = np.array([0.0, width[1] * LOG_REFERENCE / width[0]])
-    k_low, k_high = ((b - lower[0]) / width[0] for b in np.log([1e7, 1e12]))
-    stiffness = profile.Target(
-        "stiffness", 0, k_low, k_high,
-        lambda u: ((lower[1] + u[1] * width[1]) * LOG_REFERENCE / width[0], slope),
-        lambda c: float(np.exp(lower[0] + width[0] * c)), True,
-    )  # fmt: skip
-    exponent = profile.coordinate("n", 1, lower=lower[1], width=width[1])
+    stiffness = profile.Target("stiffness", 0, lower[0], width[0], True)
+    exponent = profile.Target("n", 1, lower[1], width[1])
     both = analytic(lambda u: split(u)[0], jacobian)
     k, n = found_by(both, [stiffness, exponent], best, labels=("K", "n"))
     assert (k.shape, n.shape) == ("bounded", "bounded")
