@@ -28,7 +28,7 @@ from scripts import fresh
 
 FAST = ["-m", "not full and not slow", "--hypothesis-profile", "fast"]
 KINDS = ("pinned", "lowest", "newest")
-_SHOWN = ("jax", "diffrax", "equinox", "numpy", "scipy", "matplotlib", "pint", "pydantic", "typer")
+_SHOWN = ("jax", "diffrax", "equinox", "optax", "numpy", "scipy", "matplotlib", "pint", "pydantic", "typer")
 
 
 def users_extras(project: dict) -> list[str]:

@@ -7,15 +7,19 @@ where it was.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
+from jax import Array
+
+from bcfj_jax.xla.programs import program
 
 Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 _EDGE = 1e-6
-# Adam's first rate, what its means of slopes and of their squares keep from step to step, and what is added to a deviation.
-_RATE, _FIRST, _SECOND, _TINY = 0.03, 0.9, 0.999, 1e-8
+# Adam's first rate, and the number of points in its program.
+_RATE, _ROWS = 0.03, 12
 # Damping of the first step, and what a rejected and an accepted step make of it.
 _DAMPING, _WORSE, _BETTER = 1e-2, 4.0, 0.2
 # No step moves a coordinate further than this share of its range: a contact found must not be jumped over.
@@ -44,23 +48,34 @@ def cost_of(residuals: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(costs), costs, np.inf)
 
 
+def _adam_step(steps: int, slope: Array, state: tuple[Array, ...]) -> tuple[Any, tuple[Any, ...]]:
+    """One step of optax's Adam, its rate falling as a cosine to 0: the change of the points, and the state, flat."""
+    import optax  # Not needed where the program is kept.
+
+    optimiser = optax.adam(optax.cosine_decay_schedule(_RATE, steps))
+    tree = jax.tree.structure(optimiser.init(slope))
+    change, after = optimiser.update(slope, jax.tree.unflatten(tree, state))
+    return change, tuple(jax.tree.leaves(after))
+
+
 def adam(evaluate: Evaluate, points: np.ndarray, steps: int) -> np.ndarray:
-    """Adam (Kingma and Ba 2015, algorithm 1) on the logarithm of the cost, its rate falling as a cosine to 0; the best point of
-    each descent.
-    """
+    """Adam on the logarithm of the cost; the best point of each descent."""
     at, best, least = points, points, np.full(len(points), np.inf)
-    mean, square = np.zeros_like(points), np.zeros_like(points)
-    for k in range(steps):
+    # As many rows always, so that batches share one program.
+    shape = (-(-len(points) // _ROWS) * _ROWS, points.shape[1])
+    count = np.zeros((), np.int32)
+    state = (count, np.zeros(shape), np.zeros(shape), count)
+    step, _ = program("adam", _adam_step, (steps,), (np.zeros(shape), state))
+    for _ in range(steps):
         residuals, jacobians = evaluate(at)
         costs = cost_of(residuals)
+        slope = 2.0 * np.einsum("bn,bnp->bp", residuals, jacobians) / (costs[:, None] + 1.0)
         better = costs < least
         best, least = np.where(better[:, None], at, best), np.where(better, costs, least)
-        slope = 2.0 * np.einsum("bn,bnp->bp", residuals, jacobians) / (costs[:, None] + 1.0)
-        slope = np.where(np.isfinite(slope), slope, 0.0)
-        mean, square = _FIRST * mean + (1.0 - _FIRST) * slope, _SECOND * square + (1.0 - _SECOND) * slope**2
-        first, second = mean / (1.0 - _FIRST ** (k + 1)), square / (1.0 - _SECOND ** (k + 1))
-        rate = 0.5 * _RATE * (1.0 + np.cos(np.pi * k / steps))
-        at = np.clip(at - rate * first / (np.sqrt(second) + _TINY), _EDGE, 1.0 - _EDGE)
+        rows = np.zeros(shape)
+        rows[: len(points)] = np.where(np.isfinite(slope), slope, 0.0)
+        change, state = step(rows, state)
+        at = np.clip(at + change[: len(points)], _EDGE, 1.0 - _EDGE)
     return best
 
 

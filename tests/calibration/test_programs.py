@@ -21,7 +21,7 @@ from calibration.forward.runs import contacts, failure
 DEMO = Path(__file__).parents[2] / "examples" / "chung_ooi_fit.toml"
 # The spheres' stiffness, whether a run can start, the residuals with their Jacobian, a run that is looked at, and one whose
 # penetrations are held against the sizes of the bodies.
-NAMES = {"two spheres", "at_start", "calibration", "calibration run", "simulate"}
+NAMES = {"two spheres", "at_start", "adam", "calibration", "calibration run", "simulate"}
 # The command in a process of its own, and what that traced, read, compiled and missed in XLA's cache.
 COMMAND = """
 import collections, json, sys
