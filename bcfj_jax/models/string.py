@@ -388,10 +388,13 @@ class StringModel(AbstractModel):
             "force of the wall": ("N", found.wall),
         }
         if self.bending:
-            named["force of the wall on the segment's middle"] = ("N", found.pushed)
+            named["push on the middle"] = ("N", found.pushed)
         pushed = np.asarray(found.wall)[:, None] * np.stack([np.cos(turn[1:-1]), np.sin(turn[1:-1])], -1)
         each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
-        return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
+        round_ = np.linspace(turn[0], turn[-1], 40 * self.count)
+        aside = radius + np.array([[-1.0], [1.0]]) * float(params["segment_radius"] + params["hole_clearance"])
+        walls = np.stack([radius - aside * np.cos(round_), -aside * np.sin(round_)], -1)
+        return Chain("joint", corners - corners[0], pushed, "force of the wall", each, walls - corners[0])
 
     def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
         """The string has sizes of its own."""

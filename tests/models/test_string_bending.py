@@ -127,7 +127,7 @@ def test_each_joint_is_the_joint_under_what_bent_segments_hand_it():
         np.testing.assert_allclose(run.force[name][:, 6:], right.force[name], rtol=1e-9, atol=1e-6)
     entry = scene.whole(params, run)[0]["string"]
     assert entry["pushed"] == pytest.approx(found.pushed) and entry["segments"]["bow"] == pytest.approx([BOW] * 2)
-    assert "force of the wall on the segment's middle" in scene.chain(params).loads
+    assert "push on the middle" in scene.chain(params).loads
 
 
 @pytest.mark.parametrize(
