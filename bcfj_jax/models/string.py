@@ -367,9 +367,12 @@ class StringModel(AbstractModel):
             found = f"{given:g} N m at the bit{f', {top:g} N m at its greatest,' if top != given else ''} takes "
             found += f"{needed:.5g} N m at the drive, which has {has:g} N m"
             most = given - (needed - has) / grows
-            # What the wall takes may be more than the drive has.
-            less = f"at most {most:.5g} N m" if most > 0.0 else "less weight_on_bit"
-            remedy = f"give {less}, or a drive_torque of {needed:.5g} N m"
+            # What the wall takes may be more than the drive has; of it what follows the weight, and what bends segments.
+            idle = loads({**greatest, "weight_on_bit": jnp.zeros(())}, self.count, self.bending).drive_torque
+            lighter = weight * (has - float(idle)) / (needed - float(idle)) if needed > float(idle) else 0.0
+            less = f"at most {most:.5g} N m, or " if most > 0.0 else ""
+            less = less or (f"a weight_on_bit of at most {lighter:.4g} N, or " if lighter > 0.0 else "")
+            remedy = f"give {less}a drive_torque of {needed:.5g} N m"
             raise InputError(f"{where} bit_torque", found, remedy)
         bears = float(buckling_force(params))
         if pushed > bears:

@@ -115,7 +115,8 @@ def check_length(v: dict[str, float], bending: bool, where: str) -> None:
         return
     limit = "" if not bending else " and yields" if yields < 1.0 / v["hole_radius"] else " and wraps around the wall"
     found = f"{length:g} m does not pass the bend{limit}"
-    remedy = f"give at most {math.sqrt(wide / needs):.4g} m, or a hole_clearance of at least {length**2 * needs:.4g} m"
-    if not bending and bends > 0.0:
+    shorter = f"at most {math.sqrt(wide / needs):.4g} m, or " if wide > 0.0 else ""
+    remedy = f"give {shorter}a hole_clearance of at least {length**2 * needs:.4g} m"
+    if not bending and bends > 0.0 and wide > 0.0:
         remedy += f", or bending = true, which passes {math.sqrt(wide / bends):.4g} m"
     raise InputError(f"{where} segment_length", found, remedy)
