@@ -371,7 +371,9 @@ class StringModel(AbstractModel):
             idle = loads({**greatest, "weight_on_bit": jnp.zeros(())}, self.count, self.bending).drive_torque
             lighter = weight * (has - float(idle)) / (needed - float(idle)) if needed > float(idle) else 0.0
             less = f"at most {most:.5g} N m, or " if most > 0.0 else ""
-            less = less or (f"a weight_on_bit of at most {lighter:.4g} N, or " if lighter > 0.0 else "")
+            if most <= 0.0 and lighter > 0.0:
+                steady = weight == float(params["weight_on_bit"])
+                less = f"a weight_on_bit of at most {lighter:.4g} N, or " if steady else "less weight_on_bit, or "
             remedy = f"give {less}a drive_torque of {needed:.5g} N m"
             raise InputError(f"{where} bit_torque", found, remedy)
         bears = float(buckling_force(params))
