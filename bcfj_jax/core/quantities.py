@@ -155,6 +155,7 @@ CATALOGUE: dict[str, Quantity] = {
         _not_negative("wall_friction", "1", "friction coefficient of segments on the hole's wall"),
         _not_negative("feed_speed", "m/s", "speed of the string along the hole"),
         _positive("segment_modulus", "Pa", "Young's modulus of a segment"),
+        _positive("segment_strength", "Pa", "stress at which a segment yields"),
         _positive("segment_density", "kg/m^3", "density of a segment"),
         _not_negative("bit_inertia", "kg m^2", "inertia of the bit about the string's axis"),
         _not_negative("twist_relaxation", "s", "damping over stiffness of a segment's and joint's twist"),

@@ -191,6 +191,7 @@ class Chain(NamedTuple):
         corners: (n + 2, 2) both ends and the links between them [m].
         pushes: (n, 2) forces on the links [N], and what they are.
         loads: by name unit and values (n,).
+        walls: (2, m, 2) both sides of what the row lies in [m].
     """
 
     link: str
@@ -198,6 +199,7 @@ class Chain(NamedTuple):
     pushes: np.ndarray
     pushed: str
     loads: dict[str, tuple[str, np.ndarray]]
+    walls: np.ndarray
 
 
 class Account(NamedTuple):

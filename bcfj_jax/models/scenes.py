@@ -28,6 +28,7 @@ from bcfj_jax.models.oblique_impact import oblique_impact
 from bcfj_jax.models.slider_crank import slider_crank
 from bcfj_jax.models.slider_guide import slider_guide
 from bcfj_jax.models.string import DEFAULTS as STRING_NUMBERS
+from bcfj_jax.models.string_bending import BENDING
 from bcfj_jax.models.string_motion import LUGRE
 from bcfj_jax.models.string_motion import NUMBERS as STRING_IN_MOTION
 from bcfj_jax.models.string_options import string as string
@@ -67,7 +68,9 @@ SOURCES: dict[str, Sources] = {
     "string": Sources(
         {
             name: source
-            for name, (_, source) in (joint_numbers.DEFAULTS | STRING_NUMBERS | STRING_IN_MOTION | LUGRE).items()
+            for name, (_, source) in (
+                joint_numbers.DEFAULTS | STRING_NUMBERS | BENDING | STRING_IN_MOTION | LUGRE
+            ).items()
         },
         joint_numbers.LEGEND,
     ),

@@ -5,6 +5,7 @@ torque and axial load. Joints exchange no dynamics: what one does over a turn do
 
 Geometry (physics sheet 5.5). Segments are chords of a circle of radius R, the hole's axis, so that joints bend by
 beta = 2 asin(L/2R) each. A straight cylinder of radius d and length L passes where L <= 4 sqrt(C (R + d)), C its clearance.
+A longer one passes where segments bend (``models.string_bending``), and rubs on the wall by 2 P more; its joints bend by less.
 
 Soft string. Below the lowest joint the axial force is W and the torque T. In the angle theta from there the hole bears
 dN = F dtheta, of which friction mu takes the share a along the string and b = sqrt(1 - a^2) around it,
@@ -13,12 +14,13 @@ a = v/sqrt(v^2 + (w d)^2) of a string that is fed at v and turns at w:
     F = W exp(mu a theta),    N = (F - W)/(mu a),    torque = T + mu b d N
 
 Joint i, counted from the drive, has n - i joints below it: theta = (n - i) beta. The drive stands above all, theta = n beta.
-Left out: weight, bending and twist of segments, the moments 2 T tan(beta/2) by which the bends turn the torque (told as
-``side_force``), buckling into helices; friction's shares are those of a string that slides everywhere.
+Left out: weight, what twist of segments changes in the loads, the moments 2 T tan(beta/2) by which the bends turn the torque
+(told as ``side``), buckling into helices; friction's shares are those of a string that slides everywhere.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -48,6 +50,7 @@ from bcfj_jax.mechanism.model import (
 from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.scene import OF_A_BALL
+from bcfj_jax.models.string_bending import BENDING, Bent, bent, check_length, rigidity, swayed
 
 WHERE = "scene 'string'"
 # What a joint is told by the string, and not by the user.
@@ -77,7 +80,8 @@ class Loads(NamedTuple):
         bend: of every joint [rad]; torque [N m] and axial force [N]: what each joint hands down.
         wall: force of the hole on the string over the joint's bend [N]; side: 2 T tan(beta/2)/L, shear between segments [N].
         drive_torque, hook_load: torque of the drive [N m], force that feeds the string [N].
-        around, along: friction of the wall by joint, torque [N m] and force [N].
+        around, along: friction of the wall by joint, with that of the segment below it, torque [N m] and force [N].
+        pushed: force of the wall on the middle of the segment below the joint, which bends it [N].
     """
 
     bend: Array
@@ -89,29 +93,51 @@ class Loads(NamedTuple):
     hook_load: Array
     around: Array
     along: Array
+    pushed: Array
 
 
-def loads(params: Params, count: int) -> Loads:
-    """The string's statics (module docstring), differentiable in every parameter."""
-    p = params
-    bend = 2.0 * jnp.arcsin(0.5 * p["segment_length"] / p["hole_radius"])
+def chord(params: Params) -> Array:
+    """Angle between neighbouring segments' chords [rad]: by how much a joint of rigid segments bends."""
+    return 2.0 * jnp.arcsin(0.5 * params["segment_length"] / params["hole_radius"])
+
+
+@functools.partial(jax.jit, static_argnums=(1, 2))
+def loads(params: Params, count: int, bending: bool = False) -> Loads:
+    """The string's statics (module docstring), differentiable in every parameter.
+
+    Segments that bend are as stiff as the axial force of a string of rigid ones leaves them.
+    """
+    p, bend = params, chord(params)
     rim = p["drive_speed"] * p["segment_radius"]
     # A string that neither turns nor is fed is taken as turning.
     fast = jnp.sqrt(p["feed_speed"] ** 2 + rim**2 + 1e-30)
     along, around = p["wall_friction"] * p["feed_speed"] / fast, p["wall_friction"] * jnp.abs(rim) / fast
-    below = bend * jnp.arange(count, -1, -1)
-    grown = along * below
-    small = grown < 1e-8
-    share = jnp.where(small, 1.0 + 0.5 * grown, jnp.expm1(grown) / jnp.where(small, 1.0, grown))
-    axial = p["weight_on_bit"] * jnp.exp(grown)
-    borne = p["weight_on_bit"] * below * share
-    torque = p["bit_torque"] + around * p["segment_radius"] * borne
-    wall = borne[:-1] - borne[1:]
+    grown = jnp.exp(along * bend * jnp.arange(count, -1, -1))
+    axial = p["weight_on_bit"] * grown
+    held = bent(p, axial[1:]) if bending else Bent(*[jnp.zeros(count)] * 4)
+    # Of a segment that is bent 2 P, above which the axial force grows as all does.
+    rubs = 2.0 * held.push
+    added = jnp.cumsum((rubs / grown[1:])[::-1])[::-1]
+    axial = axial + along * grown * jnp.append(added[0], added)
+    small = along * bend < 1e-8
+    share = jnp.where(small, 1.0 + 0.5 * along * bend, jnp.expm1(along * bend) / jnp.where(small, 1.0, along * bend))
+    wall = axial[1:] * bend * share
+    below = jnp.cumsum((wall + rubs)[::-1])[::-1]
+    arm = around * p["segment_radius"]
+    torque = p["bit_torque"] + arm * jnp.append(below[0], below - wall)
     side = 2.0 * torque[1:] * jnp.tan(0.5 * bend) / p["segment_length"]
+    slopes = held.slope + jnp.append(0.0, held.slope[:-1])
     return Loads(
-        jnp.broadcast_to(bend, (count,)), torque[1:], axial[1:], wall, side, torque[0], axial[0],
-        torque[:-1] - torque[1:], axial[:-1] - axial[1:],
+        bend - slopes, torque[1:], axial[1:], wall, side, torque[0], axial[0],
+        arm * (wall + rubs), along * (wall + rubs), held.push,
     )  # fmt: skip
+
+
+def handed(params: Params, count: int, bending: bool = False) -> Array:
+    """(n + 1,) torque that the wall takes from the upper connection and from each segment below a joint [N m]."""
+    found = loads(params, count, bending)
+    torque = jnp.concatenate([found.drive_torque[None], found.torque, params["bit_torque"][None]])
+    return torque[:-1] - torque[1:]
 
 
 class Segments(NamedTuple):
@@ -120,8 +146,10 @@ class Segments(NamedTuple):
     Attributes:
         twist: T L/(G J) [rad]; stretch: -F L/(E A) [m], shortening.
         moment: T tan(beta/2) [N m], by which either end holds the segment across its axis.
-        shear: T d/J [Pa]; axial: F/A [Pa], bending: M d/I [Pa], all at the outer fibre.
+        shear: T d/J [Pa]; axial: F/A [Pa], bending: M d/I [Pa], all at the outer fibre; M the greater of that moment and of
+            the wall's in the middle.
         stress: sqrt((axial + bending)^2 + 3 shear^2) [Pa], von Mises.
+        bow: how far the hole bends the middle [m]; slope [rad] and sway [m]: of the ends, and at the quarters, by that moment.
     """
 
     twist: Array
@@ -131,22 +159,28 @@ class Segments(NamedTuple):
     axial: Array
     bending: Array
     stress: Array
+    bow: Array
+    slope: Array
+    sway: Array
 
 
-def segments(params: Params, count: int) -> Segments:
-    """Straight segments under the loads of steady turning (Timoshenko, Strength of Materials 1, 1955), differentiable.
+def segments(params: Params, count: int, bending: bool = False) -> Segments:
+    """Segments under the loads of steady turning (Timoshenko, Strength of Materials 1, 1955), differentiable.
 
     A constant-velocity joint bent by beta turns the torque's axis by beta: it holds each of its shafts by T tan(beta/2) across
-    its axis (Seherr-Thoss et al., Universal Joints and Driveshafts, 2006). Segments are rigid in the loads themselves.
+    its axis (Seherr-Thoss et al., Universal Joints and Driveshafts, 2006). Where a segment is an S by its ends' moments and bent
+    in the other plane by the hole, the greatest moment of both is at an end or in the middle, for F up to Euler's.
     """
-    p, found = params, loads(params, count)
+    p, found = params, loads(params, count, bending)
     area = jnp.pi * (p["segment_radius"] ** 2 - p["segment_bore"] ** 2)
     moment = found.torque * jnp.tan(0.5 * found.bend)
     shear = found.torque * p["segment_radius"] / polar(p)
-    axial, bending = found.axial / area, moment * p["segment_radius"] / (0.5 * polar(p))
+    hole = bent(p, found.axial) if bending else Bent(*[jnp.zeros(count)] * 4)
+    axial, outer = found.axial / area, jnp.maximum(moment, hole.moment) * p["segment_radius"] / (0.5 * polar(p))
     return Segments(
         found.torque / torsional_stiffness(p), -found.axial * p["segment_length"] / (p["segment_modulus"] * area),
-        moment, shear, axial, bending, jnp.sqrt((axial + bending) ** 2 + 3.0 * shear**2),
+        moment, shear, axial, outer, jnp.sqrt((axial + outer) ** 2 + 3.0 * shear**2),
+        hole.bow, *swayed(p, found.axial, moment),
     )  # fmt: skip
 
 
@@ -169,6 +203,7 @@ class StringModel(AbstractModel):
     joint: JointModel = eqx.field(static=True)
     count: int = eqx.field(static=True)
     kind: str = eqx.field(static=True, default="string")
+    bending: bool = eqx.field(static=True, default=False)
     samples: int = eqx.field(static=True, default=301)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
@@ -216,15 +251,19 @@ class StringModel(AbstractModel):
         return {"lump": self.count, "joint": self.count}
 
     @property
+    def _own(self) -> dict[str, tuple[float, str]]:
+        return DEFAULTS | (BENDING if self.bending else {})
+
+    @property
     def quantities(self) -> dict[str, Quantity]:
         """The string's, then the joint's without what the string tells each."""
-        own = {name: CATALOGUE[name] for name in DEFAULTS}
+        own = {name: CATALOGUE[name] for name in self._own}
         return own | {name: x for name, x in self.joint.quantities.items() if name not in _TOLD}
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
         """As ``quantities``."""
-        own = tuple((name, value) for name, (value, _) in DEFAULTS.items())
+        own = tuple((name, value) for name, (value, _) in self._own.items())
         return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
 
     def horizon(self, params: Params) -> Array:
@@ -234,9 +273,9 @@ class StringModel(AbstractModel):
 
     def joints(self, params: Params) -> Params:
         """Parameters of the joints, each (n,)."""
-        found = loads(params, self.count)
+        found = loads(params, self.count, self.bending)
         told = {"joint_angle": found.bend, "load_torque": found.torque, "axial_load": found.axial}
-        shared = {name: value for name, value in params.items() if name not in DEFAULTS}
+        shared = {name: value for name, value in params.items() if name not in self._own}
         return told | {name: jnp.broadcast_to(value, (self.count,)) for name, value in shared.items()}
 
     def prepare(self, params: Params) -> Any:
@@ -307,7 +346,9 @@ class StringModel(AbstractModel):
         where = where or WHERE
         if any(is_traced(x) or np.ndim(x) for x in params.values()):
             return
-        _check({name: float(params[name]) for name in (*DEFAULTS, "drive_speed")}, where)
+        numbers = {name: float(params[name]) for name in (*self._own, "drive_speed")}
+        _check(numbers, where)
+        check_length(numbers, self.bending, where)
         self._check_drive(params, where)
         self.joint.check({name: np.asarray(value)[0] for name, value in self.joints(params).items()}, where)
 
@@ -318,16 +359,22 @@ class StringModel(AbstractModel):
     def _check_drive(self, params: Params, where: str) -> None:
         given, has = float(params["bit_torque"]), float(params["drive_torque"])
         top, weight = self.greatest(params)
-        told = loads({**params, "bit_torque": jnp.asarray(top), "weight_on_bit": jnp.asarray(weight)}, self.count)
+        greatest = {**params, "bit_torque": jnp.asarray(top), "weight_on_bit": jnp.asarray(weight)}
+        told = loads(greatest, self.count, self.bending)
         needed, pushed = float(told.drive_torque), float(told.hook_load)
         if needed > has:
             grows = self.greatest({**params, "bit_torque": jnp.asarray(given + 1.0)})[0] - top
             found = f"{given:g} N m at the bit{f', {top:g} N m at its greatest,' if top != given else ''} takes "
             found += f"{needed:.5g} N m at the drive, which has {has:g} N m"
             most = given - (needed - has) / grows
-            # What the wall takes may be more than the drive has.
-            less = f"at most {most:.5g} N m" if most > 0.0 else "less weight_on_bit"
-            remedy = f"give {less}, or a drive_torque of {needed:.5g} N m"
+            # What the wall takes may be more than the drive has; of it what follows the weight, and what bends segments.
+            idle = loads({**greatest, "weight_on_bit": jnp.zeros(())}, self.count, self.bending).drive_torque
+            lighter = weight * (has - float(idle)) / (needed - float(idle)) if needed > float(idle) else 0.0
+            less = f"at most {most:.5g} N m, or " if most > 0.0 else ""
+            if most <= 0.0 and lighter > 0.0:
+                steady = weight == float(params["weight_on_bit"])
+                less = f"a weight_on_bit of at most {lighter:.4g} N, or " if steady else "less weight_on_bit, or "
+            remedy = f"give {less}a drive_torque of {needed:.5g} N m"
             raise InputError(f"{where} bit_torque", found, remedy)
         bears = float(buckling_force(params))
         if pushed > bears:
@@ -336,8 +383,8 @@ class StringModel(AbstractModel):
 
     def chain(self, params: Params) -> Chain:
         """The hole's axis from the drive (0, 0) downwards, a joint at each corner, and what each hands down."""
-        found, radius = loads(params, self.count), float(params["hole_radius"])
-        bend = float(found.bend[0])
+        found, radius = loads(params, self.count, self.bending), float(params["hole_radius"])
+        bend = float(chord(params))
         turn = bend * (0.5 + np.arange(-1, self.count + 1))
         corners = radius * np.stack([1.0 - np.cos(turn), -np.sin(turn)], -1)
         named = {
@@ -345,9 +392,14 @@ class StringModel(AbstractModel):
             "axial force": ("N", found.axial),
             "force of the wall": ("N", found.wall),
         }
+        if self.bending:
+            named["push on the middle"] = ("N", found.pushed)
         pushed = np.asarray(found.wall)[:, None] * np.stack([np.cos(turn[1:-1]), np.sin(turn[1:-1])], -1)
         each = {name: (unit, np.asarray(value)) for name, (unit, value) in named.items()}
-        return Chain("joint", corners - corners[0], pushed, "force of the wall", each)
+        round_ = np.linspace(turn[0], turn[-1], 40 * self.count)
+        aside = radius + np.array([[-1.0], [1.0]]) * float(params["segment_radius"] + params["hole_clearance"])
+        walls = np.stack([radius - aside * np.cos(round_), -aside * np.sin(round_)], -1)
+        return Chain("joint", corners - corners[0], pushed, "force of the wall", each, walls - corners[0])
 
     def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
         """The string has sizes of its own."""
@@ -358,18 +410,20 @@ class StringModel(AbstractModel):
         """Every segment turns as the drive does."""
         del y
         turns = jnp.full(self.count + 1, params["drive_speed"] * t)
-        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
+        return string_drawing.scenery(params, chord(params), turns)
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """``string``: by joint what it hands down and its greatest contact forces, and which is loaded most."""
-        found = loads(params, self.count)
+        found = loads(params, self.count, self.bending)
         peaks = {}
         for contact in self.contacts:
             force = np.abs(np.asarray(run.force[contact.name])[..., 0]).reshape(len(run.times), self.count, -1)
             peaks[contact.name] = np.nanmax(force, axis=(0, 2)).tolist()
         most = int(np.argmax(np.asarray(found.torque))) + 1
         entry: dict[str, Any] = {name: np.asarray(value).tolist() for name, value in found._asdict().items()}
-        entry["segments"] = {k: np.asarray(x).tolist() for k, x in segments(params, self.count)._asdict().items()}
+        entry["segments"] = {
+            k: np.asarray(x).tolist() for k, x in segments(params, self.count, self.bending)._asdict().items()
+        }
         why = f"joint {most} hands down the torque of the bit and of all wall friction below it"
         return {"string": entry | {"peaks": peaks, "most_loaded": most, "why": why}}, {}
 
@@ -381,12 +435,6 @@ def _check(v: dict[str, float], where: str) -> None:
         found = f"{radius:g} m: segments of {length:g} m ask joints to bend by more than {math.degrees(v['bend_limit']):.3g} deg"
         remedy = f"give at least {least:.4g} m, or a segment_length of at most {2.0 * radius * half / least:.4g} m"
         raise InputError(f"{where} hole_radius", found, remedy)
-    longest = 4.0 * math.sqrt(v["hole_clearance"] * (radius + v["segment_radius"]))
-    if length > longest:
-        wide = length**2 / (16.0 * (radius + v["segment_radius"]))
-        found = f"{length:g} m does not pass the bend"
-        remedy = f"give at most {longest:.4g} m, or a hole_clearance of at least {wide:.4g} m"
-        raise InputError(f"{where} segment_length", found, remedy)
     if v["segment_bore"] >= v["segment_radius"]:
         found = f"{v['segment_bore']:g} m"
         raise InputError(f"{where} segment_bore", found, f"give less than segment_radius, {v['segment_radius']:g} m")
@@ -394,5 +442,4 @@ def _check(v: dict[str, float], where: str) -> None:
 
 def buckling_force(params: Any) -> Any:
     """Euler's force of a segment between two joints, pi^2 E I/L^2 [N], I = pi/4 (d^4 - b^4)."""
-    area = 0.25 * math.pi * (params["segment_radius"] ** 4 - params["segment_bore"] ** 4)
-    return math.pi**2 * params["segment_modulus"] * area / params["segment_length"] ** 2
+    return math.pi**2 * rigidity(params) / params["segment_length"] ** 2

@@ -46,7 +46,7 @@ from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.programmes import Programmes, axial_at, drive_at, torque_at
-from bcfj_jax.models.string import StringModel, loads, polar, torsional_stiffness
+from bcfj_jax.models.string import StringModel, chord, handed, polar, torsional_stiffness
 from bcfj_jax.xla.programs import QUICK, ask, program
 
 MOTIONS = ("none", "torsional")
@@ -111,7 +111,7 @@ class Wall(CoordinateLoad):
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
         """Against the turning of every member."""
-        told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p)}
+        told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p) + p["wall_kept"]}
         return -Coulomb().coefficient(rate, told | {"friction_speed": p["wall_speed"] / p["segment_radius"]})
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
@@ -322,7 +322,7 @@ class MovingString(StringModel):
         told = {name: params[name] for name in self.quantities if name in params}
         if any(is_traced(x) for x in told.values()):
             return {**params, _STIFFNESS: joint_stiffness(self, told)}
-        rest = StringModel(self.joint, self.count)
+        rest = StringModel(self.joint, self.count, bending=self.bending)
         return {**params, _STIFFNESS: program(_STIFFNESS, joint_stiffness, (rest,), (told,), QUICK)[0](told)}
 
     def prepare(self, params: Params) -> dict[str, Array]:
@@ -337,9 +337,11 @@ class MovingString(StringModel):
         if self.flexible:
             each = each.at[0].set(1.0 / (1.0 / each[0] + 1.0 / params["drive_stiffness"]))
             damping = damping.at[0].set(params["drive_damping"])
-        # Joint i hands down what is left below its own bend: the wall there takes its share from the lump above.
-        above, wall = jnp.split(loads({**params, "weight_on_bit": jnp.ones(())}, self.count).around, [1])
-        held = {"wall_arm": jnp.append(wall, 0.0), "wall_arm_above": above[0]}
+        # Joint i hands down what is left below its own bend: the wall there takes its share from the lump above. What bends
+        # segments does not follow the weight.
+        arms = handed({**params, "weight_on_bit": jnp.ones(())}, self.count)
+        kept = handed(params, self.count, True) - handed(params, self.count) if self.bending else jnp.zeros_like(arms)
+        held = {"wall_arm": arms[1:], "wall_kept": kept[1:], "wall_arm_above": arms[0], "wall_kept_above": kept[0]}
         return {**params, **held, "coupling": each, "coupling_damping": damping}
 
     def initial_state(self, params: Params) -> Array:
@@ -411,7 +413,7 @@ class MovingString(StringModel):
     def _top(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
         """Speed of the drive [rad/s], its torque, and what of it the wall takes from the upper connection [N m]."""
         speed, wall = self._springs(t, y, prepared)[3], self.torsion.loads[1]
-        told = {**prepared, "wall_arm": prepared["wall_arm_above"]}
+        told = {**prepared, "wall_arm": prepared["wall_arm_above"], "wall_kept": prepared["wall_kept_above"]}
         rubs = -wall.on_coordinate(t, 0.0, speed, told)  # pyright: ignore[reportAttributeAccessIssue]
         return speed, self.torque(t, y, prepared)[0] + rubs, rubs
 
@@ -475,7 +477,7 @@ class MovingString(StringModel):
         over = self._shaft.programmes
         top = params["drive_speed"] * t if over.drive is None else drive_at(over, t, params)[0]
         turns = jnp.concatenate([jnp.asarray(top)[None], y[: self.count]])
-        return string_drawing.scenery(params, loads(params, 1).bend[0], turns)
+        return string_drawing.scenery(params, chord(params), turns)
 
     def chain(self, params: Params) -> Chain:
         """Of steady turning, and called so."""
@@ -521,4 +523,5 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
     names |= {name: value for name, (value, _) in LUGRE.items() if law and law.bristles}
     tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed", "weight_on_bit": "axial_load"}
     names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
-    return MovingString(scene.joint, count, torsion=torsion, names=tuple(names.items()), flexible=flexible)
+    own: Any = {"torsion": torsion, "names": tuple(names.items()), "flexible": flexible}
+    return MovingString(scene.joint, count, bending=scene.bending, **own)

@@ -40,7 +40,7 @@ def _law(bit: str, options: JointOptions) -> AbstractFriction | None:
     return make_friction(bit)
 
 
-def _made(n: int, motion: str, bit: str, options: JointOptions) -> StringModel:
+def _made(n: int, motion: str, bending: bool, bit: str, options: JointOptions) -> StringModel:
     count = whole(f"{WHERE} n", n, least=1, most=limits.MEMBERS)
     if motion not in MOTIONS:
         raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
@@ -52,13 +52,13 @@ def _made(n: int, motion: str, bit: str, options: JointOptions) -> StringModel:
     joint = JointModel(**structure(usual))
     if motion == "torsional":
         moving = JointModel(**structure(replace(options, fidelity="dynamic")))
-        return in_motion(StringModel(joint, count), moving, _law(bit, options))
+        return in_motion(StringModel(joint, count, bending=bending), moving, _law(bit, options))
     if options != usual or bit != "none":
         found = "a drive or a load over time in a string without motion"
         raise InputError(
             f"{WHERE} motion", found, "give motion = 'torsional', or leave the options of drive and loads out"
         )
-    return StringModel(joint, count)
+    return StringModel(joint, count, bending=bending)
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ class _Options:
             and lumps between them turn with inertia; drive and loads may then be over time.
         fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
             quasistatic: equilibrium under the torque that passes through each, without friction.
+        bending: whether segments bend: those that do not pass straight pass bent, pressed on the wall in their middle.
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre. none: the bit's torque is what the loads say. Others: it
             is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width; of lugre
             the bit holds, by bristles.
@@ -78,6 +79,7 @@ class _Options:
 
     n: int = 5
     motion: str = "none"
+    bending: bool = False
     bit_friction: str = "none"
     materials: JointMaterials = field(default_factory=JointMaterials)
     geometry: JointGeometry = field(default_factory=JointGeometry)
@@ -88,13 +90,15 @@ class _Options:
 
 
 def string(
-    n: int = 5, motion: str = "none", bit_friction: str = "none", fidelity: str = "quasistatic", **groups: Any
-) -> StringModel:
+    n: int = 5, motion: str = "none", bending: bool = False, bit_friction: str = "none", fidelity: str = "quasistatic",
+    **groups: Any,
+) -> StringModel:  # fmt: skip
     """``n`` equal ball-cage joints with segments in a curved hole, from drive to bit (``models.string``).
 
     Args:
         n: number of joints.
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
+        bending: whether segments bend where they do not pass straight (``models.string_bending``).
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre: a friction law of the bit, in place of a torque.
         fidelity: one of kinematic, quasistatic: of the joints' contact forces.
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
@@ -105,14 +109,15 @@ def string(
     known = ("geometry", "cage", "materials", "drive", "loads")
     for name in groups:
         if name not in known:
-            raise InputError(
-                WHERE, f"no option '{name}'", nearest(name, ("n", "motion", "bit_friction", "fidelity", *known))
-            )
+            own = ("n", "motion", "bending", "bit_friction", "fidelity")
+            raise InputError(WHERE, f"no option '{name}'", nearest(name, (*own, *known)))
     options = JointOptions(fidelity=fidelity, **{key: group for key, group in groups.items() if group is not None})
-    return _made(n, motion, bit_friction, options)
+    return _made(n, motion, bending, bit_friction, options)
 
 
 @keyed(_Options)
-def string_of_keys(n: int = 5, motion: str = "none", bit_friction: str = "none", **given: Any) -> StringModel:
+def string_of_keys(
+    n: int = 5, motion: str = "none", bending: bool = False, bit_friction: str = "none", **given: Any
+) -> StringModel:
     """n ball-cage joints in a curved hole from the keys of [scene] of a scene file."""
-    return _made(n, motion, bit_friction, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))
+    return _made(n, motion, bending, bit_friction, with_keys(JointOptions(fidelity="quasistatic"), given, WHERE))

@@ -138,6 +138,22 @@ def test_what_is_refused_is_told_with_the_number_that_would_do(more, key, motion
     scene.check(scene.parameters(mended))
 
 
+def test_where_the_wall_takes_more_than_the_drive_has_the_weight_that_would_do_is_told():
+    scene = bj.scenes.string(n=10, fidelity="kinematic")
+    given = {"weight_on_bit": 2e6, "segment_modulus": 1e13}
+    with pytest.raises(bj.InputError, match="a weight_on_bit of at most") as refused:
+        scene.check(scene.parameters(given))
+    most = float(str(refused.value).split("at most ")[1].split()[0])
+    scene.check(scene.parameters(given | {"weight_on_bit": 0.999 * most}))
+    with pytest.raises(bj.InputError, match="takes"):
+        scene.check(scene.parameters(given | {"weight_on_bit": 1.001 * most}))
+    # No weight at all would do where the drive has less than the bit takes.
+    with pytest.raises(bj.InputError, match=r"give a drive_torque of 2804\.4 N m"):
+        scene.check(scene.parameters(drive_torque=1000.0))
+    with pytest.raises(bj.InputError, match="give a hole_clearance of at least"):
+        scene.check(scene.parameters(hole_clearance=0.0))
+
+
 def test_a_string_has_no_motion_of_its_own():
     with pytest.raises(bj.InputError, match="exchange no dynamics"):
         bj.scenes.string(fidelity="dynamic")

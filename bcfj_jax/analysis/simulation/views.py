@@ -149,6 +149,8 @@ def chain(found: Chain, path: Path) -> Picture:
     said, each = [], np.arange(1, len(found.pushes) + 1)
     with panels(1 + len(found.loads), 2, path, 4.3, 3.6) as (place, *axes):
         x, y = found.corners.T
+        for wall in found.walls:
+            place.plot(*wall.T, "-", color=COLOURS[5], linewidth=0.8)
         place.plot(x, y, "-", color=COLOURS[5], linewidth=2.0)
         place.plot(x[1:-1], y[1:-1], "o", color=COLOURS[0], markersize=4)
         most = float(np.hypot(*found.pushes.T).max(initial=0.0))
@@ -163,6 +165,8 @@ def chain(found: Chain, path: Path) -> Picture:
             axis.plot(each, values * scale, "o-", color=COLOURS[0], markersize=4)
             axis.set(title=name, xlabel=f"{found.link}, from the drive", ylabel=label(name, unit, prefix))
             axis.ticklabel_format(useOffset=False)
+            # From 0, so that what hardly changes along the row is seen as such.
+            axis.set_ylim(min(0.0, 1.1 * values.min() * scale), max(0.0, 1.1 * values.max() * scale) or None)
             axis.xaxis.set_major_locator(MaxNLocator(integer=True))
             highest = int(np.argmax(np.abs(values)))
             said.append(f"{name} {span(values, unit)}, highest at {found.link} {highest + 1}")
