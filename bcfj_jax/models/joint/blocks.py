@@ -133,6 +133,7 @@ def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
     decay = -jnp.stack([felt[..., i, 0, i * width] for i in range(faces)], -1)
     bent, swung = _seen(jax.tree.map(lambda x: x[..., None, :], part.motion), outer[..., None, :], bent, swung)
     if width == 3:
+        assert bending is not None
         # Bristles turn with the first body.
         held = _turned(state)
         bent = bent.at[..., 3:].add(_turned(bending) + decay[..., None, None] * held)
@@ -154,11 +155,10 @@ def _turned(x: Array) -> Array:
 
 def _seen(motion: system.Motion, outer: Array, place: Array, twist: Array) -> tuple[Array, Array]:
     """By (dp, t) and (dv, dw, dW), of derivatives by the relative motion (module docstring), (..., o, .)."""
-    arm, velocity, spin = (None if x is None else x[..., None, :] for x in motion)
-    by_velocity = twist[..., :3]
+    arm, velocity, by_velocity = motion.arm[..., None, :], motion.velocity[..., None, :], twist[..., :3]
     turned, swung = jnp.cross(place, arm) + jnp.cross(by_velocity, velocity), jnp.cross(by_velocity, arm)
-    if spin is not None:
-        turned, swung = turned + jnp.cross(twist[..., 3:], spin), swung - twist[..., 3:]
+    if motion.spin is not None:
+        turned, swung = turned + jnp.cross(twist[..., 3:], motion.spin[..., None, :]), swung - twist[..., 3:]
     displaced = place - jnp.cross(by_velocity, outer[..., None, :])
     return jnp.concatenate([displaced, turned], -1), jnp.concatenate([twist, swung], -1)
 
