@@ -1,21 +1,22 @@
-"""Derivatives of the joint's contact wrenches: by relative motion, then by its coordinates.
+"""Derivatives of the joint's contact wrenches, by the coordinates of the bodies that touch.
 
-Contacts are independent, so that derivatives by relative place and relative twist (``slopes``) take nine tangents at most. The
-chain to the coordinates (``blocks``), for a wrench W on a ball from a body with arm r, relative twist h and angular velocity w:
+Contacts are independent, so that a few tangents serve all of them (``slopes``). A contact's force and moment on its second body
+(a ball, an inner sphere) follow from how that body moves as the first one sees it. Where the first body turns by t they turn with
+it, and what it sees turns by -t:
 
-    ball place p:      A = K - C_v [w]x            body place:    -A
-    ball twist:        C                           body twist:    -C B,  B = (I, -[r]x; 0, I)
-    body rotation:     G = K [r]x + C [h]x - [W]x  (the body's axes turn; the ball does not)
+    second body moves by dp           arm + dp,  velocity - W x dp
+    first body turns by t             arm - t x arm,  velocity, spin and bristles likewise;  found + t x found
+    twist (dv, dw), first's spin dW   velocity + dv - dW x arm,  spin + dw - dW
 
-and the body feels  -B' W,  whose arm also moves with p. K = dW/dplace, C = dW/dtwist, all in world axes.
+with W the first body's angular velocity. It moves by d where the second one moves by -d. It feels the force -F, and the moment
+-(M + arm x F) about its own centre. All in world axes.
 
-Friction's states (``bristles``) are eliminated face by face. A face's row of  (I/s - J) x = r  is, with a body that turns
-at W and is displaced by a rotation t (``contacts.act``),
+Friction's states z (``bristles``) are eliminated face by face: a face's row of  (I/s - J) x = r  is
 
-    M dz = r + Z_p dp + Z_h dh - (a [z]x + [Z]x) t - [z]x dW,        M = (1/s + a) I - [W]x
+    N dz = r + Z dx,    N = (1/s + a) I - [W]x,    Z dx = the change of z' by all other states,
 
-where dp and dh are changes as the body sees them. So dz is known once the bodies are, and what a wrench changes by dz
-goes into its slopes: an effective friction slope of the step. A slip speed of late does not turn: [.]x and t fall out.
+so dz is known once the bodies are, and what a wrench changes by dz goes into its slopes: an effective friction slope of the
+step. A slip speed of late does not turn, and has a number in place of the 3 of a bristle.
 """
 
 from __future__ import annotations
@@ -31,38 +32,9 @@ from bcfj_jax.models.joint.bands import act
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, dot
 from bcfj_jax.models.joint.scene import Joint
-from bcfj_jax.models.joint.system import Part, cross_columns
+from bcfj_jax.models.joint.system import Part
 from bcfj_jax.xla.kept import kept
 from bcfj_jax.xla.small import block_diagonal, product
-
-
-class Bond(NamedTuple):
-    """The bristles z of each face, ``contacts.act``: Z = z' less W x z, and its derivatives.
-
-    Or the slip speed of late w, Z = w', which does not turn with a body: then 1 in place of the last 3 of z.
-
-    Attributes:
-        bristles, bending: (..., f, 3) z [m] and Z [m/s].
-        pull: (..., f, k, 3) derivative of the wrench by z.
-        by_place, by_twist: (..., f, 3, 3) and (..., f, 3, k) derivatives of Z.
-        decay: (..., f) a [1/s]; by z, the derivative of Z is -a.
-    """
-
-    bristles: Array
-    bending: Array
-    pull: Array
-    by_place: Array
-    by_twist: Array
-    decay: Array
-
-
-class Slopes(NamedTuple):
-    """Wrench (..., k) of ``act``, its derivatives by place (..., k, 3) and by twist (..., k, k); its bristles'."""
-
-    value: Array
-    by_place: Array
-    by_twist: Array
-    bond: Bond | None = None
 
 
 class _Linear(ContactLaws):
@@ -96,86 +68,116 @@ def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
     return _Linear(laws.law, laws.friction, laws.coefficients, laws.smoothing, at, held)
 
 
-def slopes(part: Part) -> Slopes:
-    """Derivatives of ``act`` for contacts by relative place and twist; k = 3 or 6.
+class Faces(NamedTuple):
+    """Friction's states of each face, w numbers:  dz = inverse r + place dx + rate dx',  with x and x' as of ``Slopes``.
 
-    Contacts are independent: one tangent serves all of them at once.
+    Attributes:
+        inverse: (..., f, w, w); place: (..., f, w, 6); rate: (..., f, w, k + 3).
+        pull: (..., o, f w) derivative of what the contact exerts by z.
     """
-    laws, geometry, bristles = part.laws, part.geometry, part.bristles
-    place, velocity, spin = part.motion
-    twist = (velocity,) if spin is None else (velocity, spin)
-    at = geometry(place)
-    if bristles is None:
-        laws = _linear(laws, act(laws, at, velocity, spin))
-
-    def wrench(at: Any, *twist: Array, bristles: Array | None = bristles) -> tuple[Array, Array | None]:
-        touch = act(laws, at, twist[0], twist[1] if len(twist) > 1 else None, bristles)
-        force = touch.force if touch.moment is None else jnp.concatenate([touch.force, touch.moment], -1)
-        return force, touch.bending
-
-    def along(way: Array) -> Any:
-        return jax.jvp(lambda p: wrench(geometry(p), *twist), (place,), (jnp.broadcast_to(way, place.shape),))[1]
-
-    def moving(way: Array) -> Any:
-        tangents = tuple(jnp.broadcast_to(x, place.shape) for x in way)
-        return jax.jvp(lambda *twist: wrench(at, *twist), twist, tangents)
-
-    # Apart, so that the geometry is differentiated by the place alone.
-    by_place, bent = jax.vmap(along, out_axes=-1)(jnp.eye(3))
-    ways = jnp.eye(3 * len(twist)).reshape(-1, len(twist), 3)
-    (value, bending), (by_twist, swung) = jax.vmap(moving, out_axes=(None, -1))(ways)
-    if bending is None or bristles is None:
-        return Slopes(value, by_place, by_twist)
-    shape = bristles.shape[-2:]
-
-    def by_state(way: Array) -> Any:
-        bent = jnp.broadcast_to(way, bristles.shape)
-        return jax.jvp(lambda z: wrench(at, *twist, bristles=z), (bristles,), (bent,))[1]
-
-    pull, felt = jax.vmap(by_state, out_axes=-1)(jnp.eye(shape[0] * shape[1]).reshape(-1, *shape))
-    pull = jnp.moveaxis(pull.reshape(*pull.shape[:-1], *shape), -2, -3)
-    decay = -jnp.stack([felt[..., i, 0, i * shape[1]] for i in range(shape[0])], -1)
-    return Slopes(value, by_place, by_twist, Bond(bristles, bending, pull, bent, swung, decay))
-
-
-class Freed(NamedTuple):
-    """A face's dz = inverse r + place dp + twist dh + turn t + spin dW, and ``Bond``'s pull; (..., f, 3 | k, .)."""
 
     inverse: Array
     place: Array
-    twist: Array
-    turn: Array
-    spin: Array
+    rate: Array
     pull: Array
 
 
-def free(bond: Bond, outer: Array, scale: Array) -> Freed:
-    """Bristles of faces in terms of everything else (module docstring); ``outer`` (..., 3) is W, ``scale`` s [s]."""
-    share = (scale / (1.0 + scale * bond.decay))[..., None, None]
-    if bond.bristles.shape[-1] == 1:
-        still = jnp.zeros((*bond.bristles.shape, 3))
-        return Freed(share, share * bond.by_place, share * bond.by_twist, still, still, bond.pull)
-    eye = jnp.eye(3)
-    bristles, bending = bond.bristles[..., None, :], bond.bending[..., None, :]
-    # (I - [w]x)^-1 = (I + [w]x + w w')/(1 + w.w), w = W/(1/s + a).
-    w = share * outer[..., None, None, :]
-    inverse = share * (eye + jnp.cross(eye, w) + w.swapaxes(-1, -2) * w) / (1.0 + jnp.sum(w * w, -1, keepdims=True))
-    spin = -jnp.cross(inverse, bristles)
-    turn = bond.decay[..., None, None] * spin - jnp.cross(inverse, bending)
-    return Freed(inverse, inverse @ bond.by_place, inverse @ bond.by_twist, turn, spin, bond.pull)
+class Slopes(NamedTuple):
+    """Derivatives of what contacts exert, (..., o): force on the second body, moment about its centre where it spins, and
+    moment about the first body's centre. Friction's states are eliminated from them.
+
+    Attributes:
+        place: (..., o, 6) by the second body's displacement dp, the first one's rotation t.
+        rate: (..., o, k + 3) by the second body's twist (dv, dw) or velocity dv, the first one's spin dW.
+        faces: friction's states.
+    """
+
+    place: Array
+    rate: Array
+    faces: Faces | None = None
 
 
-def effective(found: Slopes, freed: Freed) -> tuple[Slopes, Array, Array]:
-    """Slopes with the bristles' part, and what a wrench changes by t and dW besides, (..., k, 3) both."""
-    assert found.bond is not None
-    if found.bond.bristles.shape[-1] == 1:
-        # Column times row: elementwise, as tiny products of matrices are slow.
-        place, twist = (jnp.sum(freed.pull * x, -3) for x in (freed.place, freed.twist))
-        still = jnp.zeros_like(place)
-        return Slopes(found.value, found.by_place + place, found.by_twist + twist), still, still
-    turn = freed.turn + jnp.cross(jnp.eye(3), found.bond.bristles[..., None, :])
-    place, twist, turn, spin = (jnp.sum(freed.pull @ x, -3) for x in (freed.place, freed.twist, turn, freed.spin))
-    return Slopes(found.value, found.by_place + place, found.by_twist + twist), turn, spin
+def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
+    """Of contacts whose first bodies turn at ``outer`` (..., 3) [rad/s]; friction's states in a step of s = ``scale`` [s]."""
+    laws, geometry, state = part.laws, part.geometry, part.bristles
+    arm, *twist = (x for x in part.motion if x is not None)
+    at, size = geometry(arm), len(twist)
+    if state is None:
+        laws = _linear(laws, act(laws, at, *part.motion[1:]))
+
+    def found(at: Any, state: Array | None, *twist: Array) -> tuple[Array, Array | None]:
+        touch = act(laws, at, twist[0], twist[1] if size > 1 else None, state)
+        return system.wrench(touch), touch.bending
+
+    def displaced(way: Array) -> Any:
+        return jax.jvp(lambda arm: found(geometry(arm), state, *twist), (arm,), (jnp.broadcast_to(way, arm.shape),))[1]
+
+    def moving(way: Array) -> Any:
+        ways = tuple(jnp.broadcast_to(x, arm.shape) for x in way)
+        return jax.jvp(lambda *twist: found(at, state, *twist), tuple(twist), ways)
+
+    # Apart, so that the geometry is differentiated by the place alone.
+    by_place, bent = jax.vmap(displaced, out_axes=-1)(jnp.eye(3))
+    ways = jnp.eye(3 * size).reshape(-1, size, 3)
+    (value, bending), (by_twist, swung) = jax.vmap(moving, out_axes=(None, -1))(ways)
+    place, rate = _seen(part.motion, outer, by_place, by_twist)
+    place = place.at[..., 3:].add(jnp.concatenate([_turned(value[..., i : i + 3]) for i in range(0, 3 * size, 3)], -2))
+    if state is None:
+        return Slopes(_about(arm, place, value), _about(arm, rate))
+
+    def stirred(way: Array) -> Any:
+        return jax.jvp(lambda z: found(at, z, *twist), (state,), (jnp.broadcast_to(way, state.shape),))[1]
+
+    faces, width = state.shape[-2:]
+    pull, felt = jax.vmap(stirred, out_axes=-1)(jnp.eye(faces * width).reshape(-1, faces, width))
+    decay = -jnp.stack([felt[..., i, 0, i * width] for i in range(faces)], -1)
+    bent, swung = _seen(jax.tree.map(lambda x: x[..., None, :], part.motion), outer[..., None, :], bent, swung)
+    if width == 3:
+        assert bending is not None
+        # Bristles turn with the first body.
+        held = _turned(state)
+        bent = bent.at[..., 3:].add(_turned(bending) + decay[..., None, None] * held)
+        swung = swung.at[..., -3:].add(held)
+        place = place.at[..., 3:].add(-pull @ held.reshape(*held.shape[:-3], -1, 3))
+    inverse = _inverse(scale / (1.0 + scale * decay), outer, width)
+    bent, swung = product(inverse, bent), product(inverse, swung)
+    place, rate = (
+        _about(arm, x + product(pull, freed.reshape(*freed.shape[:-3], -1, freed.shape[-1])), *rest)
+        for x, freed, *rest in ((place, bent, value), (rate, swung))
+    )
+    return Slopes(place, rate, Faces(inverse, bent, swung, _about(arm, pull)))
+
+
+def _turned(x: Array) -> Array:
+    """t x x by t, (..., 3, 3)."""
+    return jnp.cross(x[..., None, :], jnp.eye(3))
+
+
+def _seen(motion: system.Motion, outer: Array, place: Array, twist: Array) -> tuple[Array, Array]:
+    """By (dp, t) and (dv, dw, dW), of derivatives by the relative motion (module docstring), (..., o, .)."""
+    arm, velocity, by_velocity = motion.arm[..., None, :], motion.velocity[..., None, :], twist[..., :3]
+    turned, swung = jnp.cross(place, arm) + jnp.cross(by_velocity, velocity), jnp.cross(by_velocity, arm)
+    if motion.spin is not None:
+        turned, swung = turned + jnp.cross(twist[..., 3:], motion.spin[..., None, :]), swung - twist[..., 3:]
+    displaced = place - jnp.cross(by_velocity, outer[..., None, :])
+    return jnp.concatenate([displaced, turned], -1), jnp.concatenate([twist, swung], -1)
+
+
+def _about(arm: Array, change: Array, value: Array | None = None) -> Array:
+    """Changes of wrenches (..., k, x), and of their moments about the first body's centre; ``value``: whose arm moves by dp."""
+    moment = jnp.cross(arm[..., None], change[..., :3, :], axis=-2)
+    moment = moment + change[..., 3:, :] if change.shape[-2] == 6 else moment
+    moment = moment if value is None else moment.at[..., :3].add(_turned(value[..., :3]))
+    return jnp.concatenate([change, moment], -2)
+
+
+def _inverse(share: Array, outer: Array, width: int) -> Array:
+    """N^-1 (..., f, w, w), with 1/share = 1/s + a:  (I - [w]x)^-1 = (I + [w]x + w w')/(1 + w.w),  w = W share."""
+    share = share[..., None, None]
+    if width == 1:
+        return share
+    eye, w = jnp.eye(3), share * outer[..., None, None, :]
+    return share * (eye + jnp.cross(eye, w) + w.swapaxes(-1, -2) * w) / (1.0 + jnp.sum(w * w, -1, keepdims=True))
 
 
 class Bristled(NamedTuple):
@@ -211,12 +213,6 @@ class Blocks(NamedTuple):
     bristles: Bristled | None = None
 
 
-def _moment(arm: Array, wrench: Array) -> Array:
-    """About the bodies' centres (n, m, 3, j), of wrenches on the balls (n, m, k, j): r x f + moment."""
-    moment = cross_columns(arm, wrench[..., :3, :])
-    return moment + wrench[..., 3:, :] if wrench.shape[-2] == 6 else moment
-
-
 def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
     """From displacements and rotations of the bodies (..., m, j, 3) to coupling coordinates (..., j, coupling)."""
     parts = {
@@ -230,49 +226,23 @@ def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
 
 
 def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
-    """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b); bristles' ``_rows``.
+    """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b).
 
-    Spheres have no axes, so only the distance p of the centres and the relative twist count, and
-    dv = ... - w_outer x dp; the forces' map moves with p too. Bands turn with the cage, as windows do.
+    And of the pilots' faces: inverse, the coupling's forces by them (k, b, w), they by coupling displacement and rate (k, w, b).
     """
     b = scene.coupling
-    place, rate, rows = jnp.zeros((b, b)), jnp.zeros((b, b)), []
-    pilots, tilt = system.piloted(scene, c, state), scene.slices["cage_turn"]
-    whole, spins = system.guided(scene, c, state) if pilots else (None, jnp.zeros((0, 3)))
-    every = None if whole is None else system.guide_maps(scene, c, whole.arm)
-    first = 0
-    for part in pilots:
+    place, rate, rows, first = jnp.zeros((b, b)), jnp.zeros((b, b)), [], 0
+    for part in system.piloted(scene, c, state):
         at = slice(first, first + len(part.names))
-        first, maps, spin = at.stop, jax.tree.map(lambda x, at=at: x[at], every), spins[at]
-        motion, found, freed = part.motion, slopes(part), None
-        if found.bond is not None:
-            freed = free(found.bond, spin, scale)
-            found, _, by_spin = effective(found, freed)
-        value, by_place, by_twist = kept(*found[:3])
-        back = jnp.swapaxes(maps.twist, -1, -2)
-        at_inner, turned, _ = _seen(motion, spin, by_place, by_twist)
-        displaced = product(at_inner, maps.place)
-        if scene.banded and tilt is not None:
-            carried = [jnp.cross(value[:, None, part], jnp.eye(3)) for part in (slice(3), slice(3, 6))]
-            displaced = displaced.at[..., tilt].add(turned + jnp.concatenate(carried, -2))
-        displaced, moved = kept(displaced, product(by_twist, maps.twist))
-        # Outer spheres carry their material with the inner centres.
-        lever = jnp.swapaxes(cross_columns(value[:, :3], maps.turning), -1, -2)
-        place = place + jnp.sum(product(back, displaced) - product(lever, maps.place), 0)
-        rate = rate + jnp.sum(product(back, moved), 0)
-        if freed is None:
-            continue
-        at_inner, turned, _ = _seen(motion, spin, freed.place[:, 0], freed.twist[:, 0])
-        by_place, by_rate = at_inner @ maps.place, freed.twist[:, 0] @ maps.twist
-        if scene.width == 3:
-            # An outer sphere's spin turns its bristles.
-            rate = rate + jnp.sum(back @ by_spin @ maps.turning, 0)
-            by_rate = by_rate + freed.spin[:, 0] @ maps.turning
-        if scene.banded and tilt is not None:
-            by_place = by_place.at[..., tilt].add(turned)
-        rows += [
-            (freed.inverse[i], back[i] @ freed.pull[i, 0], by_place[i], by_rate[i]) for i in range(first - at.start)
-        ]
+        first, maps = at.stop, system.guide_maps(scene, c)[at]
+        found = slopes(part, system.guided(scene, c, state)[1][at], scale)
+        back = jnp.swapaxes(maps * system.FELT[:, None], -1, -2)
+        moved = jnp.concatenate([maps[:, :3], maps[:, 6:]], 1)
+        displaced, swung = kept(product(found.place, moved), product(found.rate, maps))
+        place, rate = (x + jnp.sum(product(back, y), 0) for x, y in ((place, displaced), (rate, swung)))
+        if (faces := found.faces) is not None:
+            by = back @ faces.pull, faces.place[:, 0] @ moved, faces.rate[:, 0] @ maps
+            rows += zip(faces.inverse, *by, strict=True)
     if scene.drive == "flexible":
         seat = scene.slices["seat_turn"]
         assert seat is not None
@@ -280,40 +250,24 @@ def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple
     return place, rate, rows
 
 
-def _seen(motion: system.Motion, spins: Array, by_place: Array, by_twist: Array) -> tuple[Array, Array, Array]:
-    """A, K [r]x + C [h]x and -C B's last columns (module docstring), (..., i, 3) each, of bodies that turn at ``spins``."""
-    arm, velocity, by_velocity = motion.arm[..., None, :], motion.velocity[..., None, :], by_twist[..., :3]
-    at_ball = by_place - jnp.cross(by_velocity, spins[..., None, :])
-    turned, swung = jnp.cross(by_place, arm) + jnp.cross(by_velocity, velocity), jnp.cross(by_velocity, arm)
-    if motion.spin is None:
-        return at_ball, turned, swung
-    by_spin = by_twist[..., 3:]
-    return at_ball, turned + jnp.cross(by_spin, motion.spin[..., None, :]), swung - by_spin
-
-
-def _rows(c: Constants, relative_motions: system.RelativeMotions, freed: Freed, bodies: Any) -> tuple[Array, ...]:
+def _rows(maps: Array, faces: Faces, k: int) -> tuple[Array, ...]:
     """States of ball contacts' friction: their inverses, the balls' and the coupling's forces by them, they by all states.
 
-    With m the bodies and w numbers a face, their product with the faces F:
+    With m the bodies, ``maps`` (m, 6, b) theirs, and w numbers a face, their product with the faces F:
     (n, m f, w, w); (n, k, F), (n, b, F); (n, F, 3 | k | b | b) by ball place and twist, coupling place and rate.
     """
-    motion, maps = jax.tree.map(lambda x: x[:, bodies], relative_motions.motion), c.body_maps[bodies]
-    n, m = freed.place.shape[:2]
-    by_place, by_twist, turn, spin = (
-        x.reshape(n, m, -1, x.shape[-1]) for x in (freed.place, freed.twist, freed.turn, freed.spin)
-    )
-    at_ball, turned, swung = _seen(motion, relative_motions.spins[bodies], by_place, by_twist)
-    turned, swung = turned + turn, swung + spin
-    own = jnp.stack([jnp.concatenate([-at_ball, turned], -1), jnp.concatenate([-by_twist[..., :3], swung], -1)])
+    n, m = faces.place.shape[:2]
+    place, rate = (x.reshape(n, m, -1, x.shape[-1]) for x in (faces.place, faces.rate))
+    own = jnp.stack([place.at[..., :3].multiply(-1.0), jnp.concatenate([-rate[..., :3], rate[..., k:]], -1)])
     # Elementwise: as tiny products of matrices these two took a quarter of what friction's states cost in a step.
-    place, rate = jnp.sum(own[..., None] * maps[:, None], -2)
-    pull = jnp.moveaxis(freed.pull, -2, 1)
-    wrench = jnp.moveaxis(freed.pull, -2, 2).reshape(n, m, pull.shape[1], -1)
-    wrench = jnp.concatenate([wrench[..., :3, :], _moment(motion.arm, wrench)], -2)
-    felt = -jnp.moveaxis(jnp.sum(maps[..., None] * wrench[..., None, :], 2), 1, 2)
-    merged = (x.reshape(n, -1, x.shape[-1]) for x in (at_ball, by_twist, place, rate))
-    inverse = freed.inverse.reshape(n, -1, *freed.inverse.shape[-2:])
-    return inverse, pull.reshape(n, pull.shape[1], -1), felt.reshape(n, felt.shape[1], -1), *merged
+    at, by_rate = jnp.sum(own[..., None] * maps[:, None], -2)
+    pull = faces.pull
+    felt = jnp.concatenate([pull[..., :3, :], pull[..., -3:, :]], -2)
+    felt = -jnp.moveaxis(jnp.sum(maps[..., None] * felt[..., None, :], 2), 1, 2)
+    pull = jnp.moveaxis(pull[..., :k, :], 1, 2)
+    merged = (x.reshape(n, -1, x.shape[-1]) for x in (place[..., :3], rate[..., :k], at, by_rate))
+    inverse = faces.inverse.reshape(n, -1, *faces.inverse.shape[-2:])
+    return inverse, pull.reshape(n, k, -1), felt.reshape(n, felt.shape[1], -1), *merged
 
 
 def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled:
@@ -337,68 +291,40 @@ def _bristled(scene: Joint, balls: list[tuple], pilots: list[tuple]) -> Bristled
     return Bristled(jnp.concatenate(inverses), jnp.concatenate(lifts, 1), jnp.concatenate(backs))
 
 
-def _freed(c: Constants, relative_motions: system.RelativeMotions, found: list[Slopes], scale: Any) -> tuple:
-    """Slopes with the bristles eliminated, their ``_rows``, and ``effective``'s turn and spin of all bodies."""
-    slants, rows, turns, spins, first = [], [], [], [], 0
-    for one in found:
-        at = slice(first, first + one.value.shape[1])
-        first, turn, spin = at.stop, *[jnp.zeros(one.by_place.shape)] * 2
-        if one.bond is not None:
-            freed = free(one.bond, relative_motions.spins[at], scale)
-            one, turn, spin = effective(one, freed)
-            rows.append(_rows(c, relative_motions, freed, at))
-        for held, x in zip((slants, turns, spins), (one, turn, spin), strict=True):
-            held.append(x)
-    return slants, rows, jnp.concatenate(turns, 1), jnp.concatenate(spins, 1)
-
-
 def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     """All derivatives of contact wrenches and coupling forces in one state.
 
     ``scale`` is s [s] of the step in which bristles are eliminated; not read without them.
     """
-    state = system.view(scene, c, y)
-    relative_motions = system.relative_motions(scene, c, state)
-    found = [slopes(part) for part in relative_motions.parts]
-    bent, by_turn, by_spin = [], jnp.zeros(()), jnp.zeros(())
-    if any(one.bond is not None for one in found):
-        found, bent, by_turn, by_spin = _freed(c, relative_motions, found, scale)
-    value, by_place, by_twist = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:3] for one in found), strict=True)))
-    motion, eye = relative_motions.motion, jnp.eye(3)
-    # By displacement and by rotation of the body, (n, m, k, 3) each: A, G by place, C_v and C B by rate.
-    at_ball, turned, swung = _seen(motion, relative_motions.spins, by_place, by_twist)
-    carried = [jnp.cross(value[..., None, i : i + 3], eye) for i in range(0, scene.twist, 3)]
-    turned = turned + jnp.concatenate(carried, -2)
-    if bent:
-        turned, swung = turned + by_turn, swung + by_spin
-    at_ball, turned, swung = kept(at_ball, turned, swung)
-    # What the bodies feel of it: forces (n, m, 3, .) and moments; the arm, too, moves with the ball.
-    moments = kept(*(_moment(motion.arm, x) for x in (at_ball, by_twist, turned, swung)))
-    lifted = jnp.cross(eye, value[..., None, :3])
-    forces = [-x[..., :3, :] for x in (at_ball, by_twist, turned, swung)]
-    moments = [lifted - moments[0], *(-x for x in moments[1:])]
-    column_place, column_rate = _spread(scene, c, -at_ball, turned), _spread(scene, c, -by_twist[..., :3], swung)
-    rows = [_spread(scene, c, *(jnp.swapaxes(x[i], -1, -2) for x in (forces, moments))) for i in (0, 1)]
-
-    # A body's own block: its place is minus all the balls' places.
-    forces, moments = (
-        [jnp.sum(x, 0) for x in (-part[0], part[2], -part[1][..., :3], part[3])] for part in (forces, moments)
-    )
-    own = [jnp.concatenate([jnp.concatenate(x[i : i + 2], -1) for x in (forces, moments)], -2) for i in (0, 2)]
-    # What moves one body acts back on it alone. With a second axis of bodies ``_spread`` takes first the moves to the
-    # coupling coordinates, then the wrenches.
+    state, k = system.view(scene, c, y), scene.twist
+    around = system.relative_motions(scene, c, state)
+    found, rows, first = [], [], 0
+    for part in around.parts:
+        at = slice(first, first + len(part.names))
+        first, one = at.stop, slopes(part, around.spins[at], scale)
+        found.append(one)
+        rows += [] if one.faces is None else [_rows(c.body_maps[at], one.faces, k)]
+    place, rate = kept(*(jnp.concatenate(x, 1) for x in zip(*(one[:2] for one in found), strict=True)))
+    # By a body's displacement and rotation, by its velocity and spin.
+    by_body = [jnp.concatenate([-x[..., :3], x[..., i:]], -1) for x, i in ((place, 3), (rate, k))]
+    columns = [_spread(scene, c, x[..., :k, :3], x[..., :k, 3:]) for x in by_body]
+    turned = [-jnp.swapaxes(x, -1, -2) for x in (place[..., :3], rate[..., :k])]
+    lines = [_spread(scene, c, x[..., :3], x[..., -3:]) for x in turned]
+    # A body's own block: what moves one body acts back on it alone. With a second axis of bodies ``_spread`` takes first the
+    # moves to the coupling coordinates, then the wrenches.
+    own = [-jnp.sum(jnp.concatenate([x[..., :3, :], x[..., -3:, :]], -2), 0) for x in by_body]
     apart = jnp.stack(own)[:, :, None] * jnp.eye(own[0].shape[0])[:, :, None, None]
     half = jnp.swapaxes(_spread(scene, c, apart[..., :3], apart[..., 3:]), -1, -2)
     corner = jnp.swapaxes(_spread(scene, c, half[..., :3], half[..., 3:]), -1, -2)
-    place, rate, guided = _alone(scene, c, state, scale)
+    alone, braked, guided = _alone(scene, c, state, scale)
     return Blocks(
-        jnp.sum(at_ball, 1),
-        jnp.sum(by_twist, 1),
-        column_place,
-        column_rate,
-        jnp.swapaxes(rows[0], -1, -2),
-        jnp.swapaxes(rows[1], -1, -2),
-        place + corner[0],
-        rate + corner[1],
-        _bristled(scene, bent, guided) if scene.bristles else None,
+        ball_place=jnp.sum(place[..., :k, :3], 1),
+        ball_rate=jnp.sum(rate[..., :k, :k], 1),
+        column_place=columns[0],
+        column_rate=columns[1],
+        row_place=jnp.swapaxes(lines[0], -1, -2),
+        row_rate=jnp.swapaxes(lines[1], -1, -2),
+        coupling_place=alone + corner[0],
+        coupling_rate=braked + corner[1],
+        bristles=_bristled(scene, rows, guided) if scene.bristles else None,
     )

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from bcfj_jax.models.joint.bands import Band, act, band
@@ -236,30 +237,17 @@ def piloted(scene: Joint, c: Constants, state: State) -> list[Part]:
     return parts(groups(scene, PILOTS), c.pilot_laws, geometry, guided(scene, c, state)[0], state)
 
 
-class GuideMaps(NamedTuple):
-    """Motion of the inner spheres relative to the outer ones, by the coupling (``Joint.pairs``).
+# Signs with which a pilot's force and its moments about both centres act on the motions of ``guide_maps``.
+FELT = np.array([1.0] * 6 + [-1.0] * 3)
 
-    Attributes:
-        twist: (pilots, 6, coupling) relative to the outer one's material at the inner centre, by velocities.
-        place: (pilots, 3, coupling) by displacements.
-        turning: (pilots, 3, coupling) angular velocity of the outer sphere, which carries its material by  w x arm.
+
+def guide_maps(scene: Joint, c: Constants) -> Array:
+    """By the coupling's rates, (pilots, 9, coupling): the inner centre's velocity less the outer one's, both spins.
+
+    Of ``Joint.pairs``. The outer sphere carries its material by its spin besides.
     """
-
-    twist: Array
-    place: Array
-    turning: Array
-
-
-def guide_maps(scene: Joint, c: Constants, arm: Array) -> GuideMaps:
-    """The maps where the inner centres are at ``arm`` (pilots, 3) from the outer ones."""
-    outer, inner = (jnp.array([BODIES.index(pair[k]) for pair in scene.pairs]) for k in (0, 1))
-    apart, turning = c.body_maps[inner] - c.body_maps[outer], c.body_maps[outer, 3:]
-    return GuideMaps(apart.at[:, :3].add(cross_columns(arm, turning)), apart[:, :3], turning)
-
-
-def cross_columns(a: Array, matrix: Array) -> Array:
-    """a x (each column of the matrix)."""
-    return jnp.cross(a[..., None, :], matrix.swapaxes(-1, -2)).swapaxes(-1, -2)
+    outer, inner = (c.body_maps[jnp.array([BODIES.index(pair[k]) for pair in scene.pairs])] for k in (0, 1))
+    return jnp.concatenate([inner[:, :3] - outer[:, :3], inner[:, 3:], outer[:, 3:]], 1)
 
 
 def loads(scene: Joint, c: Constants, t: Array, state: State) -> tuple[Array, Array]:
@@ -315,9 +303,9 @@ def on_bodies(scene: Joint, c: Constants, state: State, found: ContactForces) ->
     parts = {"head": push[1], "head_turn": turning[1:], "cage": cage[0], "cage_turn": cage[1], "seat_turn": turning[:1]}
     coupling = scene.coupled(parts)
     if found.pilots:
-        maps = guide_maps(scene, c, guided(scene, c, state)[0].arm).twist
-        guiding = jnp.concatenate([wrench(touch) for touch in found.pilots])
-        coupling = coupling + jnp.sum(maps * guiding[..., None], (0, 1))
+        guiding, arm = jnp.concatenate([wrench(touch) for touch in found.pilots]), guided(scene, c, state)[0].arm
+        guiding = jnp.concatenate([guiding, guiding[:, 3:] + jnp.cross(arm, guiding[:, :3])], -1) * FELT
+        coupling = coupling + jnp.sum(guide_maps(scene, c) * guiding[..., None], (0, 1))
     return jnp.sum(wrenches, 1), coupling
 
 
