@@ -15,7 +15,7 @@ and nothing pulls, as along a floor, bodies stay where they are. A change of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -83,26 +83,6 @@ class _Sizes(Forces):
     rounding = 1.0
 
 
-class _Read(Mapping):
-    """Parameters, and those of them that were read."""
-
-    def __init__(self, p: Params) -> None:
-        self.given, self.read = p, {}
-
-    def __getitem__(self, name: str) -> Array:
-        self.read[name] = self.given[name]
-        return self.given[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.given
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.given)
-
-    def __len__(self) -> int:
-        return len(self.given)
-
-
 class _Search:
     """The forces of one mechanism at rest; flat coordinates (q,), moves (n,) one a velocity.
 
@@ -117,13 +97,11 @@ class _Search:
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
         self.bound, still = bound, jnp.zeros(self.count)
-        read = _Read(p)
-        held = stuck.slips(self.scene, self.given, still, read, bound)
-        held = stuck.added(self.scene, self._at(self.given, read), held, held, read, bound)
+        held = stuck.slips(self.scene, self.given, still, p, bound)
+        held = stuck.added(self.scene, self._at(self.given, p), held, held, p, bound)
         self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
-        self._forces(self.given, self.held, read)
-        # As functions of their own they are traced once, however often asked for; of what they read, and no more.
-        self.read, self.forces, self.slid = read.read, jax.jit(self._forces), jax.jit(self._slid)
+        # As functions of their own they are traced once, however often asked for.
+        self.read, self.forces, self.slid = dict(p), jax.jit(self._forces), jax.jit(self._slid)
         turning = [unit_of(rate) == "rad/s" for _, rate, k in m._free for _ in range(k or 1)]
         self.turning = np.array(turning, bool)
 
