@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax.contact import gaps
 from bcfj_jax.mechanism.bodies import GROUND, Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
-from bcfj_jax.mechanism.loads import Bush, Force, Gravity, JointSpring, Spring, Torque
+from bcfj_jax.mechanism.loads import Bush, Coupling, Force, Gravity, JointFriction, JointSpring, Spring, Torque
 from bcfj_jax.mechanism.mechanism import Mechanism
 
 JOINTS = ("slide", "hinge", "planar", "bearing", "particle", "spherical", "free", "sphere", "fixed")
@@ -31,6 +31,8 @@ GAPS: dict[str, Any] = {
     "sphere_on_box": gaps.SphereOnBox(),
     "sphere_on_wedge": gaps.SphereOnWedge(),
     "pin_in_pads": gaps.PinInBearing(pads=4),
+    "points_on_box": gaps.SphereOnBox(points=((0.02, 0.0, 0.0), (-0.02, 0.01, 0.0), (0.0, 0.0, 0.03))),
+    "rods_on_edges": gaps.CapsuleOnCapsule(edges_a=(0.05, 0.04, 0.03), edges_b=((0.0, 0.0, -0.05, 0.01, 0.0, 0.05),)),
 }
 # Whose second body has directions.
 _LONG = (
@@ -40,6 +42,8 @@ _LONG = (
     "capsule_on_plane",
     "cylinder_on_plane",
     "capsule_on_capsule",
+    "points_on_box",
+    "rods_on_edges",
 )
 _SIZES = {
     "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.03, "half_width": 0.02, "half_height": 0.025,
@@ -49,6 +53,7 @@ SHARED = {
     "stiffness": 1e4, "exponent": 1.5, "damping": 0.3, "restitution": 0.7, "dashpot": 5.0, "smoothing": 1e-3,
     "friction_static": 0.3, "friction_dynamic": 0.2, "friction_speed": 0.3, "bristle_stiffness": 300.0,
     "bristle_damping": 1.0, "gravity": 9.81, "relaxation": 0.4, "relaxation_time": 0.1, "yield_penetration": 2e-3,
+    "rolling_length": 5e-3, "drilling_length": 3e-3, "spin_speed": 0.5,
 }  # fmt: skip
 
 LAWS = (
@@ -109,6 +114,38 @@ def loads(bodies: list[Body], rng: np.random.Generator) -> list[Any]:
     return found + ([JointSpring("coil", single[0], 5.0, 0.3, 0.2)] if single else [])
 
 
+def newest(bodies: list[Body], rng: np.random.Generator) -> list[Body]:
+    """A cross without mass and what hangs on it, a universal joint, and a screw's two joints, which ``couplings`` tie."""
+    start = lambda *names: {name: float(0.3 * rng.normal()) for name in names}  # noqa: E731
+    turned = (tuple(rng.normal(size=3).tolist()), float(rng.normal()))
+    parent = str(rng.choice([GROUND, *(b.name for b in bodies if b.joint != "sphere")]))
+    both = start("first", "second", "first_speed", "second_speed")
+    return [
+        Body("cross", "hinge", parent, axis="x", tilt=turned, mass=0, start=start("angle", "speed")),
+        Body("shaft", "hinge", "cross", axis="y", center=(0.1, 0.02, 0.0), mass=0.8, inertia=moments(rng),
+             start=start("angle", "speed")),
+        Body("yoke", "universal", center=(0.0, 0.05, 0.1), mass=1.1, inertia=(0.02, 0.03, 0.025, 1e-3, -2e-3, 1e-3), start=both),
+        Body("screw", "hinge", "yoke", axis="x", mass=0.4, inertia=moments(rng), start=start("angle", "speed")),
+        Body("nut", "slide", axis="y", mass=0.6, start=start("position", "velocity")),
+    ]  # fmt: skip
+
+
+def couplings(rng: np.random.Generator) -> list[Any]:
+    """Loads of the bodies of ``newest``: couplings, tables, one-sided springs, a bush along and about its axes, dry friction."""
+    three = lambda size: tuple((size * rng.normal(size=3)).tolist())  # noqa: E731
+    table = ((-0.5, -0.1, 0.2, 0.6), (-20.0, -3.0, 4.0, 30.0))
+    return [
+        Coupling("thread", ("screw", "nut"), 0.3, 80.0, 1.0, backlash=0.05),
+        Coupling("gears", ("shaft", "cross"), -1.7, 9.0, 0.2),
+        Spring("cable", ("nut", "yoke"), 60.0, 3.0, 0.2, (three(0.3), three(0.3)), side="pull"),
+        Spring("bump", ("ground", "yoke"), at=(three(0.3), three(0.3)), free_length=2.0, table=table, side="push"),
+        Spring("progressive", ("ground", "shaft"), at=(three(0.3), three(0.3)), free_length=0.2, damping=1.0, table=table),
+        Bush("mount", ("shaft", "yoke"), (40.0, 30.0, 0.0), (1.0, 0.5, 0.2), (0.1, 0.2, 0.0), (three(0.3), three(0.1)),
+             (3.0, 2.0, 1.0)),
+        JointSpring("stop", "nut", 90.0, 4.0, 0.1, side="push"), JointFriction("seal", "screw", 0.4, 0.3),
+    ]  # fmt: skip
+
+
 def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """From the first marker to the second, in the first body's axes, for a penetration [m].
 
@@ -130,6 +167,14 @@ def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) 
     if gap == "sphere_on_box":
         half = np.array([_SIZES[f"half_{k}"] for k in ("length", "width", "height")])
         return half * np.sign(way) + (_SIZES["radius"] - depth) * way / np.linalg.norm(way)
+    if gap == "points_on_box":
+        # The second point of b is over a's middle.
+        return np.array([0.0, 0.0, _SIZES["half_height"] + _SIZES["radius"] - depth]) - turned @ [-0.02, 0.01, 0.0]
+    if gap == "rods_on_edges":
+        # Over the edge of a along x, at +y and +z.
+        side = np.cross([1.0, 0.0, 0.0], turned @ [0.01, 0.0, 0.1])
+        side *= np.sign(side[1] + side[2]) * (_SIZES["radius_a"] + _SIZES["radius_b"] - depth) / np.linalg.norm(side)
+        return side + [0.0, 0.04, 0.03] - turned @ [5e-3, 0.0, 0.0]
     if gap == "sphere_on_wedge":
         return np.array([0.01, _SIZES["radius"] - depth, p[2]])
     if gap in ("pin_in_bearing", "pin_with_ends", "pin_in_pads"):
@@ -144,7 +189,9 @@ def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) 
     return p
 
 
-def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Generator) -> Contact | None:
+def contact(
+    i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Generator, rolling: bool = False
+) -> Contact | None:
     """A random contact that touches, of a law and friction drawn by chance; None where no body fits."""
     round_ = [b.name for b in bodies if b.joint == "sphere"]
     names = [GROUND, *(b.name for b in bodies if b.name not in round_)]
@@ -157,6 +204,8 @@ def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Gen
     law = str(rng.choice(LAWS))
     friction = [None, "brown_mcphee", "coulomb", "step", "lugre"][rng.integers(5)]
     values = {name: _SIZES[name] for name in GAPS[gap].needs}
+    if gap == "pin_in_pads":
+        values["clearance"] = -5e-3
     ours = np.zeros(3) if second in round_ else 0.1 * rng.normal(size=3)
     (axes, place), (other, origin) = (
         (np.array(parts[name].axes, float).T, np.array(parts[name].place, float)) for name in (first, second)
@@ -165,22 +214,26 @@ def contact(i: int, gap: str, bodies: list[Body], parts: Any, rng: np.random.Gen
     theirs = axes.T @ (origin + other @ ours - place) - way
     return Contact(
         f"c{i}", (first, second), GAPS[gap], law, friction, smoothing=bool(rng.random() < 0.5),
-        at=(tuple(theirs.tolist()), tuple(ours.tolist())), values=values,
+        at=(tuple(theirs.tolist()), tuple(ours.tolist())), values=values, rolling=rolling and bool(rng.random() < 0.7),
     )  # fmt: skip
 
 
-def mechanism(joints: list[str], touching: list[str], seed: int, loaded: bool = True) -> tuple[Mechanism, dict]:
-    """A random mechanism whose contacts are some 10 mm deep at its start, and its parameters."""
+def mechanism(
+    joints: list[str], touching: list[str], seed: int, loaded: bool = True, more: bool = False
+) -> tuple[Mechanism, dict]:
+    """A random mechanism whose contacts are some 10 mm deep at its start, and its parameters; ``more``: with ``newest``."""
     rng, bodies = np.random.default_rng(seed), []
     for i, joint in enumerate(joints):
         parents = [GROUND, *(b.name for b in bodies if b.joint != "sphere")]
         bodies.append(body(i, joint, parents, rng))
+    bodies += newest(bodies, rng) if more else []
     bare = Mechanism("bare", bodies)
     known = bare.parameters()
     parts = bare.instant(jnp.zeros(()), bare.initial_state(known), known).bodies.parts
-    drawn = [contact(i, gap, bodies, parts, rng) for i, gap in enumerate(touching)]
+    drawn = [contact(i, gap, bodies, parts, rng, more) for i, gap in enumerate(touching)]
     contacts = [c for c in drawn if c is not None]
-    made = Mechanism("random", bodies, contacts, loads(bodies, rng) if loaded else (), end=0.5, samples=501)
+    acting = loads(bodies, rng) if loaded else []
+    made = Mechanism("random", bodies, contacts, acting + (couplings(rng) if more else []), end=0.5, samples=501)
     return made, made.parameters({name: x for name, x in SHARED.items() if name in made.quantities})
 
 

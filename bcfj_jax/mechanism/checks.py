@@ -189,7 +189,8 @@ def _read(scene: Dynamics, names: tuple[str, ...], where: str) -> frozenset[str]
 
     def everything(values: dict[str, Array]) -> Array:
         p = _Recorder(values, scene, where)
-        y = scene.initial_state(p)
+        # A rest that is sought reads nothing else.
+        y = scene.recalling(scene.placed_state(p), p)
         rates = scene.vector_field(jnp.zeros(()), y, p)
         scene.read(jnp.zeros(()), y, p)
         scene.horizon(p)
@@ -226,7 +227,7 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
     known = scene.quantities
     if any(is_traced(x) or np.shape(x) != known[name].shape for name, x in params.items()):
         return
-    _check_start(scene, dict(params), where)
+    _check_start(scene, dict(scene.completed(params)), where)
 
 
 def suspects(scene: Dynamics, params: Params) -> np.ndarray:
@@ -329,8 +330,9 @@ def asked(what: Callable[..., Any], scene: Dynamics, params: dict[str, Array]) -
 
 def _at_start(scene: Dynamics, params: dict[str, Array]) -> tuple[dict[str, Array], Array, Array]:
     """Penetration of each contact at time 0, and the one and the speed that are to be expected of motion and loads."""
-    depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(params), params)
-    found = expected(scene, params, inside=False)
+    p = scene.completed(params)
+    depths, _ = _faces(scene, jnp.zeros(()), scene.initial_state(p), p)
+    found = expected(scene, p, inside=False)
     return {name: jnp.max(depth) for name, depth in depths.items()}, found.depth, found.speed
 
 

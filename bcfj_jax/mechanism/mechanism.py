@@ -139,11 +139,15 @@ class Mechanism(Dynamics):
             statics.check(self, params, said)
         checks.check_values(self, params, where)
 
+    def completed(self, params: Params) -> Params:
+        """With the state at rest where that is the start."""
+        if not self._at_rest or statics.REST in params:
+            return params
+        return {**params, statics.REST: statics.rest(self, params).state}
+
     def initial_state(self, params: Params) -> Array:
         """As the bodies start, or where they are at rest."""
-        if not self._at_rest:
-            return super().initial_state(params)
-        return statics.initial_state(self, params, self.placed_state(params))
+        return self.completed(params)[statics.REST] if self._at_rest else super().initial_state(params)
 
     def accounts(self, t: Array, y: Array, prepared: Params) -> dict[str, Account]:
         """Energy, and the generalised momentum of every free velocity."""

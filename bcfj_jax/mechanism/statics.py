@@ -15,7 +15,7 @@ and nothing pulls, as along a floor, bodies stay where they are. A change of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ import numpy as np
 from jax import Array, lax
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.mechanism import equations, stuck
 from bcfj_jax.mechanism.bodies import Drive, unit_of
 from bcfj_jax.mechanism.checks import asked
@@ -35,6 +36,8 @@ from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.sizes import Params
 from bcfj_jax.mechanism.stuck import TIME, Slips
 
+# Name under which completed parameters have the state.
+REST = "(state at rest)"
 # Steps; a force is balanced to this share of all that act along it, or to what K makes of places so far off [m, rad].
 _STEPS, _BALANCED, _ROUNDED, _FAR = 2000, 1e-9, 1e-14, 1e3
 # s [s^2] at first and at most; a step's turn at most [rad].
@@ -43,22 +46,25 @@ _FIRST, _MOST, _TURN = 1e-6, 1e4, 0.5
 _NAMED, _SOFT = 1e-2, 1e-3
 
 
-class Rest(NamedTuple):
-    """What is found: coordinates; by velocity the force left, the sizes of all that act; and how stiff it is.
+class _Known(NamedTuple):
+    """What is known of places: by velocity the force, the sizes of all that act and the diagonal of the mass matrix; K (n, n)."""
 
-    Attributes:
-        places: (q,) coordinates.
-        left, sizes: (n,) [N, N m].
-        balanced: whether the forces balance.
-        stiffness: K over M, (n, n) [1/s^2]; ``scaled`` (n,) the roots of 1/M.
-    """
-
-    places: Array
-    left: Array
+    force: Array
     sizes: Array
-    balanced: Array
+    mass: Array
     stiffness: Array
-    scaled: Array
+
+
+class Rest(NamedTuple):
+    """The state at time 0, NaN without rest; what is known of its places; whether the forces balance."""
+
+    state: Array
+    known: _Known
+    balanced: Array
+
+
+# Places (q,) and slips.
+_At = tuple[Array, Slips]
 
 
 class _Held:
@@ -77,26 +83,6 @@ class _Sizes(Forces):
     rounding = 1.0
 
 
-class _Read(Mapping):
-    """Parameters, and those of them that were read."""
-
-    def __init__(self, p: Params) -> None:
-        self.given, self.read = p, {}
-
-    def __getitem__(self, name: str) -> Array:
-        self.read[name] = self.given[name]
-        return self.given[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.given
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.given)
-
-    def __len__(self) -> int:
-        return len(self.given)
-
-
 class _Search:
     """The forces of one mechanism at rest; flat coordinates (q,), moves (n,) one a velocity.
 
@@ -111,13 +97,11 @@ class _Search:
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
         self.bound, still = bound, jnp.zeros(self.count)
-        read = _Read(p)
-        held = stuck.slips(self.scene, self.given, still, read, bound)
-        held = stuck.added(self.scene, self._at(self.given, read), held, held, read, bound)
+        held = stuck.slips(self.scene, self.given, still, p, bound)
+        held = stuck.added(self.scene, self._at(self.given, p), held, held, p, bound)
         self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
-        self._forces(self.given, self.held, read)
-        # As functions of their own they are traced once, however often asked for; of what they read, and no more.
-        self.read, self.forces, self.slid = read.read, jax.jit(self._forces), jax.jit(self._slid)
+        # As functions of their own they are traced once, however often asked for.
+        self.read, self.forces, self.slid = dict(p), jax.jit(self._forces), jax.jit(self._slid)
         turning = [unit_of(rate) == "rad/s" for _, rate, k in m._free for _ in range(k or 1)]
         self.turning = np.array(turning, bool)
 
@@ -160,24 +144,26 @@ class _Search:
         mass = [found.entry(j, j) for j in range(n)]
         return tuple(equations.flat(x[:n], self.free) for x in (found.forces, found.sizes, mass))  # pyright: ignore[reportReturnType]
 
-    def stiffness(self, places: Array, held: Slips, p: Params) -> Array:
-        """K (n, n)."""
+    def known(self, places: Array, held: Slips, p: Params) -> _Known:
+        """Forces, and how stiff they are: one pass for both."""
 
-        def forces(move: Array) -> Array:
-            return self.forces(self.moved(places, move), self.slid(places, held, move, p), p)[0]
+        def forces(move: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+            found = self.forces(self.moved(places, move), self.slid(places, held, move, p), p)
+            return found[0], found
 
-        return -jax.jacfwd(forces)(jnp.zeros(self.count))
+        slope, found = jax.jacfwd(forces, has_aux=True)(jnp.zeros(self.count))
+        force, sizes, mass = found
+        return _Known(force, sizes, mass, -slope)
 
-    def newton(self, at: tuple[Array, Slips], p: Params, beside: Array) -> tuple[Array, Slips]:
+    def newton(self, at: _At, p: Params, beside: Array) -> _At:
         """One step with s at its largest from places and slips; ``beside``: a move of the places given (0)."""
         places = at[0]
         held = self.slid(places, at[1], -beside, p)
-        force, _, mass = self.forces(places, held, p)
-        matrix = jnp.diag(mass / _MOST) + self.stiffness(places, held, p)
-        move = jnp.linalg.solve(matrix, force + mass / _MOST * beside)
+        force, _, mass, matrix = self.known(places, held, p)
+        move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(places, held, move, p)
 
-    def creep(self, at: tuple[Array, Slips], p: Params) -> Array:
+    def creep(self, at: _At, p: Params) -> Array:
         """Velocities (n,) at which friction bears what it bears."""
         places, held = at
         return stuck.velocities(
@@ -193,78 +179,83 @@ class _Moved(NamedTuple):
     v: list[Any]
 
 
-def _crept(search: _Search, places: Array, p: Params) -> tuple[tuple[Array, Slips], Array]:
-    """Coordinates and slips where the bodies come to rest, and whether they do."""
+def _crept(search: _Search, places: Array, p: Params) -> tuple[_At, _Known, Array]:
+    """Coordinates and slips where the bodies come to rest, what is known there, and whether forces balance."""
 
-    def step(carry: tuple[Array, Slips, Array, Array, Array]) -> tuple[Array, Slips, Array, Array, Array]:
-        places, held, s, i, _ = carry
-        force, sizes, mass = search.forces(places, held, p)
-        matrix = search.stiffness(places, held, p)
-        # Forces of springs are rounded as their lengths are; what is farther away flees.
-        far = jnp.clip(jnp.max(jnp.abs(places), initial=0.0), 1.0, _FAR)
-        rounded = _ROUNDED * far * jnp.sum(jnp.abs(matrix), 1)
-        done = jnp.all(jnp.abs(force) <= _BALANCED * sizes + rounded)
-        move = jnp.linalg.solve(jnp.diag(mass / s) + matrix, force)
+    def step(carry: tuple[_At, _Known, Array, Array, Array]) -> tuple[_At, _Known, Array, Array, Array]:
+        at, known, s, i, done = carry
+        move = jnp.linalg.solve(jnp.diag(known.mass / s) + known.stiffness, known.force)
         turn = jnp.max(jnp.where(search.turning, jnp.abs(move), 0.0), initial=0.0)
         move = move / jnp.maximum(turn / _TURN, 1.0)
-        there, slid = search.moved(places, move), search.slid(places, held, move, p)
-        after = search.forces(there, slid, p)[0]
-        lost = (jnp.dot(force, move) > 0.0) & (jnp.dot(force + after, move) >= 0.0)
-        s = jnp.clip(jnp.where(lost, 4.0 * s, s / 8.0), 1e-30, _MOST)
-        there, slid = jax.tree.map(partial(jnp.where, lost & ~done), (there, slid), (places, held))
-        return there, slid, s, i + 1, done
+        there = search.moved(at[0], move), search.slid(*at, move, p)
+        after = search.known(*there, p)
+        work = jnp.dot(known.force, move)
+        # The first step is none: it begins to know.
+        lost = (i == 0) | (work > 0.0) & (work + jnp.dot(after.force, move) >= 0.0)
+        at, known = jax.tree.map(partial(jnp.where, lost), (there, after), (at, known))
+        s = jnp.where(i == 0, s, jnp.clip(jnp.where(lost, 4.0 * s, s / 8.0), 1e-30, _MOST))
+        # Forces of springs are rounded as their lengths are; what is farther away flees.
+        far = jnp.clip(jnp.max(jnp.abs(at[0]), initial=0.0), 1.0, _FAR)
+        rounded = _ROUNDED * far * jnp.sum(jnp.abs(known.stiffness), 1)
+        balanced = jnp.all(jnp.abs(known.force) <= _BALANCED * known.sizes + rounded)
+        # Two steps more, of Newton's method.
+        return at, known, jnp.where(balanced, _MOST, s), i + 1, jnp.where(balanced, done + 1, 0)
 
-    def more(carry: tuple[Array, Slips, Array, Array, Array]) -> Array:
-        return (carry[3] < _STEPS) & ~carry[4]
+    def more(carry: tuple[_At, _Known, Array, Array, Array]) -> Array:
+        return (carry[3] < _STEPS) & (carry[4] < 3)
 
-    begin = places, search.held, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(False)
-    found, held, _, _, balanced = lax.while_loop(more, step, begin)
-    return (found, held), balanced
+    none, unit = jnp.zeros(search.count), jnp.ones(search.count)
+    begin = (places, search.held), _Known(none, none, unit, jnp.zeros((none.size, none.size)))
+    at, known, _, _, done = lax.while_loop(more, step, (*begin, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(0)))
+    return at, known, done > 0
 
 
-def initial_state(m: Dynamics, p: Params, begun: Array) -> Array:
-    """The state at rest, from the one at which the bodies are placed; NaN without rest.
+def _found(search: _Search) -> Callable[[Array, Params], tuple[_At, _Known, Array]]:
+    """``_crept``; where it is differentiated, two steps of Newton's method beyond carry the derivatives."""
 
-    Velocities that a start gives stay; those at which friction creeps are added.
-    """
+    def beyond(given: Array, read: Params) -> tuple[_At, _Known, Array]:
+        placed = lax.stop_gradient(given)
+        at, known, balanced = lax.stop_gradient(_crept(search, placed, lax.stop_gradient(read)))
+        ways = jax.jacfwd(partial(search.moved, at[0]))(jnp.zeros(search.count))
+        # 0, with the derivatives of the places given: they stay where nothing holds a body.
+        beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (given - placed))
+        # A loop compiles one of both steps.
+        step = lambda at, share: (search.newton(at, read, share * beside), None)  # noqa: E731
+        return lax.scan(step, at, jnp.array([1.0, 0.0]))[0], known, balanced
+
+    found = jax.custom_jvp(partial(_crept, search))
+    found.defjvp(lambda primals, tangents: jax.jvp(beyond, primals, tangents))
+    return found
+
+
+def settled(m: Dynamics, p: Params) -> Rest:
+    """The state at rest and what is known of it; the velocities that a start gives stay, those of friction's creep are added."""
     search = _Search(m, p)
-    placed, still = lax.stop_gradient((search.given, search.read))
-    found, balanced = lax.stop_gradient(_crept(search, placed, still))
-    ways = jax.jacfwd(partial(search.moved, found[0]))(jnp.zeros(search.count))
-    # 0, with the derivatives of the places given: they stay where nothing holds a body.
-    beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (search.given - placed))
-    # A loop compiles one of both steps.
-    found, _ = lax.scan(lambda at, x: (search.newton(at, search.read, x * beside), None), found, jnp.array([1.0, 0.0]))
-    places, speeds = found[0], begun[found[0].size : found[0].size + search.count]
+    found, known, balanced = _found(search)(search.given, search.read)
+    places, speeds = found[0], m.placed_state(p)[found[0].size :]
     if search.held:
         speeds = speeds + search.creep(found, search.read)
     moving = jnp.concatenate([jnp.where(balanced, places, jnp.nan), speeds])
-    return m.recalling(moving, p, stuck.bent(search.scene, found[1]))
+    return Rest(m.recalling(moving, p, stuck.bent(search.scene, found[1])), known, balanced)
 
 
 def rest(m: Dynamics, p: Params) -> Rest:
-    """What is found of one set of parameters."""
-    search = _Search(m, p)
-    crept, balanced = _crept(search, search.given, search.read)
-    found, held = jax.tree.map(
-        partial(jnp.where, balanced), search.newton(crept, search.read, jnp.zeros(search.count)), crept
-    )
-    force, sizes, mass = search.forces(found, held, search.read)
-    scaled = 1.0 / jnp.sqrt(jnp.maximum(mass, 1e-300))
-    matrix = search.stiffness(found, held, search.read) * scaled[:, None] * scaled
-    return Rest(found, force, sizes, balanced, matrix, scaled)
+    """``settled`` by a program of its own where the parameters are numbers: one for whatever is asked of the run."""
+    if any(is_traced(x) for x in p.values()):
+        return settled(m, p)
+    return asked(settled, replace(m, implicit=False), dict(p))
 
 
 def sticking(m: Dynamics, p: Params) -> tuple[Array, dict[str, tuple[Array, Array]]]:
     """Whether friction without limits finds a rest; by contact and load what it needs there, and what friction has."""
     search = _Search(m, p, bound=False)
-    (places, held), balanced = _crept(search, search.given, search.read)
+    (places, held), _, balanced = _crept(search, search.given, search.read)
     return balanced, stuck.needed(search.scene, search._at(places, p), held, p)
 
 
 def check(m: Dynamics, p: Params, where: str) -> None:
     """Refuse a mechanism that finds no rest, or is not stable there, with the motion that is free. On the host."""
-    found = asked(rest, m, dict(p))
+    found = rest(m, p)
     names = [f"'{body}' ({rate})" for body, rate, k in m._free for _ in range(k or 1)]
     units = ["N m" if unit_of(rate) == "rad/s" else "N" for _, rate, k in m._free for _ in range(k or 1)]
 
@@ -272,10 +263,11 @@ def check(m: Dynamics, p: Params, where: str) -> None:
         large = share >= _NAMED * np.max(share)
         return " and ".join(dict.fromkeys(name for name, one in zip(names, large, strict=True) if one))
 
-    left = np.abs(np.asarray(found.left))
+    force, sizes, mass, matrix = (np.asarray(x) for x in found.known)
+    left, scaled = np.abs(force), 1.0 / np.sqrt(np.maximum(mass, 1e-300))
     if not bool(found.balanced):
         worst = int(np.nanargmax(left)) if np.isfinite(left).any() else 0
-        held = f"there is no equilibrium: nothing stops {moving(left / np.maximum(np.asarray(found.sizes), 1e-300))}"
+        held = f"there is no equilibrium: nothing stops {moving(left / np.maximum(sizes, 1e-300))}"
         remedy = (
             "hold it by a spring, a contact or a drive, place it nearer to where it rests, or take start = 'static' out"
         )
@@ -289,10 +281,10 @@ def check(m: Dynamics, p: Params, where: str) -> None:
             remedy = f"friction of {' and '.join(lacking)} would hold it; give that, or {remedy}"
         raise InputError(f"{where} start", f"{held}; {left[worst]:.3g} {units[worst]} are left", remedy)
     # Friction's part of K is not symmetric.
-    values, modes = np.linalg.eig(np.asarray(found.stiffness))
+    values, modes = np.linalg.eig(matrix * scaled[:, None] * scaled)
     rates = np.real(values)
     softest = int(np.argmin(rates)) if rates.size else 0
     if rates.size and rates[softest] < -_SOFT:
-        leaving = moving(np.abs(modes[:, softest]) * np.asarray(found.scaled))
+        leaving = moving(np.abs(modes[:, softest]) * scaled)
         said = f"the equilibrium is unstable: {leaving} would leave it"
         raise InputError(f"{where} start", said, "start it beside, or hold it")

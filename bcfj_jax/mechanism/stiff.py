@@ -43,7 +43,7 @@ def implicit(scene: Dynamics, params: Params, end: float) -> bool:
     """Whether a run of these parameters until ``end`` [s] needs an implicit solver. Not under a trace."""
     if (known := _known(scene)) is not None:
         return known
-    jacobian, rate, frequency = asked(_rates, scene, dict(params))
+    jacobian, rate, frequency = asked(_rates, scene, dict(scene.completed(params)))
     return _slow(jacobian, rate, frequency, end)
 
 

@@ -96,7 +96,7 @@ class Problem(NamedTuple):
 
 def problem(model: AbstractModel, params: Params, end: Array, how: Plan, differentiable: bool) -> Problem:
     """A model with a history, to be solved until ``end`` [s]."""
-    stiff = model.traits.stiff
+    stiff, params = model.traits.stiff, model.completed(params)
     prepared, start = model.prepare(params), model.initial_state(params)
     scales = jax.lax.stop_gradient(model.error_scale(params, end))
     first = jnp.asarray(model.first_step(params, scales), dtype=jnp.float64)

@@ -61,20 +61,26 @@ def test_rates_of_momenta_are_those_of_the_motion(joints, touching, seed):
     check_rates(joints, touching, seed)
 
 
+@pytest.mark.full
+def test_rates_of_momenta_with_couplings_screws_and_bodies_without_mass():
+    check_rates(["particle"], ["points_on_box", "rods_on_edges"], 7, True)
+
+
 @pytest.mark.slow
 @settings(max_examples=25)
 @given(
     joints=st.lists(st.sampled_from(JOINTS), min_size=1, max_size=5),
     touching=st.lists(st.sampled_from(sorted(GAPS)), min_size=1, max_size=6),
     seed=st.integers(0, 2**32 - 1),
+    more=st.booleans(),
 )
-def test_rates_of_momenta_of_many_are_those_of_the_motion(joints, touching, seed):
-    check_rates(joints, touching, seed)
+def test_rates_of_momenta_of_many_are_those_of_the_motion(joints, touching, seed, more):
+    check_rates(joints, touching, seed, more)
 
 
-def check_rates(joints, touching, seed):
+def check_rates(joints, touching, seed, more=False):
     """Momenta and energy change along the motion, which the mass matrix gives, at the rates that forces alone give."""
-    scene, params = mechanism(joints, touching, seed)
+    scene, params = mechanism(joints, touching, seed, more=more)
 
     def moved(t, y):
         def values(t, y):

@@ -12,6 +12,7 @@ import tiers
 
 import bcfj_jax as bj
 from bcfj_jax import Body, Contact, InputError, Mechanism, gaps
+from bcfj_jax.contact.gaps.base import Frame
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.loads import Bush, Force, Gravity
 
@@ -250,3 +251,75 @@ def test_a_ball_rolls_off_a_table():
     np.testing.assert_allclose(r["ball.velocity.x"][times < 0.05], 1.0, rtol=1e-9)
     assert r["ball.place.z"][-1] < -0.02 and r["ball.velocity.x"][-1] > 1.0
     assert np.ptp(energy) < 1e-3 * energy[0]
+
+
+BEAM = (0.1, 0.02, 0.02)
+
+
+def edge_frames(x):
+    """Frames of a still body a and of b at x (6,), a place and a rotation vector's first order about it."""
+    angle = jnp.sqrt(x[3:] @ x[3:] + 1e-30)
+    k = jnp.array([[0.0, -x[5], x[4]], [x[5], 0.0, -x[3]], [-x[4], x[3], 0.0]]) / angle
+    turn = jnp.eye(3) + jnp.sin(angle) * k + (1.0 - jnp.cos(angle)) * k @ k
+    axes = tuple(tuple(turn[:, j]) for j in range(3))
+    return Frame((0.0, 0.0, 0.0), tuple(map(tuple, np.eye(3)))), Frame(tuple(x[:3]), axes)
+
+
+def edge_depths(gap, x, c=None):
+    return gap.faces(*edge_frames(x), {"radius_a": 1e-3, "radius_b": 2e-3, **(c or {})})[0].depth
+
+
+def test_edges_that_cross_are_as_far_apart_as_their_lines():
+    """d = r_a + r_b - |p . (u x v)|/|u x v| where two edges cross; its derivative by place and turn is that of the lines."""
+    gap = gaps.CapsuleOnCapsule(edges_a=BEAM, edges_b=[[0.0, -0.05, 0.01, 0.0, 0.05, 0.0]])
+    x = np.array([0.03, 0.021, 0.023, 0.3, 0.4, 0.2])
+
+    def lines(x):
+        frames = edge_frames(x)
+        turn, end = jnp.stack([jnp.stack(axis) for axis in frames[1].axes], 1), jnp.array([0.0, -0.05, 0.01])
+        along = turn @ jnp.array([0.0, 0.1, -0.01])
+        across = jnp.cross(jnp.array([1.0, 0.0, 0.0]), along)
+        p = x[:3] + turn @ end - jnp.array([0.0, 0.02, 0.02])
+        return 3e-3 - jnp.abs(p @ across) / jnp.sqrt(across @ across)
+
+    # The edge of a along x at +y and +z.
+    at = next(i for i, e in enumerate(gap.edges_a) if e[0] * e[3] < 0.0 and e[1] > 0.0 and e[2] > 0.0)
+    found = jax.jit(lambda x: (edge_depths(gap, x)[at], jax.jacfwd(lambda y: edge_depths(gap, y)[at])(x)))(x)
+    wanted = lines(x), jax.jacfwd(lines)(x)
+    assert float(found[0]) == pytest.approx(float(wanted[0]), abs=1e-9)
+    np.testing.assert_allclose(found[1], wanted[1], atol=2e-6)
+
+
+def test_parallel_edges_touch_in_the_middle_with_finite_derivatives():
+    """d = r_a + r_b - h, d' = -1 by h and 0 by a turn about the middle; second derivatives are finite."""
+    edge = [[-0.05, 0.0, 0.0, 0.05, 0.0, 0.0]]
+    gap = gaps.CapsuleOnCapsule(edges_a=edge, edges_b=edge)
+    x = np.array([0.0, 0.0, 2.5e-3, 0.0, 0.0, 0.0])
+    depth = lambda x: edge_depths(gap, x)[0]  # noqa: E731
+    value, slope, bend = jax.jit(lambda x: (depth(x), jax.jacfwd(depth)(x), jax.jacfwd(jax.jacrev(depth))(x)))(x)
+    assert float(value) == pytest.approx(0.5e-3, rel=1e-9)
+    np.testing.assert_allclose(slope, [0, 0, -1, 0, 0, 0], atol=1e-9)
+    assert np.isfinite(bend).all()
+
+
+def test_edges_that_are_none_are_refused():
+    with pytest.raises(InputError, match="six numbers"):
+        gaps.CapsuleOnCapsule(edges_b=[[0.0, 1.0]])
+
+
+@pytest.mark.slow
+def test_a_beam_rests_across_a_beam_on_four_edges():
+    """Four crossings bear m g/4 each: it sinks by m g/(4 k), and so much over m by its mass; a linear law."""
+    gap = gaps.CapsuleOnCapsule(edges_a=BEAM, edges_b=(0.02, 0.1, 0.02))
+    upper = Body("upper", "free", mass=M, inertia=(0.01, 0.002, 0.01), start={"z": 0.043})
+    given = {"stiffness": K, "exponent": 1.0, "damping": 0.0, "radius_a": 1e-3, "radius_b": 2e-3, "gravity": G}
+    hit = Contact("c", (GROUND, "upper"), gap, "memory_free")
+    made = Mechanism("beams", [upper], [hit], [Gravity("-z")], given=given, start="static")
+    p = made.parameters()
+    state, slope = jax.jit(lambda p: (made.initial_state(p), jax.jacfwd(made.initial_state)(p)["upper.mass"]))(p)
+    sunk = M * G / (4.0 * K)
+    assert float(state[2]) == pytest.approx(0.043 - sunk, abs=1e-10)
+    assert float(slope[2]) == pytest.approx(-sunk / M, rel=1e-5)
+    bear = np.asarray(made.observe(jnp.zeros(()), state, p)["c"].force)[:, 0]
+    assert np.sum(bear > 1e-6) == 4
+    np.testing.assert_allclose(bear[bear > 1e-6], M * G / 4.0, rtol=1e-6)

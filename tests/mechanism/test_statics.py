@@ -132,7 +132,7 @@ def test_drives_hold_their_places():
 def test_what_has_no_rest_is_told(scene, told):
     with pytest.raises(InputError, match=told):
         bj.simulate(scene, scene.parameters(), np.linspace(0.0, 0.1, 3))
-    assert statics.rest(scene, scene.parameters()).places.shape == (1,)
+    assert statics.rest(scene, scene.parameters()).known.force.shape == (1,)
 
 
 def test_a_start_that_is_none_is_refused():

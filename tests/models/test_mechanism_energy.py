@@ -144,19 +144,23 @@ def check_accelerations(joints, seed):
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("joints", "touching", "seed"),
-    [(["free", "free"], sorted(GAPS)[:5], 4), tiers.slow((["hinge", "planar", "sphere"], sorted(GAPS)[5:], 5))],
+    ("joints", "touching", "seed", "more"),
+    [
+        (["free", "free"], sorted(GAPS)[:5], 4, False),
+        tiers.slow((["hinge", "planar", "sphere"], sorted(GAPS)[5:], 5, False)),
+        (["free", "particle"], ["points_on_box", "rods_on_edges", "pin_in_pads"], 6, True),
+    ],
 )
-def test_power_is_balanced(joints, touching, seed):
-    check_power(joints, touching, seed)
+def test_power_is_balanced(joints, touching, seed, more):
+    check_power(joints, touching, seed, more)
 
 
 @pytest.mark.slow
 @settings(max_examples=60)
-@given(joints=TREES, touching=TOUCHING, seed=SEEDS)
-def test_power_of_many_is_balanced(joints, touching, seed):
+@given(joints=TREES, touching=TOUCHING, seed=SEEDS, more=st.booleans())
+def test_power_of_many_is_balanced(joints, touching, seed, more):
     try:
-        check_power(joints, touching, seed)
+        check_power(joints, touching, seed, more)
     except NothingTouches:
         reject()
 
@@ -165,9 +169,9 @@ class NothingTouches(Exception):
     """A drive has parted what touches at the start."""
 
 
-def check_power(joints, touching, seed):
+def check_power(joints, touching, seed, more):
     """At one instant: what is stored grows by what is given less what is taken."""
-    scene, params = mechanism(axle(joints), touching, seed)
+    scene, params = mechanism(axle(joints), touching, seed, more=more)
     t, y = jnp.asarray(0.37), scene.initial_state(params)
     # Bristles that are bent, memories of some speed.
     count = sum(k or 1 for _, k in scene._memory)

@@ -1,7 +1,8 @@
-"""Capsules and cylinders on a plane and on each other; a sphere on a box, which has edges, and on a wedge."""
+"""Capsules and cylinders on a plane and on each other; edges on edges; a sphere on a box, which has edges, and on a wedge."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -24,7 +25,7 @@ from bcfj_jax.contact.gaps.guides import across_z, travel
 from bcfj_jax.contact.gaps.spheres import PointOnPlane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.vectors import Number, Vector, add, cross, dot, length, negative, scale, seen, subtract, turned
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, length, negative, scale, seen, subtract, turned
 
 # Angle below which two capsules count as parallel [rad], squared.
 _PARALLEL = 1e-10
@@ -132,31 +133,79 @@ class CapsuleOnCapsule(AbstractGap):
     sides touch; their flat ends are not in it.
     Bristles turn with the mean of both angular velocities. Neither body differs from the other: a and b may be exchanged.
 
-    Directions: normal is along r, from b to a. Axial is a's z axis less its part along the normal; tangential is across both.
-    Coefficients: ``radius_a``, ``radius_b``, ``half_length_a``, ``half_length_b`` [m].
+    Directions: normal is along r, from b to a. Axial is a's z axis less its part along the normal (with edges its x axis where
+    the normal is nearer than 45 degrees to z); tangential is across both.
+    Coefficients: ``radius_a``, ``radius_b`` [m]; of a body without edges ``half_length_a``, ``half_length_b`` [m].
+
+    Attributes:
+        edges_a, edges_b: in place of the segment along z several, from end to end [x, y, z, x, y, z] in the body's axes from its
+            marker [m]; or the three half lengths of a box, whose twelve edges they are, rounded by the radius. Every edge of a
+            with every edge of b is a member. Faces bear nothing: ``SphereOnBox`` has them. Edges that meet in a corner each
+            bear there.
     """
 
-    needs: ClassVar[tuple[str, ...]] = ("radius_a", "radius_b", "half_length_a", "half_length_b")
+    edges_a: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=(), converter=lambda x: _edges(x))
+    edges_b: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=(), converter=lambda x: _edges(x))
+
+    @property
+    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        plain = [f"half_length_{k}" for k, edges in (("a", self.edges_a), ("b", self.edges_b)) if not edges]
+        return ("radius_a", "radius_b", *plain)
+
+    @property
+    def members(self) -> int:
+        return max(len(self.edges_a), 1) * max(len(self.edges_b), 1) if self.edges_a or self.edges_b else 0
+
+    def _segments(self, a: Frame, b: Frame, c: Coefficients) -> list[tuple[Vector, Vector, Number]]:
+        """Of both bodies the middles from the markers and the directions, world, and half lengths [m]; side by side."""
+        ours, theirs = np.reshape(self.edges_a, (-1, 6)), np.reshape(self.edges_b, (-1, 6))
+        ours, theirs = np.repeat(ours, max(len(theirs), 1), 0), np.tile(theirs, (max(len(ours), 1), 1))
+        found: list[tuple[Vector, Vector, Number]] = []
+        for k, frame, edges in (("a", a, ours), ("b", b, theirs)):
+            if not len(edges):
+                found.append((ZERO, frame.axes[2], c[f"half_length_{k}"]))
+                continue
+            middle, way = 0.5 * (edges[:, 3:] + edges[:, :3]).T, 0.5 * (edges[:, 3:] - edges[:, :3]).T
+            half = np.linalg.norm(way, axis=0)
+            found.append((turned(frame.axes, tuple(middle)), turned(frame.axes, tuple(way / half)), half))
+        return found
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        first, second, apart = a.axes[2], b.axes[2], subtract(b.place, a.place)
-        s, t, beside = _nearest((dot(first, second), dot(first, apart), dot(second, apart)), cross(first, second), c)
+        (here, first, ours), (there, second, theirs) = self._segments(a, b, c)
+        apart = subtract(add(there, subtract(b.place, a.place)), here)
+        dots = dot(first, second), dot(first, apart), dot(second, apart)
+        s, t, beside = _nearest(dots, cross(first, second), ours, theirs)
         arm = scale(t, second)
         way = subtract(add(apart, arm), scale(s, first))
         distance = jnp.sqrt(dot(way, way) + beside + ROUND**2)
         normal = scale(-1.0 / length(way, ROUND), way)
         middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
-        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
+        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(there, arm, scale(middle, normal))),)
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        return _lying(a, self.faces(a, b, c)[0].normal) if self.members else a.axes[2]
 
     def carried(self, a: Vector, b: Vector) -> Vector:
         return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
         # As either turns, the nearest point slides along both.
-        return Bends(c["radius_a"] + c["radius_b"], arm=c["half_length_a"] + c["half_length_b"])
+        reach = [
+            float(np.abs(edges).max()) * 3.0**0.5 if edges else c[f"half_length_{k}"]
+            for k, edges in (("a", self.edges_a), ("b", self.edges_b))
+        ]
+        return Bends(c["radius_a"] + c["radius_b"], arm=reach[0] + reach[1])
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        return tuple((_capsule(c[f"radius_{k}"], c[f"half_length_{k}"]),) for k in "ab")  # pyright: ignore[reportReturnType]
+        def rods(k: str, edges: tuple[tuple[float, ...], ...]) -> tuple[shapes.Mesh, ...]:
+            if not edges:
+                return (_capsule(c[f"radius_{k}"], c[f"half_length_{k}"]),)
+            ends = np.reshape(edges, (-1, 2, 3))
+            half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+            each = zip(half, ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / (2.0 * half[:, None]), strict=True)
+            return tuple(_capsule(c[f"radius_{k}"], x).moved(middle, shapes.frame(way)) for x, middle, way in each)
+
+        return rods("a", self.edges_a), rods("b", self.edges_b)
 
 
 class SphereOnBox(AbstractGap):
@@ -206,9 +255,7 @@ class SphereOnBox(AbstractGap):
         return (Face(depth, normal, add(arms, scale(c["radius"], normal))),)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        (face,) = self.faces(a, b, c)
-        steep = jnp.square(dot(a.axes[2], face.normal)) > 0.5
-        return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
+        return _lying(a, self.faces(a, b, c)[0].normal)
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(c["radius"], arm=float(np.max(np.linalg.norm(self.points, axis=1))) if self.points else 0.0)
@@ -260,6 +307,30 @@ class SphereOnWedge(AbstractGap):
         return (shapes.wall(lines, outward, half),), (shapes.ball(c["radius"]),)
 
 
+def _lying(a: Frame, normal: Vector) -> Vector:
+    """a's z axis, or its x axis where the normal is nearer than 45 degrees to z."""
+    steep = jnp.square(dot(a.axes[2], normal)) > 0.5
+    return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
+
+
+def _edges(given: Any) -> tuple[tuple[float, ...], ...]:
+    """Edges of an option: six numbers each, or a box's from its three half lengths."""
+    try:
+        found = np.asarray(given, dtype=float)
+        if found.shape == (3,) and np.all(found > 0.0):
+            corners = [(*np.roll([x, *k], i), *np.roll([-x, *k], i)) for i, x in enumerate((1.0, 1.0, 1.0))
+                       for k in itertools.product((1.0, -1.0), repeat=2)]  # fmt: skip
+            found = np.array(corners) * np.tile(found, 2)
+        found = found.reshape(-1, 6) if found.size else np.zeros((0, 6))
+        right = np.isfinite(found).all() and np.all(np.linalg.norm(found[:, 3:] - found[:, :3], axis=1) > 0.0)
+    except (TypeError, ValueError):
+        found, right = np.zeros((0, 6)), False
+    if not right:
+        remedy = "give a list of edges, six numbers from end to end [m] each, or the three half lengths of a box"
+        raise InputError("gap, option 'edges_a' or 'edges_b'", f"{given!r}", remedy)
+    return tuple(tuple(map(float, row)) for row in found)
+
+
 def _points(given: Any) -> tuple[tuple[float, float, float], ...]:
     """Points of an option, three numbers each."""
     try:
@@ -283,10 +354,11 @@ def _capsule(radius: float, half: float) -> shapes.Mesh:
     return shapes.revolved(np.stack([radius * np.cos(angle), height], axis=1))
 
 
-def _nearest(dots: tuple[Number, Number, Number], across: Vector, c: Coefficients) -> tuple[Number, Number, Number]:
+def _nearest(
+    dots: tuple[Number, Number, Number], across: Vector, ours: Number, theirs: Number
+) -> tuple[Number, Number, Number]:
     """s, t and e ((s - s_0)^2 + (t - t_0)^2) of ``CapsuleOnCapsule``, from z_a . z_b, z_a . p, z_b . p and z_a x z_b."""
     (both, u, w), one = dots, 1.0 + _PARALLEL
-    ours, theirs = c["half_length_a"], c["half_length_b"]
 
     def middle(at: Number, own: Number, other: Number) -> Number:
         """Of what a segment has beside the other, whose middle is beside ``at``."""
