@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from bcfj_jax.core.errors import nearest as nearest
     from bcfj_jax.core.quantities import Quantity as Quantity
     from bcfj_jax.core.quantities import check_value as check_value
+    from bcfj_jax.data.thinning import thinned as thinned
     from bcfj_jax.io.usercode import use_code as use_code
     from bcfj_jax.io.view.export import animate as animate
     from bcfj_jax.mechanism import loads as loads
@@ -74,6 +75,7 @@ _PUBLIC = {
     "Mechanism": "mechanism.mechanism",
     "AbstractModel": "mechanism.model",
     "Plan": "solve.plan",
+    "thinned": "data.thinning",
     "use_code": "io.usercode",
     "animate": "io.view.export",
     **{name: "solve.simulation" for name in ("Run", "force_history", "reading_history", "simulate")},

@@ -114,6 +114,7 @@ def test_an_optimum_on_a_bound_and_its_tolerance(dashpot):
     assert wide.failed == 0
 
 
+@pytest.mark.slow
 def test_most_instead_of_least(dashpot):
     found = bj.design(
         *dashpot, TIMES, "contact.peak", {"dashpot": BOX}, sense="maximise", certify=False, slices=False, **HOW

@@ -274,7 +274,7 @@ def test_command_line(here):
     assert bcfj("impact", "--wrt", "mass", "--out", "out").exit_code == 2
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_comparison_that_takes_too_long_is_left_behind(here, monkeypatch):
     """A compilation cannot be stopped: the call ends within its budget, says so, and writes what it has."""
     over, real = threading.Event(), differences.forces

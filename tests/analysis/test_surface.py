@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from studies import IMPACT, POWERS, peak
 from typer.testing import CliRunner
 
@@ -105,7 +106,7 @@ def test_errors_are_far_below_the_spread_and_derivatives_help():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("derivatives", [False, True])
+@pytest.mark.parametrize("derivatives", [False, tiers.slow(True)])
 def test_deviations_on_the_closed_form_are_not_too_small(derivatives):
     test, found = closed(1000, 9), fitted(32, derivatives)
     mean, deviation = found.predict(test.values)

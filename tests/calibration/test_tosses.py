@@ -62,6 +62,7 @@ def test_the_first_state_is_within_its_bounds_whatever_the_signs():
             assert abs(found.values[name] - wanted) < found.halves[name], (seed, name)
 
 
+@pytest.mark.slow
 def test_a_record_of_a_toss_becomes_a_box_on_a_plane(tmp_path):
     said = []
     path = write(tmp_path / "toss.csv", *toss())

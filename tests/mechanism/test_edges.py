@@ -120,8 +120,8 @@ def two(start, law="hertz", **more):
     [
         ({"x": 0.049, "z": 0.02, **LYING}, 1e-3, (0.0295, 0.0, 0.02)),  # crossing
         ({"x": 0.049, "z": 0.02}, 1e-3, (0.0295, 0.0, 0.02)),  # parallel, b beside a
-        ({"x": 0.049, "z": 0.1}, 1e-3, (0.0295, 0.0, 0.07)),  # parallel, in the middle of 0.04 to 0.1
-        ({"z": 0.1 + 0.06 + 0.049}, 1e-3, (0.0, 0.0, 0.1295)),  # end on end
+        tiers.slow(({"x": 0.049, "z": 0.1}, 1e-3, (0.0295, 0.0, 0.07))),  # parallel, in the middle of 0.04 to 0.1
+        tiers.slow(({"z": 0.1 + 0.06 + 0.049}, 1e-3, (0.0, 0.0, 0.1295))),  # end on end
         ({"x": 0.0, "y": 0.06 + 0.049, "z": -0.03, **LYING}, 1e-3, (0.0, 0.0295, -0.03)),  # end on side
     ],
     ids=["cross", "beside", "shifted", "ends", "end"],
@@ -197,7 +197,11 @@ CORNERS = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.
 
 @pytest.mark.parametrize(
     ("points", "radius", "low", "bears"),
-    [(RIM, 1e-3, A, 6), (CORNERS, 1e-3, 0.011, 4), (((0.03, 0.0, 0.0), (-0.03, 0.0, 0.0)), 0.02, 0.02, 2)],
+    [
+        tiers.slow((RIM, 1e-3, A, 6)),
+        (CORNERS, 1e-3, 0.011, 4),
+        tiers.slow((((0.03, 0.0, 0.0), (-0.03, 0.0, 0.0)), 0.02, 0.02, 2)),
+    ],
     ids=["flat end", "box", "capsule"],
 )
 def test_a_body_of_points_stands_on_a_box_and_not_beyond_its_edge(points, radius, low, bears):

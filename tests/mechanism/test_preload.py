@@ -139,6 +139,7 @@ def test_a_pressed_pin_rings_at_twice_the_stiffness():
     np.testing.assert_allclose(force, 2e6 * 0.02 / w * np.sin(w * times), atol=2e-3 * np.abs(force).max())
 
 
+@pytest.mark.slow
 def test_a_bolted_flange_opens():
     """Bolt F_i + F k_b/(k_b + k_c) while the flange is closed, F below F_i (k_b + k_c)/k_c; F alone beyond (Shigley, 8-7)."""
     bolt_k, clamp_k, pre = 4e5, 1e6, 2000.0

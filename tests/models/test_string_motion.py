@@ -65,7 +65,7 @@ def test_its_linear_algebra_is_the_dense_one(count, bit):
             assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-9 * float(jnp.abs(theirs).max()))
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_a_run_reads_what_its_joints_bear():
     """By the stiffness that it finds of them: those of the same states at a stiffness given."""
     scene, params, _ = moving(1, bit="lugre")

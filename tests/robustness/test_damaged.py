@@ -14,13 +14,13 @@ for library in ("nptdms", "h5py", "pyuff", "ezc3d", "asammdf", "openpyxl", "pyar
 
 
 def faults(reader, count, folder):
-    # Other tests of this process may have held more.
+    # A worker that holds other tests' programs may have more than a reader ever may: what it adds is bounded.
     before = damaged.largest()
     ends = damaged.cases(reader, count, folder, 3)
     found = [
         f"{name} case {k}: {c.outcome}: {c.detail}" for name, k, c in ends if c.outcome not in ("accepted", "refused")
     ]
-    assert damaged.largest() <= max(before, damaged.LARGEST)
+    assert damaged.largest() - before <= damaged.LARGEST
     return found
 
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tiers
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,24 +33,25 @@ def test_below_is_as_many_neighbours_down(time, ulps):
     assert below < np.nextafter(down, np.inf)
 
 
-def run(scene):
-    """States of a run, and their derivative by the damping."""
+def run(scene, differentiable):
+    """States of a run; with them their derivative by the damping."""
 
     def states(damping):
-        params = scene.completed(scene.parameters(damping=damping))
-        return integrate.integrate(scene, params, TIMES, Plan(jnp.asarray(1e-6), 1000), differentiable=True).states
+        params, plan = scene.completed(scene.parameters(damping=damping)), Plan(jnp.asarray(1e-6), 1000)
+        return integrate.integrate(scene, params, TIMES, plan, differentiable=differentiable).states
 
-    return lambda damping: jax.jvp(states, (damping,), (1.0,))
+    return (lambda damping: jax.jvp(states, (damping,), (1.0,))) if differentiable else states
 
 
-@pytest.mark.parametrize("lanes", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_values_and_derivatives_have_the_same_bits(lanes, monkeypatch):
+@pytest.mark.parametrize("differentiable", [False, tiers.slow(True)])
+@pytest.mark.parametrize("lanes", [2, tiers.slow(1)])
+def test_values_and_derivatives_have_the_same_bits(lanes, differentiable, monkeypatch):
     scene = bj.scenes.impact()
     found, operations = [], []
     for context in (shortened, contextlib.nullcontext):
         monkeypatch.setattr(integrate, "shortened", context)
         jax.clear_caches()
-        traced = jax.jit(jax.vmap(run(scene))).trace(np.linspace(0.1, 0.2, lanes))
+        traced = jax.jit(jax.vmap(run(scene, differentiable))).trace(np.linspace(0.1, 0.2, lanes))
         operations.append(str(traced.jaxpr).count(" nextafter"))
         found.append(traced.lower().compile()(np.linspace(0.1, 0.2, lanes)))
     np.testing.assert_array_equal(*found)

@@ -75,7 +75,7 @@ def test_forces_in_world_axes_are_the_whole_forces():
             assert size == pytest.approx(np.linalg.norm(np.asarray(reading.force), axis=-1), rel=1e-9)
 
 
-@pytest.mark.full
+@pytest.mark.slow
 def test_the_drive_torque_is_that_of_the_energy_balance():
     prepared, y = jolted()
     t = jnp.asarray(0.03)
