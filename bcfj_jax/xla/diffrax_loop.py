@@ -1,7 +1,7 @@
 """Diffrax's loop over steps, without the operations that it makes of one number and one question.
 
-``diffrax._integrate.loop`` (0.7.2) goes down from the run's end by a hundred ULPs, one unrolled call after the other: 500
-of the 1 800 operations of an impact's program. It also traces a whole step twice beforehand, to learn whether its jump and
+``diffrax._integrate.loop`` (0.7.2) goes down from the run's end by a hundred ULPs, one unrolled call after the other: 400
+of the 1 835 operations of an impact's program. It also traces a whole step twice beforehand, to learn whether its jump and
 its result are constants, which here they hardly ever are, and checks its times by branches. Within ``shortened`` the hundred
 calls are one subtraction, with the same bits. A step is traced once. What is wrong is NaN without a branch. What others
 solve by diffrax, in this process or thread, is as it was.
