@@ -163,6 +163,7 @@ def apart(gap: str, depth: float, turned: np.ndarray, rng: np.random.Generator) 
         return np.array([p[0], play - _SIZES["half_length"] * long - _SIZES["radius"] * wide, p[2]])
     if gap == "capsule_on_capsule":
         side = np.cross([0.0, 0.0, 1.0], turned[:, 2])
+        side = side if np.any(side) else np.array([1.0, 0.0, 0.0])
         return (_SIZES["radius_a"] + _SIZES["radius_b"] - depth) * side / np.linalg.norm(side) + [0.0, 0.0, 0.01]
     if gap == "sphere_on_box":
         half = np.array([_SIZES[f"half_{k}"] for k in ("length", "width", "height")])

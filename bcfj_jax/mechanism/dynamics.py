@@ -362,6 +362,9 @@ class Dynamics(AbstractModel):
             raise raised(f"contact '{c.name}' gap {type(c.gap).__name__}", error) from error
         found = []
         for face, own in zip(faces, memory, strict=True):
+            if c.gap.members and not jnp.ndim(face.depth):
+                # Members that are equally deep, as on a body without axes: each bears.
+                face = face._replace(depth=jnp.broadcast_to(face.depth, (c.gap.members,)))
             point = add(frames[1].place, face.lever)
             velocity = subtract(
                 second.velocity_at(subtract(point, second.place)), first.velocity_at(subtract(point, first.place))

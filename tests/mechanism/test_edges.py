@@ -327,3 +327,15 @@ def test_a_beam_rests_across_a_beam_on_four_edges():
     bear = np.asarray(made.observe(jnp.zeros(()), state, p)["c"].force)[:, 0]
     assert np.sum(bear > 1e-6) == 4
     np.testing.assert_allclose(bear[bear > 1e-6], M * G / 4.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("joint", ["particle", "free"])
+def test_both_ends_of_a_capsule_bear_on_a_body_with_and_without_axes(joint):
+    """Ends that are equally deep, d, bear 2 K d^1.5, however little of the gap turns."""
+    body = Body("b", joint, mass=2.0, **({} if joint == "particle" else {"inertia": 0.01}))
+    given = {"radius": 0.02, "half_length": 0.1, "stiffness": 1e6, "exponent": 1.5, "smoothing": 0.0}
+    made = Mechanism("m", [body], [Contact("c", ("ground", "b"), gaps.CapsuleOnPlane(axis="y"), "hertz")], given=given)
+    params = made.parameters()
+    state = made.initial_state(params).at[1].set(0.019)
+    pushed = np.asarray(made.vector_field(jnp.zeros(()), state, params))
+    assert pushed.max() == pytest.approx(2.0 * 1e6 * 1e-3**1.5 / 2.0, rel=1e-9)
