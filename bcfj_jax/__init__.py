@@ -6,8 +6,9 @@ motion), ``models`` (the built-in scenes, and the ball-cage joint), ``solve`` (`
 
 The import has two side effects, for the whole process. It sets JAX to 64-bit numbers, because penetrations are
 micrometres and travel is metres. It adds two options to ``XLA_FLAGS``, which compile the loops of a solver as single
-kernels, and sooner. Public names are loaded on first use; JAX is too, so that ``bcfj --help`` does not wait for it
-(``xla.backend``).
+kernels, and sooner. The first run puts a guard around two modules that diffrax's loop reads; only runs of this package see
+anything else through it (``xla.diffrax_loop``). Public names are loaded on first use; JAX is too, so that ``bcfj --help``
+does not wait for it (``xla.backend``).
 """
 
 from __future__ import annotations

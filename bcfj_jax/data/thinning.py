@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import Quantity, scalar
+from bcfj_jax.core.quantities import Quantity, increasing, real, scalar
 
 _ERROR = Quantity("error", "1", "largest change of a value by thinning", 0.0)
 _BAND = Quantity("band", "Hz", "frequency above which is filtered out", 0.0, open_low=True)
@@ -39,23 +39,20 @@ class Thinned(NamedTuple):
 
 
 def thinned(times: ArrayLike, values: ArrayLike, error: float, band: float | None = None) -> Thinned:
-    """The fewest of a record's rows from which it is to be had by straight lines to within an error, one after the other.
+    """Some of a record's rows, between which straight lines stay within ``error`` of all.
 
-    From each row the next is the last to which a line passes all between them at no more than ``error``, in the unit of
-    ``values`` (T,); ``times`` (T,) [s] rise. ``band`` [Hz]: what is faster is taken out first, by a Butterworth filter of 4th
-    order forwards and backwards, whose gain is 1/(1 + (tan(pi f h)/tan(pi band h))^8) at a step h and 1/2 at ``band``.
+    From each row the next is the last to which such a line leads; ``error`` has the unit of ``values`` (T,), and ``times`` (T,)
+    [s] increase. ``band`` [Hz]: what is faster is taken out first, by a Butterworth filter of 4th order forwards and
+    backwards, whose gain is 1/(1 + (tan(pi f h)/tan(pi band h))^8) at a step h and 1/2 at ``band``.
 
     Raises:
-        InputError: for rows that are not finite, fewer than two, or times that do not rise; for a band that an uneven clock,
-            or a rate of less than twice it, does not have.
+        InputError: for times that are fewer than two or do not increase, values that are not finite or of another number; for a
+            band that an uneven clock, or a rate of less than twice it, does not have.
     """
-    t, y = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
-    if t.ndim != 1 or t.shape != y.shape or t.size < 2 or not (np.isfinite(t).all() and np.isfinite(y).all()):
-        raise InputError("thinned", f"times {t.shape} and values {y.shape}", "give at least two rows of finite numbers")
+    t, y = increasing(times, 2), real("thinned", "values", values)
+    if t.shape != y.shape or not np.isfinite(y).all():
+        raise InputError("thinned", f"{t.shape} times and {y.shape} values", "give as many finite values as times")
     steps = np.diff(t)
-    if not np.all(steps > 0.0):
-        row = int(np.argmin(steps > 0.0)) + 1
-        raise InputError("thinned times", f"{t[row]:g} s after {t[row - 1]:g} s in row {row + 1}", "times must rise")
     allowed, whole = float(scalar("thinned", _ERROR, error)), y
     if band is not None:
         y = _slow(y, steps, float(scalar("thinned", _BAND, band)))

@@ -50,8 +50,8 @@ def test_the_filter_has_its_gain_and_no_delay(frequency):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (([0.0, 1.0, 1.0], [0.0, 1.0, 2.0], 0.1), "1 s after 1 s in row 3"),
-        (([0.0], [1.0], 0.1), "at least two rows"),
+        (([0.0, 1.0, 1.0], [0.0, 1.0, 2.0], 0.1), r"times\[2\] = 1 follows 1"),
+        (([0.0], [1.0], 0.1), "2 or more finite times"),
         (([0.0, 1.0], [0.0, np.nan], 0.1), "finite"),
         (([0.0, 1.0], [0.0, 1.0], -1.0), "error"),
         (([0.0, 1.0, 3.0], [0.0, 1.0, 2.0], 0.1, 0.2), "steps of 1 to 2 s"),
