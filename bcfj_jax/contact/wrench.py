@@ -117,7 +117,7 @@ def press(
     return ContactForce(add(push, drag), drag, normal, rate, slide, bending)
 
 
-def couple(touch: ContactForce, normal: Vector, spin: Vector, c: Coefficients, at: Vector | None = None) -> Vector:
+def couple(touch: ContactForce, normal: Vector, spin: Vector, c: Coefficients) -> Vector:
     """Torque on b that resists rolling and drilling [N m], world.
 
         M = -N (r w_t/sqrt(w_t . w_t + s^2) + b w_n/sqrt(w_n . w_n + s^2)),
@@ -125,21 +125,14 @@ def couple(touch: ContactForce, normal: Vector, spin: Vector, c: Coefficients, a
     w_n and w_t the parts of the relative spin w along the normal and across it. Coulomb's laws of rolling and drilling
     friction (Johnson, Contact Mechanics, 1985, 8.3 and 8.5), regularised below s as ``friction.Coulomb`` is: a body at rest on
     a slope creeps. Of a Hertz contact of radius a that slides everywhere b is 3 pi mu a/16. Coefficients:
-    ``rolling_length`` r, the lever of rolling resistance [m], ``drilling_length`` b [m], ``spin_speed`` s [rad/s]. ``at``: a
-    spin by which the roots are, in place of w.
+    ``rolling_length`` r, the lever of rolling resistance [m], ``drilling_length`` b [m], ``spin_speed`` s [rad/s].
     """
     found = ZERO
-    of = _split(normal, spin)
-    for part, near, lever in zip(of, of if at is None else _split(normal, at), RESISTING, strict=False):
-        size = jnp.sqrt(jnp.asarray(dot(near, near)) + c["spin_speed"] ** 2)
+    along = scale(dot(normal, spin), normal)
+    for part, lever in zip((subtract(spin, along), along), RESISTING, strict=False):
+        size = jnp.sqrt(jnp.asarray(dot(part, part)) + c["spin_speed"] ** 2)
         found = add(found, scale(-times(touch.normal, c[lever]) / size, part))
     return found
-
-
-def _split(normal: Vector, spin: Vector) -> tuple[Vector, Vector]:
-    """Parts of a spin across the normal and along it."""
-    along = scale(dot(normal, spin), normal)
-    return subtract(spin, along), along
 
 
 def separated(depth: Number, c: Coefficients) -> Array:

@@ -40,6 +40,8 @@ from bcfj_jax.mechanism.stuck import TIME, Slips
 REST = "(state at rest)"
 # Steps; a force is balanced to this share of all that act along it, or to what K makes of places so far off [m, rad].
 _STEPS, _BALANCED, _ROUNDED, _FAR = 2000, 1e-9, 1e-14, 1e3
+# Of that share a creep's velocities may lack.
+_CREPT = 1e-6
 # s [s^2] at first and at most; a step's turn at most [rad].
 _FIRST, _MOST, _TURN = 1e-6, 1e4, 0.5
 # A motion is named whose force is so much of the greatest left; of K relative to M, below which it is none [1/s^2].
@@ -98,7 +100,7 @@ class _Search:
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
         self.bound, still = bound, jnp.zeros(self.count)
         held = stuck.slips(self.scene, self.given, still, p, bound)
-        held = stuck.added(self.scene, self._at(self.given, p), held, held, p, bound)
+        held = stuck.added(self.scene, self._at(self.given, p), held, held, held, p, bound)
         self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
         # As functions of their own they are traced once, however often asked for.
         self.read, self.forces, self.slid = dict(p), jax.jit(self._forces), jax.jit(self._slid)
@@ -121,14 +123,29 @@ class _Search:
         y = self.scene.recalling(jnp.concatenate([places, jnp.zeros(self.count)]), p)
         return self.scene.instant(jnp.zeros(()), y, p)
 
+    def level(self, places: Array, p: Params) -> Array:
+        """``stuck.level`` (n, n) of these places."""
+        now = self._at(places, p)
+        found = self._massed(_Sizes(self.scene._members), now, p)
+        return stuck.level(self.scene, now, lambda v: stuck.slips(self.scene, places, v, p, self.bound), found)
+
     def _slid(self, places: Array, held: Slips, move: Array, p: Params) -> Slips:
         """Slips after a move."""
-        new = stuck.slips(self.scene, places, move / TIME, p, self.bound)
-        return stuck.added(self.scene, self._at(places, p), held, new, p, self.bound)
+        if not held:
+            return held
+        new, creeping = (
+            stuck.slips(self.scene, places, v / TIME, p, self.bound) for v in (move, self.level(places, p) @ move)
+        )  # fmt: skip
+        return stuck.added(self.scene, self._at(places, p), held, new, creeping, p, self.bound)
 
-    def _forces(
-        self, places: Array, held: Slips, p: Params, creeping: Slips | None = None
-    ) -> tuple[Array, Array, Array]:
+    def _massed(self, found: _Sizes, now: Instant, p: Params) -> Array:
+        """The diagonal of the mass matrix (n,), gathered in ``found``."""
+        for b in self.scene.ordered:
+            part = now.bodies.parts[b.name]
+            found.body(part, now.bodies.center[b.name], now.bodies.mass[b.name], self.scene.inertia(b, p))
+        return equations.flat([found.entry(j, j) for j in range(len(self.free))], self.free)
+
+    def _forces(self, places: Array, held: Slips, p: Params, creeping: bool = False) -> tuple[Array, Array, Array]:
         """Force on every free velocity, the sizes of all that act, the diagonal of the mass matrix; (n,) each."""
         scene, t, found = self.scene, jnp.zeros(()), _Sizes(self.scene._members)
         now, dry = stuck.rubbed(scene, self._at(places, p), held, p, self.bound, creeping)
@@ -137,12 +154,8 @@ class _Search:
             scene._loaded(found, load, t, now, p)
             if isinstance(load, CoordinateLoad) and load.name in dry:
                 found.push(scene._coordinate(load.body, t, now, p)[0], dry[load.name])
-        n = len(self.free)
-        for b in scene.ordered:
-            part = now.bodies.parts[b.name]
-            found.body(part, now.bodies.center[b.name], now.bodies.mass[b.name], scene.inertia(b, p))
-        mass = [found.entry(j, j) for j in range(n)]
-        return tuple(equations.flat(x[:n], self.free) for x in (found.forces, found.sizes, mass))  # pyright: ignore[reportReturnType]
+        mass, n = self._massed(found, now, p), len(self.free)
+        return equations.flat(found.forces[:n], self.free), equations.flat(found.sizes[:n], self.free), mass
 
     def known(self, places: Array, held: Slips, p: Params) -> _Known:
         """Forces, and how stiff they are: one pass for both."""
@@ -163,13 +176,18 @@ class _Search:
         move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(places, held, move, p)
 
-    def creep(self, at: _At, p: Params) -> Array:
-        """Velocities (n,) at which friction bears what it bears."""
-        places, held = at
-        return stuck.velocities(
-            lambda new: self.forces(places, new, p, held)[0],
-            lambda v: stuck.slips(self.scene, places, v, p, self.bound), held, self.forces(places, held, p)[2],
+    def creep(self, at: _At, p: Params) -> tuple[Array, Array]:
+        """Velocities (n,) at which friction bears what it bears, and what they leave (n,)."""
+        (places, held), ways = at, self.level(at[0], p)
+
+        def along(force: Array) -> Array:
+            return ways.T @ force
+
+        speeds, left = stuck.velocities(
+            lambda new: along(self._forces(places, new, p, True)[0]),
+            lambda v: stuck.slips(self.scene, places, ways @ v, p, self.bound), held, self.forces(places, held, p)[2],
         )  # fmt: skip
+        return ways @ speeds, left
 
 
 class _Moved(NamedTuple):
@@ -190,8 +208,9 @@ def _crept(search: _Search, places: Array, p: Params) -> tuple[_At, _Known, Arra
         there = search.moved(at[0], move), search.slid(*at, move, p)
         after = search.known(*there, p)
         work = jnp.dot(known.force, move)
-        # The first step is none: it begins to know.
-        lost = (i == 0) | (work > 0.0) & (work + jnp.dot(after.force, move) >= 0.0)
+        # The first step is none: it begins to know. At the end rounding decides what a step loses.
+        nearer = (done > 0) & (jnp.sum(after.force**2 / known.mass) < jnp.sum(known.force**2 / known.mass))
+        lost = (i == 0) | (work > 0.0) & (work + jnp.dot(after.force, move) >= 0.0) | nearer
         at, known = jax.tree.map(partial(jnp.where, lost), (there, after), (at, known))
         s = jnp.where(i == 0, s, jnp.clip(jnp.where(lost, 4.0 * s, s / 8.0), 1e-30, _MOST))
         # Forces of springs are rounded as their lengths are; what is farther away flees.
@@ -234,7 +253,8 @@ def settled(m: Dynamics, p: Params) -> Rest:
     found, known, balanced = _found(search)(search.given, search.read)
     places, speeds = found[0], m.placed_state(p)[found[0].size :]
     if search.held:
-        speeds = speeds + search.creep(found, search.read)
+        creep, left = search.creep(found, search.read)
+        speeds, balanced = speeds + creep, balanced & jnp.all(jnp.abs(left) <= _CREPT * known.sizes)
     moving = jnp.concatenate([jnp.where(balanced, places, jnp.nan), speeds])
     return Rest(m.recalling(moving, p, stuck.bent(search.scene, found[1])), known, balanced)
 

@@ -9,11 +9,13 @@ So a stuck contact gives by T times its creep speed, below 0.1 um, and friction 
 is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Computational Contact Mechanics, 2006, 5.2).
 Where several contacts could share a load in many ways, this is the one of equal slip. Then
 
-    velocities  u:  least in kinetic energy of those by which contacts slip by s and go neither deeper nor apart
-                    (least squares, weights N mobility);
+    velocities  u:  least in kinetic energy of those by which contacts slip by s (least squares, weights N mobility)
+                    and go neither deeper nor apart;
 
-a law that creeps has these forces at once, and goes on creeping. Bristles bear z themselves, f = -N sigma_0 z up to
-break-away, and are at rest. Rolling and drilling resistance and friction in joints act in the same way, by the turn.
+a law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
+across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are (``level``).
+Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest. Rolling and drilling resistance and
+friction in joints act in the same way, by the turn.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from bcfj_jax.contact.wrench import couple
 from bcfj_jax.core.vectors import Vector, add, dot, scale, spread, subtract
@@ -40,26 +42,28 @@ Slips = dict[str, Any]
 TIME, _WITHOUT = 1e-6, 1e3
 # A slip [m/s] beyond every limit.
 _FAR = 1e6
-
-
-def _rubs(c: Contact, bound: bool) -> bool:
-    return c.friction is not None or c.rolling or not bound
+# Share of the greatest normal force from which a contact keeps its depth; of a move that stays along normals, to the 8th power.
+_BEARS, _LEVEL = 1e-9, 1e-3
+# Steps to the velocities of creep.
+_CREEPS = 16
 
 
 def _dry(m: Dynamics) -> list[CoordinateLoad]:
     return [load for load in m.loads if isinstance(load, CoordinateLoad) and load.dry]
 
 
+def _contacts(m: Dynamics, bound: bool) -> tuple[Contact, ...]:
+    """All where anything rubs, since those without friction keep their depths; none where nothing does."""
+    rubs = not bound or _dry(m) or any(c.friction is not None or c.rolling for c in m.bundles)
+    return m.bundles if rubs else ()
+
+
 def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips:
-    """What friction sees of velocities, with the part along the normal; ``bound``: whether it has limits, else contacts
-    without friction are among them.
-    """
+    """What friction sees of velocities, with the part along the normal."""
     t = jnp.zeros(())
     now = m.instant(t, jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))]), p, laws=False)
     found: Slips = {}
-    for c in m.bundles:
-        if not _rubs(c, bound):
-            continue
+    for c in _contacts(m, bound):
         first, second = c.parts(now.bodies.parts)
         turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
         found[c.name] = [
@@ -73,7 +77,7 @@ def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips
 
 
 def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Array, Array]:
-    """Mobility of a face, and the share of its slip that stays."""
+    """Mobility of a face, and the share of its slip that stays; not ``bound``, friction has no limits, everywhere."""
     squared = jnp.asarray(dot(slip, slip))
     if not bound:
         return jnp.full_like(squared, _WITHOUT), jnp.ones_like(squared)
@@ -82,14 +86,37 @@ def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Arra
     return c.friction.holding(squared, read, TIME)
 
 
-def added(m: Dynamics, now: Instant, held: Slips, new: Slips, p: Params, bound: bool) -> Slips:
-    """Slips after further ones: none where nothing touches, and no more than friction holds."""
+def level(m: Dynamics, now: Instant, move: Callable[[Array], Slips], mass: Array) -> Array:
+    """(n, n): of a move the part by which nothing that touches goes deeper or apart; nearest by ``mass`` (n,)."""
+
+    def closing(v: Array) -> Array:
+        new = move(v)
+        return jnp.concatenate([
+            jnp.ravel(jnp.asarray(dot(face.normal, slip)) * jnp.ones_like(touch.normal))
+            for c in m.bundles for (face, touch), (slip, _) in zip(now.faces[c.name], new[c.name], strict=True)
+        ])  # fmt: skip
+
+    bears = [jnp.ravel(jnp.asarray(touch.normal)) for c in m.bundles for _, touch in now.faces[c.name]]
+    if not bears:
+        return jnp.eye(mass.size)
+    normal, root = jnp.maximum(jnp.concatenate(bears), 0.0), jnp.sqrt(mass)
+    rows = jax.jacfwd(closing)(jnp.zeros_like(mass)) / root
+    sizes = jnp.sum(rows * rows, 1) * (1.0 + _BEARS * jnp.max(normal) / jnp.where(normal > 0.0, normal, 1.0))
+    across = rows.T @ (
+        jnp.where((normal > 0.0) & (sizes > 0.0), 1.0 / jnp.where(sizes > 0.0, sizes, 1.0), 0.0)[:, None] * rows
+    )
+    stays = jnp.linalg.inv(jnp.eye(mass.size) + across / _LEVEL**2)
+    return jnp.linalg.matrix_power(stays, 4) * root / root[:, None]
+
+
+def added(m: Dynamics, now: Instant, held: Slips, new: Slips, creeping: Slips, p: Params, bound: bool) -> Slips:
+    """Slips after further ones: none where nothing touches, and no more than friction holds; ``creeping``: of laws that creep."""
     found: Slips = {}
-    for c in m.bundles:
-        if c.name not in held:
-            continue
+    for c in _contacts(m, bound):
         read, found[c.name] = c.coefficients(p), []
-        for (face, touch), one, more in zip(now.faces[c.name], held[c.name], new[c.name], strict=True):
+        for (face, touch), one, more in zip(
+            now.faces[c.name], held[c.name], (new if c.bristles else creeping)[c.name], strict=True
+        ):
             slip, turn = (add(x, y) for x, y in zip(one, more, strict=True))
             slip = subtract(slip, scale(dot(face.normal, slip), face.normal))
             share = _mobility(c, slip, read, bound)[1]
@@ -97,46 +124,50 @@ def added(m: Dynamics, now: Instant, held: Slips, new: Slips, p: Params, bound: 
             kept = [[jnp.where(touching, x, 0.0) for x in vector] for vector in (scale(share, slip), turn)]
             found[c.name].append(tuple(map(tuple, kept)))
     for load in _dry(m):
-        slip = held[load.name] + new[load.name]
+        slip = held[load.name] + (new if load.bristles else creeping)[load.name]
         found[load.name] = slip * (load.holding(slip, p, TIME)[1] if bound else 1.0)
     return found
 
 
 def rubbed(
-    m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool, creeping: Slips | None = None
+    m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool, creeping: bool = False
 ) -> tuple[Instant, dict[str, Array]]:
-    """An instant at rest with the friction of slips; and by load on a joint its force.
-
-    ``creeping``: slips whose mobilities are taken, so that forces are linear in ``held``; bristles then bear nothing.
-    """
-    at, faces = creeping or held, dict(now.faces)
-    for c in m.bundles:
-        if c.name not in held:
-            continue
+    """An instant at rest with the friction of slips; and by load on a joint its force. Of a creep bristles bear nothing."""
+    faces = dict(now.faces)
+    for c in _contacts(m, bound):
         read, faces[c.name] = c.coefficients(p), []
-        for (face, touch), (slip, turn), (near, spin) in zip(now.faces[c.name], held[c.name], at[c.name], strict=True):
-            mobility, _ = _mobility(c, near, read, bound)
-            if creeping is not None and c.bristles:
-                mobility = jnp.zeros_like(mobility)
-            drag = scale(-touch.normal * mobility, slip)
+        for (face, touch), (slip, turn) in zip(now.faces[c.name], held[c.name], strict=True):
+            mobility, _ = _mobility(c, slip, read, bound)
+            drag = scale(-touch.normal * (0.0 * mobility if creeping and c.bristles else mobility), slip)
             bears = touch._replace(force=add(touch.force, drag), drag=drag)
             if c.rolling:
-                bears = bears._replace(couple=couple(touch, face.normal, turn, read, spin))
+                bears = bears._replace(couple=couple(touch, face.normal, turn, read))
             faces[c.name].append((face, bears))
     forces = {}
     for load in _dry(m):
-        near = at[load.name] if bound else jnp.zeros_like(at[load.name])
-        rests = creeping is not None and load.bristles
-        forces[load.name] = 0.0 * near if rests else -load.holding(near, p, TIME)[0] * held[load.name]
+        slip = held[load.name]
+        mobility = load.holding(slip if bound else 0.0 * slip, p, TIME)[0]
+        forces[load.name] = -(0.0 * mobility if creeping and load.bristles else mobility) * slip
     return now._replace(faces=faces), forces
 
 
-def velocities(forces: Callable[[Slips], Array], move: Callable[[Array], Slips], held: Slips, mass: Array) -> Array:
-    """u (n,) of the module docstring; ``forces`` (n,) linear in slips, ``move`` from velocities to slips; mass (n,)."""
-    none = forces(jax.tree.map(jnp.zeros_like, held))
-    rubbing = jax.jacfwd(lambda v: forces(move(v)))(jnp.zeros_like(mass))
-    # Without friction along it a velocity is 0; what friction damps is known to this share of a millisecond's.
-    return jnp.linalg.solve(jnp.diag(1e-6 * mass) - rubbing, none - forces(held))
+def velocities(
+    forces: Callable[[Slips], Array], move: Callable[[Array], Slips], held: Slips, mass: Array
+) -> tuple[Array, Array]:
+    """u (n,) of the module docstring, and what they lack of the forces of ``held`` (n,) [N, N m].
+
+    ``forces`` (n,) of slips, ``move`` from velocities to slips; mass (n,).
+    """
+    there = forces(held)
+
+    def step(v: Array, _: None) -> tuple[Array, Array]:
+        left, rubbing = forces(move(v)) - there, jax.jacfwd(lambda v: forces(move(v)))(v)
+        # Without friction along it a velocity is 0; what friction damps is known to this share of a millisecond's.
+        return v + jnp.linalg.solve(jnp.diag(1e-6 * mass) - rubbing, left - 1e-6 * mass * v), left
+
+    # From rest Newton's method does not go beyond the crest, and gains a half a step where friction is nearly used up.
+    speeds, left = lax.scan(step, jnp.zeros_like(mass), length=_CREEPS)
+    return speeds, left[-1]
 
 
 def bent(m: Dynamics, held: Slips) -> dict[str, Any]:

@@ -160,3 +160,24 @@ def test_a_hinge_with_dry_friction_stays_within_its_band():
     # It sinks to the edge of its band: there the torque is the sliding torque, below the pin.
     assert 0.2 * G * np.cos(state[0]) == pytest.approx(1.0, rel=1e-6)
     assert state[0] < 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_a_creep_balances_every_force(seed):
+    """On two or three faces at random angles, with laws of their own, what a run begins with accelerates nothing."""
+    draw = np.random.default_rng(seed)
+    laws, body = ["coulomb", "brown_mcphee", None], Body("block", "particle", mass=2.0)
+    turned = np.sort(draw.uniform(-1.0, 1.0, 2 + seed % 2)) + np.linspace(-0.7, 0.7, 2 + seed % 2)
+    sides = [
+        Contact(f"side_{k}", (GROUND, "block"), gaps.PointOnPlane((np.sin(a), 0.0, np.cos(a))), "memory_free",
+                friction=laws[(k + seed) % (2 if k else 3)])
+        for k, a in enumerate(turned)
+    ]  # fmt: skip
+    loads = [Gravity("-z"), Force("push", "block", "y", draw.uniform(-3.0, 3.0))]
+    scene = Mechanism("groove", [body], sides, loads, given=GIVEN, start="static")
+    params = scene.parameters()
+    scene.check(params)
+    state = jax.jit(scene.initial_state)(params)
+    field = np.asarray(jax.jit(scene.vector_field)(jnp.zeros(()), state, params))
+    assert np.abs(field[3:]).max() < 1e-5 * G
