@@ -545,9 +545,12 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
 
 
 def _misses(at: Optimum) -> dict[str, fit_tests.Spread]:
-    """Spreads by kind that allow for a law that misses, and for runs that differ; none of a robust loss or a rough cost."""
+    """Spreads by kind that allow for a law that misses, and for runs that differ.
+
+    None of a robust loss, or where the integrator's error stands for the noise.
+    """
     model, series, best, spread = at.model, at.series, at.end, at.spread
-    if spread.covariance is None or model.loss != "linear" or budget(model).rough:
+    if spread.covariance is None or model.loss != "linear" or at.noise.integrator:
         return {}
     shape = model.data.weights.shape
     runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)

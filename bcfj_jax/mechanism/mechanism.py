@@ -74,7 +74,8 @@ class Mechanism(Dynamics):
         """Implicit as ``implicit`` says, else as default values do; a period is the drive's where something is driven."""
         implicit = stiff.implicit_by_default(self) if self.implicit is None else self.implicit
         driven = any(b.drive is not None for b in self.bodies)
-        return ModelTraits(stiff=implicit, history=bool(self._free or self._memory), turning=driven, rough=driven)
+        history = bool(self._free or self._memory)
+        return ModelTraits(stiff=implicit, history=history, turning=driven, rough=driven and history)
 
     def suited(self, params: Params, end: float, solver: str | None = None) -> Mechanism:
         """With ``implicit`` as the solver that is named is, or as these values say."""

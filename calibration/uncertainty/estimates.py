@@ -163,12 +163,9 @@ def estimates(at: Optimum) -> Estimates:
         tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
         asked = [axis.experiment is None or budget(model).bends for axis in model.coordinates]
-        for axis, label, value, slope, own in zip(
-            model.coordinates, at.labels, values, how.slopes, asked, strict=False
-        ):
-            if own and (half := spread.half_width(slope)) > 0.0:  # Else it is held where it is.
-                reach = _reach(axis, _quantity(model, axis), value, half)
-                tests.append(fit_tests.curvature_test(label, _curvature(at, slope, (-reach, 1.0))))
+        for label, slope, own in zip(at.labels, how.slopes, asked, strict=False):
+            if own and spread.half_width(slope) > 0.0:  # Else it is held where it is.
+                tests.append(fit_tests.curvature_test(label, _curvature(at, how, slope)))
     tests.append(fit_tests.rank_test(spread))
     if not all(t.passed for t in tests if t.name.endswith("determined")):
         names = [at.labels[k] for k in np.argsort(-np.abs(spread.weakest))[:2]]
@@ -205,16 +202,25 @@ def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
 
-def _curvature(at: Optimum, slope: np.ndarray, reaches: tuple[float, float]) -> float:
+def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     """Rise of the cost at the ends of an interval, the other parameters following, over the quadratic rise.
 
-    ``reaches``: where those ends are, in half-widths; one that is no way off has no information.
+    An end is nearer where a quantity could not be, as an exponent below 1; one that is no way off has no information.
     """
     assert at.spread.covariance is not None
     quantile, along, model, best = at.spread.quantile_of(slope), at.spread.covariance @ slope, at.model, at.end
-    shares = np.array([r for r in reaches if abs(r) > _NEAR])
+    whole = quantile * along / np.sqrt(slope @ along)
+    lowest = np.array([_quantity(model, axis).low for axis in model.coordinates])
+    with np.errstate(divide="ignore"):
+        room = how.z[: lowest.size] - np.where(how.log[: lowest.size], np.log(np.maximum(lowest, 0.0)), lowest)
+    moves = how.slopes[: lowest.size] @ whole
+    shares = np.array([
+        sign * min(1.0, *(max(far, 0.0) / -move for far, move in zip(room, sign * moves, strict=True) if move < 0.0), 1.0)
+        for sign in (-1.0, 1.0)
+    ])  # fmt: skip
+    shares = shares[np.abs(shares) > _NEAR]
     expected = quantile**2 * at.spread.rise * shares**2
-    steps = shares[:, None] * quantile * along / np.sqrt(slope @ along)
+    steps = shares[:, None] * whole
     residuals, jacobians = evaluator(model)(best.point + steps)
     if at.noise.integrator or budget(model).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
