@@ -54,13 +54,21 @@ class Touches(NamedTuple):
     ends: ContactForce | None
 
 
+def stacked(touches: list[ContactForce], axis: int) -> ContactForce:
+    """Several touches as one; of what they read, what all of them read."""
+    missing = [k for k in ContactForce._fields if any(getattr(one, k) is None for one in touches)]
+    alike = [one._replace(**dict.fromkeys(missing)) for one in touches]
+    return jax.tree.map(lambda *x: jnp.stack(x, axis), *alike)
+
+
 def touches(scene, c, state):
     """What the contacts of one state do."""
     found = system.by_name(scene, system.contact_forces(scene, c, state))
     pilots = [found[name] for name in scene.pilots]
-    grooves = jax.tree.map(lambda *x: jnp.stack(x, 1), *[found[name] for name in GROOVES])
-    guides = jax.tree.map(lambda *x: jnp.stack(x), *pilots) if pilots else None
-    return Touches(grooves, found.get("cage_ball"), guides, found.get("cage_window_end"))
+    grooves = stacked([found[name] for name in GROOVES], 1)
+    return Touches(
+        grooves, found.get("cage_ball"), stacked(pilots, 0) if pilots else None, found.get("cage_window_end")
+    )
 
 
 @functools.cache

@@ -94,9 +94,11 @@ def test_arrowhead_solves_with_the_exact_jacobian(options):
 
     for scale in (2e-5, 1e-3):
         got, back, jacobian = both(y, right, scale, c)
-        terms = np.stack([left * np.asarray(got), right * np.asarray(back)])
-        assert abs(np.diff(terms.sum(1))[0]) <= 1e-11 * abs(terms).sum()
-        wanted = np.linalg.solve(np.eye(y.size) / scale - np.asarray(jacobian), right)
+        terms, matrix = np.stack([left * np.asarray(got), right * np.asarray(back)]), np.eye(y.size) / scale - jacobian
+        wanted, other = np.linalg.solve(matrix, right), np.linalg.solve(matrix.T, left)
+        # Conditions reach 4e16: with unlike laws NumPy's own two solutions differ by as much.
+        rounding = 10.0 * abs(left @ wanted - right @ other)
+        assert abs(np.diff(terms.sum(1))[0]) <= 1e-11 * abs(terms).sum() + rounding
         for part in (slice(0, places), slice(places, scene.moving), slice(scene.moving, None)):
             if not wanted[part].size:
                 continue
