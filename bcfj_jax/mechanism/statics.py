@@ -145,10 +145,10 @@ class _Search:
             found.body(part, now.bodies.center[b.name], now.bodies.mass[b.name], self.scene.inertia(b, p))
         return equations.flat([found.entry(j, j) for j in range(len(self.free))], self.free)
 
-    def _forces(self, places: Array, held: Slips, p: Params, creeping: bool = False) -> tuple[Array, Array, Array]:
+    def _forces(self, places: Array, held: Slips, p: Params) -> tuple[Array, Array, Array]:
         """Force on every free velocity, the sizes of all that act, the diagonal of the mass matrix; (n,) each."""
         scene, t, found = self.scene, jnp.zeros(()), _Sizes(self.scene._members)
-        now, dry = stuck.rubbed(scene, self._at(places, p), held, p, self.bound, creeping)
+        now, dry = stuck.rubbed(scene, self._at(places, p), held, p, self.bound)
         scene._pressed(found, now, p)
         for load in scene.loads:
             scene._loaded(found, load, t, now, p)
@@ -176,18 +176,19 @@ class _Search:
         move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(places, held, move, p)
 
-    def creep(self, at: _At, p: Params) -> tuple[Array, Array]:
-        """Velocities (n,) at which friction bears what it bears, and what they leave (n,)."""
+    def creep(self, at: _At, p: Params) -> tuple[Array, Array, Array]:
+        """Places at which friction bears as it creeps, its velocities (n,), and what force they leave (n,)."""
         (places, held), ways = at, self.level(at[0], p)
 
-        def along(force: Array) -> Array:
-            return ways.T @ force
+        def there(v: Array) -> Array:
+            return self.moved(places, TIME * (v - ways @ v))
 
-        speeds, left = stuck.velocities(
-            lambda new: along(self._forces(places, new, p, True)[0]),
-            lambda v: stuck.slips(self.scene, places, ways @ v, p, self.bound), held, self.forces(places, held, p)[2],
-        )  # fmt: skip
-        return ways @ speeds, left
+        def forces(v: Array) -> Array:
+            creeping = stuck.slips(self.scene, places, ways @ v, p, self.bound)
+            return self.forces(there(v), stuck.given(self.scene, held, creeping), p)[0]
+
+        speeds, left = stuck.creep(forces, self.forces(places, held, p)[2])
+        return there(speeds), ways @ speeds, left
 
 
 class _Moved(NamedTuple):
@@ -253,7 +254,7 @@ def settled(m: Dynamics, p: Params) -> Rest:
     found, known, balanced = _found(search)(search.given, search.read)
     places, speeds = found[0], m.placed_state(p)[found[0].size :]
     if search.held:
-        creep, left = search.creep(found, search.read)
+        places, creep, left = search.creep(found, search.read)
         speeds, balanced = speeds + creep, balanced & jnp.all(jnp.abs(left) <= _CREPT * known.sizes)
     moving = jnp.concatenate([jnp.where(balanced, places, jnp.nan), speeds])
     return Rest(m.recalling(moving, p, stuck.bent(search.scene, found[1])), known, balanced)

@@ -9,11 +9,9 @@ So a stuck contact gives by T times its creep speed, below 0.1 um, and friction 
 is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Computational Contact Mechanics, 2006, 5.2).
 Where several contacts could share a load in many ways, this is the one of equal slip. Then
 
-    velocities  u:  least in kinetic energy of those by which contacts slip by s (least squares, weights N mobility)
-                    and go neither deeper nor apart;
-
 a law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
-across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are (``level``).
+across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are (``level``),
+and at last one velocity u that does so gives all slips, where depths and u together balance every force (``creep``).
 Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest. Rolling and drilling resistance and
 friction in joints act in the same way, by the turn.
 """
@@ -129,16 +127,14 @@ def added(m: Dynamics, now: Instant, held: Slips, new: Slips, creeping: Slips, p
     return found
 
 
-def rubbed(
-    m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool, creeping: bool = False
-) -> tuple[Instant, dict[str, Array]]:
-    """An instant at rest with the friction of slips; and by load on a joint its force. Of a creep bristles bear nothing."""
+def rubbed(m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool) -> tuple[Instant, dict[str, Array]]:
+    """An instant at rest with the friction of slips; and by load on a joint its force."""
     faces = dict(now.faces)
     for c in _contacts(m, bound):
         read, faces[c.name] = c.coefficients(p), []
         for (face, touch), (slip, turn) in zip(now.faces[c.name], held[c.name], strict=True):
             mobility, _ = _mobility(c, slip, read, bound)
-            drag = scale(-touch.normal * (0.0 * mobility if creeping and c.bristles else mobility), slip)
+            drag = scale(-touch.normal * mobility, slip)
             bears = touch._replace(force=add(touch.force, drag), drag=drag)
             if c.rolling:
                 bears = bears._replace(couple=couple(touch, face.normal, turn, read))
@@ -147,27 +143,27 @@ def rubbed(
     for load in _dry(m):
         slip = held[load.name]
         mobility = load.holding(slip if bound else 0.0 * slip, p, TIME)[0]
-        forces[load.name] = -(0.0 * mobility if creeping and load.bristles else mobility) * slip
+        forces[load.name] = -mobility * slip
     return now._replace(faces=faces), forces
 
 
-def velocities(
-    forces: Callable[[Slips], Array], move: Callable[[Array], Slips], held: Slips, mass: Array
-) -> tuple[Array, Array]:
-    """u (n,) of the module docstring, and what they lack of the forces of ``held`` (n,) [N, N m].
-
-    ``forces`` (n,) of slips, ``move`` from velocities to slips; mass (n,).
-    """
-    there = forces(held)
+def creep(forces: Callable[[Array], Array], mass: Array) -> tuple[Array, Array]:
+    """Where ``forces`` (n,) of velocities (n,) are 0, and what is left of them [N, N m]; mass (n,)."""
 
     def step(v: Array, _: None) -> tuple[Array, Array]:
-        left, rubbing = forces(move(v)) - there, jax.jacfwd(lambda v: forces(move(v)))(v)
+        left, slope = forces(v), jax.jacfwd(forces)(v)
         # Without friction along it a velocity is 0; what friction damps is known to this share of a millisecond's.
-        return v + jnp.linalg.solve(jnp.diag(1e-6 * mass) - rubbing, left - 1e-6 * mass * v), left
+        return v + jnp.linalg.solve(jnp.diag(1e-6 * mass) - slope, left - 1e-6 * mass * v), left
 
     # From rest Newton's method does not go beyond the crest, and gains a half a step where friction is nearly used up.
     speeds, left = lax.scan(step, jnp.zeros_like(mass), length=_CREEPS)
     return speeds, left[-1]
+
+
+def given(m: Dynamics, held: Slips, creeping: Slips) -> Slips:
+    """Slips of bristles as they are held, of other friction as it creeps."""
+    rests = {c.name for c in m.bundles if c.bristles} | {load.name for load in _dry(m) if load.bristles}
+    return {name: held[name] if name in rests else creeping[name] for name in held}
 
 
 def bent(m: Dynamics, held: Slips) -> dict[str, Any]:

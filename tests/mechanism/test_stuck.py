@@ -181,3 +181,32 @@ def test_a_creep_balances_every_force(seed):
     state = jax.jit(scene.initial_state)(params)
     field = np.asarray(jax.jit(scene.vector_field)(jnp.zeros(()), state, params))
     assert np.abs(field[3:]).max() < 1e-5 * G
+
+
+@pytest.mark.slow
+def test_a_ladder_leans_as_its_two_contacts_creep():
+    """Forces and moments balance at 50 degrees, where tan a = (1 - mu^2)/(2 mu) asks for 46.4; at 40 nothing holds it."""
+
+    def ladder(degrees):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        start = {"x": c, "y": s, "angle": -np.radians(degrees)}
+        body = Body("ladder", "planar", mass=10.0, inertia=10.0 / 3.0, start=start)
+        ends = [
+            Contact(name, (GROUND, "ladder"), gaps.PointOnPlane(axis), "memory_free", friction="coulomb",
+                    at=((0, 0, 0), (x, 0, 0)))
+            for name, axis, x in (("foot", "y", 1.0), ("top", "x", -1.0))
+        ]  # fmt: skip
+        given = {k: v for k, v in GIVEN.items() if k != "friction_static"} | {"stiffness": 1e7}
+        return Mechanism("ladder", [body], ends, [Gravity("-y")], given=given, start="static")
+
+    scene = ladder(50.0)
+    params = scene.parameters()
+    state = jax.jit(scene.initial_state)(params)
+    seen = jax.jit(scene.observe)(jnp.zeros(()), state, params)
+    foot, top = (np.asarray(seen[name].world) for name in ("foot", "top"))
+    np.testing.assert_allclose(foot + top, [0.0, 10.0 * G, 0.0], atol=1e-5)
+    arms = [np.asarray(x) * [np.cos(state[2]), np.sin(state[2])] for x in (1.0, -1.0)]
+    moments = [arm[0] * force[1] - arm[1] * force[0] for arm, force in zip(arms, (foot, top), strict=True)]
+    assert sum(moments) == pytest.approx(0.0, abs=1e-5)
+    with pytest.raises(InputError, match="nothing stops 'ladder'.*friction of 0.5"):
+        statics.check(ladder(40.0), ladder(40.0).parameters(), "scene")
