@@ -34,7 +34,7 @@ from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.instruments import Forces
 from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.sizes import Params
-from bcfj_jax.mechanism.stuck import TIME, Slips
+from bcfj_jax.mechanism.stuck import TIME, Slips, Ways
 
 # Name under which completed parameters have the state.
 REST = "(state at rest)"
@@ -67,6 +67,8 @@ class Rest(NamedTuple):
 
 # Places (q,) and slips.
 _At = tuple[Array, Slips]
+# What is known of places, s, the step's number, and how many steps all has been balanced.
+_Carry = tuple[tuple[_At, _Known, Ways], Array, Array, Array]
 
 
 class _Held:
@@ -98,12 +100,12 @@ class _Search:
         self.placed, self.free = [k for *_, k in m._placed], [k for *_, k in m._free]
         self.count = sum(k or 1 for k in self.free)
         self.given = m.placed_state(p)[: sum(k or 1 for k in self.placed)]
-        self.bound, still = bound, jnp.zeros(self.count)
-        held = stuck.slips(self.scene, self.given, still, p, bound)
-        held = stuck.added(self.scene, self._at(self.given, p), held, held, held, p, bound)
-        self.held = jax.tree.map(jnp.zeros_like, held)  # Without tangents, of which a loop has no transpose.
+        self.bound = bound
         # As functions of their own they are traced once, however often asked for.
-        self.read, self.forces, self.slid = dict(p), jax.jit(self._forces), jax.jit(self._slid)
+        self.read, self.forces, self.ways = dict(p), jax.jit(self._forces), jax.jit(self._ways)
+        here = jax.eval_shape(self.ways, self.given, p)
+        self.unknown = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), here)
+        self.held = self.unknown.along(jnp.zeros(self.count))
         turning = [unit_of(rate) == "rad/s" for _, rate, k in m._free for _ in range(k or 1)]
         self.turning = np.array(turning, bool)
 
@@ -123,20 +125,15 @@ class _Search:
         y = self.scene.recalling(jnp.concatenate([places, jnp.zeros(self.count)]), p)
         return self.scene.instant(jnp.zeros(()), y, p)
 
-    def level(self, places: Array, p: Params) -> Array:
-        """``stuck.level`` (n, n) of these places."""
+    def _ways(self, places: Array, p: Params) -> Ways:
+        """What moves of these places are as slips."""
         now = self._at(places, p)
-        found = self._massed(_Sizes(self.scene._members), now, p)
-        return stuck.level(self.scene, now, lambda v: stuck.slips(self.scene, places, v, p, self.bound), found)
+        mass = self._massed(_Sizes(self.scene._members), now, p)
+        return stuck.ways(self.scene, now, places, mass, p, self.bound)
 
-    def _slid(self, places: Array, held: Slips, move: Array, p: Params) -> Slips:
+    def slid(self, here: Ways, held: Slips, move: Array, p: Params) -> Slips:
         """Slips after a move."""
-        if not held:
-            return held
-        new, creeping = (
-            stuck.slips(self.scene, places, v / TIME, p, self.bound) for v in (move, self.level(places, p) @ move)
-        )  # fmt: skip
-        return stuck.added(self.scene, self._at(places, p), held, new, creeping, p, self.bound)
+        return stuck.added(self.scene, here, held, move, p, self.bound)
 
     def _massed(self, found: _Sizes, now: Instant, p: Params) -> Array:
         """The diagonal of the mass matrix (n,), gathered in ``found``."""
@@ -157,11 +154,11 @@ class _Search:
         mass, n = self._massed(found, now, p), len(self.free)
         return equations.flat(found.forces[:n], self.free), equations.flat(found.sizes[:n], self.free), mass
 
-    def known(self, places: Array, held: Slips, p: Params) -> _Known:
+    def known(self, places: Array, here: Ways, held: Slips, p: Params) -> _Known:
         """Forces, and how stiff they are: one pass for both."""
 
         def forces(move: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-            found = self.forces(self.moved(places, move), self.slid(places, held, move, p), p)
+            found = self.forces(self.moved(places, move), self.slid(here, held, move, p), p)
             return found[0], found
 
         slope, found = jax.jacfwd(forces, has_aux=True)(jnp.zeros(self.count))
@@ -170,25 +167,24 @@ class _Search:
 
     def newton(self, at: _At, p: Params, beside: Array) -> _At:
         """One step with s at its largest from places and slips; ``beside``: a move of the places given (0)."""
-        places = at[0]
-        held = self.slid(places, at[1], -beside, p)
-        force, _, mass, matrix = self.known(places, held, p)
+        places, here = at[0], self.ways(at[0], p)
+        held = self.slid(here, at[1], -beside, p)
+        force, _, mass, matrix = self.known(places, here, held, p)
         move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
-        return self.moved(places, move), self.slid(places, held, move, p)
+        return self.moved(places, move), self.slid(here, held, move, p)
 
     def creep(self, at: _At, p: Params) -> tuple[Array, Array, Array]:
         """Places at which friction bears as it creeps, its velocities (n,), and what force they leave (n,)."""
-        (places, held), ways = at, self.level(at[0], p)
+        (places, held), here = at, self.ways(at[0], p)
 
         def there(v: Array) -> Array:
-            return self.moved(places, TIME * (v - ways @ v))
+            return self.moved(places, TIME * (v - here.level @ v))
 
         def forces(v: Array) -> Array:
-            creeping = stuck.slips(self.scene, places, ways @ v, p, self.bound)
-            return self.forces(there(v), stuck.given(self.scene, held, creeping), p)[0]
+            return self.forces(there(v), stuck.given(self.scene, held, here.along(here.level @ v)), p)[0]
 
         speeds, left = stuck.creep(forces, self.forces(places, held, p)[2])
-        return there(speeds), ways @ speeds, left
+        return there(speeds), here.level @ speeds, left
 
 
 class _Moved(NamedTuple):
@@ -201,32 +197,34 @@ class _Moved(NamedTuple):
 def _crept(search: _Search, places: Array, p: Params) -> tuple[_At, _Known, Array]:
     """Coordinates and slips where the bodies come to rest, what is known there, and whether forces balance."""
 
-    def step(carry: tuple[_At, _Known, Array, Array, Array]) -> tuple[_At, _Known, Array, Array, Array]:
-        at, known, s, i, done = carry
+    def step(carry: _Carry) -> _Carry:
+        (at, known, here), s, i, done = carry
         move = jnp.linalg.solve(jnp.diag(known.mass / s) + known.stiffness, known.force)
         turn = jnp.max(jnp.where(search.turning, jnp.abs(move), 0.0), initial=0.0)
         move = move / jnp.maximum(turn / _TURN, 1.0)
-        there = search.moved(at[0], move), search.slid(*at, move, p)
-        after = search.known(*there, p)
+        there = search.moved(at[0], move), search.slid(here, at[1], move, p)
+        beyond = search.ways(there[0], p)
+        after = search.known(there[0], beyond, there[1], p)
         work = jnp.dot(known.force, move)
         # The first step is none: it begins to know. At the end rounding decides what a step loses.
         nearer = (done > 0) & (jnp.sum(after.force**2 / known.mass) < jnp.sum(known.force**2 / known.mass))
         lost = (i == 0) | (work > 0.0) & (work + jnp.dot(after.force, move) >= 0.0) | nearer
-        at, known = jax.tree.map(partial(jnp.where, lost), (there, after), (at, known))
+        at, known, here = jax.tree.map(partial(jnp.where, lost), (there, after, beyond), (at, known, here))
         s = jnp.where(i == 0, s, jnp.clip(jnp.where(lost, 4.0 * s, s / 8.0), 1e-30, _MOST))
         # Forces of springs are rounded as their lengths are; what is farther away flees.
         far = jnp.clip(jnp.max(jnp.abs(at[0]), initial=0.0), 1.0, _FAR)
         rounded = _ROUNDED * far * jnp.sum(jnp.abs(known.stiffness), 1)
         balanced = jnp.all(jnp.abs(known.force) <= _BALANCED * known.sizes + rounded)
         # Two steps more, of Newton's method.
-        return at, known, jnp.where(balanced, _MOST, s), i + 1, jnp.where(balanced, done + 1, 0)
+        return (at, known, here), jnp.where(balanced, _MOST, s), i + 1, jnp.where(balanced, done + 1, 0)
 
-    def more(carry: tuple[_At, _Known, Array, Array, Array]) -> Array:
-        return (carry[3] < _STEPS) & (carry[4] < 3)
+    def more(carry: _Carry) -> Array:
+        return (carry[2] < _STEPS) & (carry[3] < 3)
 
     none, unit = jnp.zeros(search.count), jnp.ones(search.count)
-    begin = (places, search.held), _Known(none, none, unit, jnp.zeros((none.size, none.size)))
-    at, known, _, _, done = lax.while_loop(more, step, (*begin, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(0)))
+    begin = (places, search.held), _Known(none, none, unit, jnp.zeros((none.size, none.size))), search.unknown
+    found = lax.while_loop(more, step, (begin, jnp.asarray(_FIRST), jnp.asarray(0), jnp.asarray(0)))
+    (at, known, _), *_, done = found
     return at, known, done > 0
 
 

@@ -10,8 +10,8 @@ is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Co
 Where several contacts could share a load in many ways, this is the one of equal slip. Then
 
 a law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
-across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are (``level``),
-and at last one velocity u that does so gives all slips, where depths and u together balance every force (``creep``).
+across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are
+(``Ways.level``), and at last one velocity u that does so gives all slips, where depths and u balance every force (``creep``).
 Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest. Rolling and drilling resistance and
 friction in joints act in the same way, by the turn.
 """
@@ -19,7 +19,7 @@ friction in joints act in the same way, by the turn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,25 @@ from bcfj_jax.mechanism.sizes import Params
 
 # By contact and face (slip [m/s], turn [rad/s]), world; by load on a joint the rate of its coordinate.
 Slips = dict[str, Any]
+
+
+class Ways(NamedTuple):
+    """What slips of velocities (n,) are at some places.
+
+    Attributes:
+        slips: with the part along the normal, (..., n) numbers by which to multiply velocities.
+        faces: by contact and face its normal, and its normal force [N].
+        level: (n, n), of a move the part by which nothing that touches goes deeper or apart.
+    """
+
+    slips: Slips
+    faces: dict[str, list[tuple[Vector, Array]]]
+    level: Array
+
+    def along(self, v: Array) -> Slips:
+        """Slips of velocities."""
+        return jax.tree.map(lambda x: x @ v, self.slips)
+
 
 # T [s]; of friction without a limit the mobility [s/m].
 TIME, _WITHOUT = 1e-6, 1e3
@@ -56,22 +75,46 @@ def _contacts(m: Dynamics, bound: bool) -> tuple[Contact, ...]:
     return m.bundles if rubs else ()
 
 
-def slips(m: Dynamics, places: Array, v: Array, p: Params, bound: bool) -> Slips:
-    """What friction sees of velocities, with the part along the normal."""
-    t = jnp.zeros(())
-    now = m.instant(t, jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))]), p, laws=False)
-    found: Slips = {}
+def ways(m: Dynamics, now: Instant, places: Array, mass: Array, p: Params, bound: bool) -> Ways:
+    """Of an instant at rest and its places; ``level`` is nearest by ``mass`` (n,), the mass matrix' diagonal."""
+
+    def seen(v: Array) -> Slips:
+        t = jnp.zeros(())
+        state = jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))])
+        now, found = m.instant(t, state, p, laws=False), {}
+        for c in _contacts(m, bound):
+            first, second = c.parts(now.bodies.parts)
+            turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
+            found[c.name] = [
+                tuple(
+                    tuple(spread(x, k) for x in vector)
+                    for vector in (add(touch.slide, scale(touch.rate, face.normal)), turn)
+                )
+                for face, touch in now.faces[c.name]
+            ]
+        return found | {load.name: jnp.asarray(m._coordinate(load.body, t, now, p)[2]) for load in _dry(m)}
+
+    slips, faces, closing = jax.jacfwd(seen)(jnp.zeros_like(mass)), {}, []
     for c in _contacts(m, bound):
-        first, second = c.parts(now.bodies.parts)
-        turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
-        found[c.name] = [
-            tuple(
-                tuple(spread(x, k) for x in vector)
-                for vector in (add(touch.slide, scale(touch.rate, face.normal)), turn)
-            )
-            for face, touch in now.faces[c.name]
-        ]
-    return found | {load.name: jnp.asarray(m._coordinate(load.body, t, now, p)[2]) for load in _dry(m)}
+        faces[c.name] = [(face.normal, jnp.asarray(touch.normal)) for face, touch in now.faces[c.name]]
+        for (normal, force), (slip, _) in zip(faces[c.name], slips[c.name], strict=True):
+            rate = sum((jnp.asarray(x)[..., None] * way for x, way in zip(normal, slip, strict=True)), jnp.zeros(()))
+            closing.append((jnp.broadcast_to(force, jnp.shape(rate)[:-1]), rate))
+    return Ways(slips, faces, _level(closing, mass))
+
+
+def _level(closing: list[tuple[Array, Array]], mass: Array) -> Array:
+    """``Ways.level`` of normal forces (...,) and how velocities close them (..., n)."""
+    if not closing:
+        return jnp.eye(mass.size)
+    root = jnp.sqrt(mass)
+    rows = jnp.concatenate([jnp.reshape(rate, (-1, mass.size)) for _, rate in closing]) / root
+    normal = jnp.concatenate([jnp.ravel(force) for force, _ in closing])
+    sizes = jnp.sum(rows * rows, 1) * (1.0 + _BEARS * jnp.max(normal) / jnp.where(normal > 0.0, normal, 1.0))
+    keeps = (normal > 0.0) & (sizes > 0.0)
+    across = rows.T @ (jnp.where(keeps, 1.0 / jnp.where(keeps, sizes, 1.0), 0.0)[:, None] * rows)
+    stays = jnp.linalg.inv(jnp.eye(mass.size) + across / _LEVEL**2)
+    return jnp.linalg.matrix_power(stays, 4) * root / root[:, None]
 
 
 def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Array, Array]:
@@ -84,42 +127,19 @@ def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Arra
     return c.friction.holding(squared, read, TIME)
 
 
-def level(m: Dynamics, now: Instant, move: Callable[[Array], Slips], mass: Array) -> Array:
-    """(n, n): of a move the part by which nothing that touches goes deeper or apart; nearest by ``mass`` (n,)."""
-
-    def closing(v: Array) -> Array:
-        new = move(v)
-        return jnp.concatenate([
-            jnp.ravel(jnp.asarray(dot(face.normal, slip)) * jnp.ones_like(touch.normal))
-            for c in m.bundles for (face, touch), (slip, _) in zip(now.faces[c.name], new[c.name], strict=True)
-        ])  # fmt: skip
-
-    bears = [jnp.ravel(jnp.asarray(touch.normal)) for c in m.bundles for _, touch in now.faces[c.name]]
-    if not bears:
-        return jnp.eye(mass.size)
-    normal, root = jnp.maximum(jnp.concatenate(bears), 0.0), jnp.sqrt(mass)
-    rows = jax.jacfwd(closing)(jnp.zeros_like(mass)) / root
-    sizes = jnp.sum(rows * rows, 1) * (1.0 + _BEARS * jnp.max(normal) / jnp.where(normal > 0.0, normal, 1.0))
-    across = rows.T @ (
-        jnp.where((normal > 0.0) & (sizes > 0.0), 1.0 / jnp.where(sizes > 0.0, sizes, 1.0), 0.0)[:, None] * rows
-    )
-    stays = jnp.linalg.inv(jnp.eye(mass.size) + across / _LEVEL**2)
-    return jnp.linalg.matrix_power(stays, 4) * root / root[:, None]
-
-
-def added(m: Dynamics, now: Instant, held: Slips, new: Slips, creeping: Slips, p: Params, bound: bool) -> Slips:
-    """Slips after further ones: none where nothing touches, and no more than friction holds; ``creeping``: of laws that creep."""
+def added(m: Dynamics, here: Ways, held: Slips, move: Array, p: Params, bound: bool) -> Slips:
+    """Slips after a move (n,): none where nothing touches, and no more than friction holds."""
+    if not held:
+        return held
     found: Slips = {}
+    new, creeping = (here.along(v / TIME) for v in (move, here.level @ move))
     for c in _contacts(m, bound):
-        read, found[c.name] = c.coefficients(p), []
-        for (face, touch), one, more in zip(
-            now.faces[c.name], held[c.name], (new if c.bristles else creeping)[c.name], strict=True
-        ):
+        read, found[c.name], kind = c.coefficients(p), [], new if c.bristles else creeping
+        for (normal, force), one, more in zip(here.faces[c.name], held[c.name], kind[c.name], strict=True):
             slip, turn = (add(x, y) for x, y in zip(one, more, strict=True))
-            slip = subtract(slip, scale(dot(face.normal, slip), face.normal))
+            slip = subtract(slip, scale(dot(normal, slip), normal))
             share = _mobility(c, slip, read, bound)[1]
-            touching = jnp.asarray(touch.normal) > 0.0
-            kept = [[jnp.where(touching, x, 0.0) for x in vector] for vector in (scale(share, slip), turn)]
+            kept = [[jnp.where(force > 0.0, x, 0.0) for x in vector] for vector in (scale(share, slip), turn)]
             found[c.name].append(tuple(map(tuple, kept)))
     for load in _dry(m):
         slip = held[load.name] + (new if load.bristles else creeping)[load.name]
