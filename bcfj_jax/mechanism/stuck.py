@@ -78,6 +78,9 @@ def _contacts(m: Dynamics, bound: bool) -> tuple[Contact, ...]:
 def ways(m: Dynamics, now: Instant, places: Array, mass: Array, p: Params, bound: bool) -> Ways:
     """Of an instant at rest and its places; ``level`` is nearest by ``mass`` (n,), the mass matrix' diagonal."""
 
+    if not _contacts(m, bound) and not _dry(m):
+        return Ways({}, {}, jnp.eye(mass.size))
+
     def seen(v: Array) -> Slips:
         t = jnp.zeros(())
         state = jnp.concatenate([places, v, jnp.zeros(sum(k or 1 for _, k in m._memory))])
