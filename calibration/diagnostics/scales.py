@@ -46,7 +46,7 @@ def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dic
     """Every scale, or combination of scales, that the channels do not show, in words.
 
     Returns:
-        parameters: the scales; moves: what 1 % of the first moves each free parameter by [%]; text and remedy.
+        parameters: the scales; moves: by scale, what 1 % of it moves each free parameter by [%]; text and remedy.
     """
     if budget(model).rough or not model.scene.traits.history or not model.channels:
         return []
@@ -120,43 +120,48 @@ def _apart(ways: np.ndarray, axes: _Axes) -> np.ndarray:
 
 def _told(model: Model, way: np.ndarray, axes: _Axes) -> dict[str, Any]:
     """One direction in words: of fixed scales by what they are given, of free ones by what is determined of them."""
-    moving = np.abs(way) > _EQUAL
-    fixed = [k for k in range(axes.free, way.size) if moving[k]]
-    mine = fixed or [k for k in range(axes.free) if axes.scales[k] and moving[k]]
-    lead = max(mine, key=lambda k: abs(way[k]))
+    moving = np.flatnonzero(np.abs(way) > _EQUAL)
+    fixed = [int(k) for k in moving if k >= axes.free]
+    mine = fixed or [int(k) for k in moving if axes.scales[k]]
+    lead, names = max(mine, key=lambda k: abs(way[k])), list(dict.fromkeys(axes.names[k] for k in mine))
     way = way / way[lead]
-    names = list(dict.fromkeys(axes.names[k] for k in mine))
     kept = [k for k in range(axes.free) if axes.names[k] not in NUISANCES and k != lead]
-    moves: dict[str, float] = {}
-    for k in kept:  # Where every record has its own, that of the first stands for all.
-        moves.setdefault(axes.names[k] if fixed else axes.labels[k], float(way[k]))
-    beside = _moves({axes.names[k]: float(way[k]) for k in fixed if k != lead}) if len(fixed) > 1 else ""
-    if not fixed:
-        other = next((k for k in mine if axes.names[k] != axes.names[lead]), None)
-        relation = 0.0 if other is None else way[other]
-        kind = "product" if abs(relation + 1) < _EQUAL else "ratio" if abs(relation - 1) < _EQUAL else "combination"
-        only = (
-            f"{names[0]} is not determined"
-            if other is None
-            else f"only the {kind} of {' and '.join(names)} is determined"
-        )
-        same = f"{axes.labels[lead]} by +1 % together with {_moves(moves)} gives the same readings"
-        text = f"{_channels(model)} alone leave a scale open, and {only}: {same}"
+    beside = _moves([(axes.names[k], way[k]) for k in fixed if k != lead]) if len(fixed) > 1 else ""
+    with_it = f"{axes.labels[lead]} by +1 % together with {{}} gives the same readings"
+    if fixed:
+        alone = {axes.names[k]: _alone(axes, k) if beside else way for k in fixed}
+        said = [f"{with_it.format(beside)} and moves {_moves(_shared(axes, way, kept))}"] if beside else []
+        said += [
+            f"1 % of {n}{' alone' * bool(beside)} moves {_moves(_shared(axes, x, kept))}" for n, x in alone.items()
+        ]
+        what, known = ", ".join(dict.fromkeys(axes.names[k] for k in kept)), " and ".join(f"the {n}" for n in names)
+        text = f"{_channels(model)} alone determine {what} only for {known} given: {'; '.join(said)}"
     else:
-        given = " and ".join(f"the {name}" for name in names)
-        what = ", ".join(dict.fromkeys(axes.names[k] for k in kept))
-        said = (
-            f"{axes.names[lead]} by +1 % together with {beside} gives the same readings and"
-            if beside
-            else f"1 % of {names[0]}"
-        )
-        text = f"{_channels(model)} alone determine {what} only for {given} given: {said} moves {_moves(moves)}"
-    shown = {axes.names[lead]: {axes.labels[k]: float(way[k]) for k in kept}}
-    return {"parameters": names, "moves": shown, "text": text, "remedy": _remedy(names, model, not fixed)}
+        alone = {axes.names[lead]: way}
+        relations = [way[k] for k in mine if axes.names[k] != axes.names[lead]]
+        near = {x: abs(relations[0] - x) < _EQUAL for x in (-1.0, 1.0)} if relations else {}
+        kind = "product" if near.get(-1.0) else "ratio" if near.get(1.0) else "combination"
+        only = f"only the {kind} of {' and '.join(names)} is" if relations else f"{names[0]} is not"
+        same = with_it.format(_moves([(axes.labels[k], way[k]) for k in kept]))
+        text = f"{_channels(model)} alone leave a scale open, and {only} determined: {same}"
+    moves = {name: {axes.labels[k]: float(x[k]) for k in kept} for name, x in alone.items()}
+    return {"parameters": names, "moves": moves, "text": text, "remedy": _remedy(names, model, not fixed)}
 
 
-def _moves(moves: dict[str, float]) -> str:
-    named = [f"{name} by {share:+.2g} %" for name, share in moves.items() if abs(share) > _NAMED]
+def _alone(axes: _Axes, k: int) -> np.ndarray:
+    """Moves (P,) of the estimates by least squares for a scale that alone is wrong, whatever residuals that leaves."""
+    inner = axes.columns[:, : axes.free]
+    sizes = np.where(np.any(inner, axis=0), np.linalg.norm(inner, axis=0), 1.0)
+    return -np.linalg.lstsq(inner / sizes, axes.columns[:, k], rcond=1e-6)[0] / sizes
+
+
+def _shared(axes: _Axes, moves: np.ndarray, kept: list[int]) -> list[tuple[str, float]]:
+    """Moves by the parameter's name: where every record has its own, that of the first stands for all."""
+    return list({axes.names[k]: (axes.names[k], float(moves[k])) for k in reversed(kept)}.values())[::-1]
+
+
+def _moves(moves: list[tuple[str, float]]) -> str:
+    named = [f"{name} by {share:+.2g} %" for name, share in moves if abs(share) > _NAMED]
     return ", ".join(named) or "no estimate by 0.05 %"
 
 
