@@ -158,20 +158,22 @@ def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
 
 
 class _Sums(NamedTuple):
-    """Of errors of sets, once coordinates and what always acts follow them: S'^T S', S'^T y' and means of amplitudes (C,), for
-    columns that are orthogonal within an error by ``turn`` (C, C).
-
-    What follows, coordinates on the Jacobian's basis and then amplitudes of what always acts: its covariance (F, F), where it is
-    without errors of sets (F,), and its reply to them (F, C).
-    """
+    """S'^T S', S'^T y; moves of what is quoted without errors (Q,) and by column (Q, C); means of amplitudes (C,)."""
 
     gram: np.ndarray
     push: np.ndarray
+    moved: np.ndarray
+    moves: np.ndarray
     lean: np.ndarray
-    turn: np.ndarray
-    covariance: np.ndarray
-    place: np.ndarray
-    reply: np.ndarray
+
+
+class _Always(NamedTuple):
+    """Errors that always act a little: inverse of their H (B, B), mean amplitudes (B,), sums with others (B, C), moves (Q, B)."""
+
+    inner: np.ndarray
+    amplitude: np.ndarray
+    cross: np.ndarray
+    moves: np.ndarray
 
 
 class _Batch(NamedTuple):
@@ -195,47 +197,45 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
     ``variance``: of the noise, where that is known from another point.
     """
     basis, triangle = np.linalg.qr(at.jacobian)
-    priors = [e.prior for e in errors]
-    always = [c * e.floor for (c, _), e in zip(priors, errors, strict=True) if e.floor]
-    sizes = tuple(c.shape[1] for c, _ in priors)
-    columns, coordinates = np.hstack([basis, *always, *(c for c, _ in priors)]), basis.shape[1]
-    gram, push, lean = columns.T @ columns, columns.T @ at.data, np.repeat([m for _, m in priors], sizes)
-    ways = np.zeros((at.rows.shape[0], len(push) - len(lean)))
-    ways[:, :coordinates] = np.linalg.solve(triangle.T, at.rows.T).T
+    columns = [np.zeros((at.data.size, 0)), *(e.prior[0] for e in errors)]
+    lean = np.concatenate([np.zeros(0), *(np.full(e.columns.shape[1], e.prior[1]) for e in errors)])
+    little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
+    count, stacked = sum(c.shape[1] for c in columns), np.hstack([*columns, *little])
+    beside = stacked - basis @ (basis.T @ stacked)
+    rest = at.data - basis @ (basis.T @ at.data)
+    inverse = np.linalg.solve(triangle.T, at.rows.T).T
+    sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked), lean)
+    sizes = tuple(c.shape[1] for c in columns[1:])
     every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance if e.floor < 1.0 else 0.0 for e in errors))
-    square = float(np.sum((at.data - basis @ push[:coordinates]) ** 2))
-    last, variance = _ROUNDS if variance is None else 0, variance or _within(square / max(at.freedom, 1), at)
-    for k in range(last + 1):
-        own = _eliminated(gram, push, lean, sizes, (coordinates, variance))
+    known, begin = variance, min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
+    variance = begin if known is None else known
+    for _ in range(_ROUNDS):
+        own, always, turn = _split(sums, sizes, variance)
         found = [_weighed(own, batch, variance) for batch in every]
-        if k == last:
+        if known is not None:
             break
         # The most probable set says how large the noise is.
-        most = max(range(len(found)), key=lambda j: found[j].max())
-        best = every[most].some(np.array([np.argmax(found[most])]))
+        k = max(range(len(found)), key=lambda j: found[j].max())
+        best = every[k].some(np.array([np.argmax(found[k])]))
         amplitude, used = _amplitudes(own, best, variance)
-        full = np.zeros(len(lean))
+        full = np.zeros(count)
         full[best.index[0]] = amplitude
-        left = at.data - columns @ np.r_[own.place - own.reply @ full, own.turn @ full]
-        used += np.sum(1.0 - np.diag(own.covariance)[coordinates:])
+        left = rest - beside @ np.r_[turn @ full, always.amplitude - always.inner @ (always.cross @ full) / variance]
+        used += len(always.inner) - np.trace(always.inner)
         seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
-        before, variance = variance, _within(seen, at)
+        before, variance = variance, min(max(at.floor, seen), at.ceiling)
         if abs(variance - before) < 1e-3 * before:
-            variance = before  # All of what is summed is by this.
             break
-    parts = zip(*(_moments(own, ways, coordinates, batch, variance) for batch in every), strict=True)
+    parts = zip(*(_moments(own, always, batch, variance) for batch in every), strict=True)
     means, covered, doubt = (np.concatenate(part) for part in parts)
-    noise = variance * np.sum(ways**2, axis=1)
-    type_a = np.sqrt(np.maximum((at.student**2 - 1.0) * noise + covered - doubt, 0.0))
-    # Of all sets alike, and other about another point: what nothing that follows explains, and how many readings tell it apart.
-    common = -0.5 * float(at.data @ at.data - push[: len(own.place)] @ own.place) / variance
-    common += 0.5 * float(np.linalg.slogdet(own.covariance)[1]) - float(np.log(np.abs(np.diag(triangle))).sum())
+    noise = at.student * np.linalg.norm(inverse, axis=1)
+    type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
+    # Of all sets alike, and other about another point: what no coordinate explains, how many readings tell them apart, and the
+    # evidence of what always acts.
+    common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
+    common += 0.5 * float(always.amplitude @ sums.push[count:] / variance + np.linalg.slogdet(always.inner)[1])
     log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
     return Mixture(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
-
-
-def _within(variance: float, at: Linear) -> float:
-    return min(max(at.floor, variance), at.ceiling)
 
 
 def _prior(every: Sequence[_Batch]) -> np.ndarray:
@@ -243,21 +243,26 @@ def _prior(every: Sequence[_Batch]) -> np.ndarray:
     return chance @ members / chance.sum()
 
 
-def _eliminated(
-    gram: np.ndarray, push: np.ndarray, lean: np.ndarray, sizes: Sequence[int], known: tuple[int, float]
-) -> _Sums:
-    """Sums over what follows and errors of sets, of ``sizes`` columns each, less the former; ``known``: coordinates, which are
-    first and have no prior, and the variance of the noise.
+def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _Always, np.ndarray]:
+    """Sums of the first columns with what the others, which always act, take up; and the turn (C, C) of each error's columns
+    by which they are orthogonal.
     """
-    (coordinates, variance), count = known, len(push) - len(lean)
-    covariance = np.linalg.inv(gram[:count, :count] / variance + np.diag(np.arange(count) >= coordinates))
-    place, reply = (covariance @ x / variance for x in (push[:count], gram[:count, count:]))
-    own = gram[count:, count:] - gram[count:, :count] @ reply
-    ends, turn = np.cumsum(sizes), np.zeros_like(own)
+    gram, push, moved, moves, lean = sums
+    count = sum(sizes)
+    inner = np.linalg.inv(gram[count:, count:] / variance + np.eye(push.size - count))
+    cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
+    own = gram[:count, :count] - cross.T @ inner @ cross / variance
+    ends = np.cumsum(sizes)
+    turn = np.zeros((count, count))
     for k, b in zip(sizes, ends, strict=True):
         turn[b - k : b, b - k : b] = np.linalg.eigh(own[b - k : b, b - k : b])[1]
-    left = push[count:] - gram[count:, :count] @ place
-    return _Sums(turn.T @ own @ turn, turn.T @ left, turn.T @ lean, turn, covariance, place, reply @ turn)
+    cross = cross @ turn
+    turned = _Sums(
+        turn.T @ own @ turn, turn.T @ push[:count] - cross.T @ amplitude,
+        moved - moves[:, count:] @ amplitude, moves[:, :count] @ turn - moves[:, count:] @ inner @ cross / variance,
+        turn.T @ lean,
+    )  # fmt: skip
+    return turned, _Always(inner, amplitude, cross, moves[:, count:]), turn
 
 
 def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
@@ -328,17 +333,15 @@ def _amplitudes(at: _Sums, one: _Batch, variance: float) -> tuple[np.ndarray, fl
     return inverse @ _pushed(at, one, variance)[0] * one.scale[0], len(inverse) - float(np.trace(inverse))
 
 
-def _moments(
-    at: _Sums, ways: np.ndarray, coordinates: int, sets: _Batch, variance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every set, (M, Q), by ``ways`` (Q, F): mean; variance; of it what comes from priors."""
-    way = (ways @ at.reply).T[sets.index] * sets.scale[..., None]
+def _moments(at: _Sums, always: _Always, sets: _Batch, variance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every set, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
+    way = at.moves.T[sets.index] * sets.scale[..., None]
     pull, _ = _solved(at, sets, variance, way)
-    mean = ways @ at.place - np.einsum("miq,mi->mq", pull, _pushed(at, sets, variance))
-    covered = np.sum(way * pull, axis=1) + np.sum(ways @ at.covariance * ways, axis=1)
-    replies = np.moveaxis(at.reply[coordinates:, sets.index], 0, 1) * sets.scale[:, None, :]
-    always = (ways @ at.covariance[:, coordinates:]).T + replies @ pull
-    return mean, covered, np.sum(pull**2, axis=1) + np.sum(always**2, axis=1)
+    mean = at.moved - np.einsum("miq,mi->mq", pull, _pushed(at, sets, variance))
+    covered = np.sum(way * pull, axis=1) + np.sum(always.moves.T * (always.inner @ always.moves.T), axis=0)
+    shared = np.moveaxis(always.cross[:, sets.index], 0, 1) * (sets.scale[:, None, :] / variance) @ pull
+    rest = always.inner @ (always.moves.T - shared)
+    return mean, covered, np.sum(pull**2, axis=1) + np.sum(rest**2, axis=1)
 
 
 def _quantile(means: np.ndarray, spread: np.ndarray, weights: np.ndarray, q: float) -> float:
