@@ -450,7 +450,9 @@ def _comparisons(outcome: Outcome) -> list[tuple[str, list[list[str]]]]:
         if agreed := agreement.of_choice(outcome.choice):
             found.append((agreement.heading(agreed), agreement.rows(agreed)))
     if outcome.gains:
-        heading = "The next experiment: width of each interval after it, over that before (* shrinks most)"
+        heading = (
+            "The next experiment: width of each interval of the noise alone after it, over that before (* shrinks most)"
+        )
         found.append((heading, candidates_table(outcome.gains)))
         if said := candidates_said(outcome.gains):
             found.append(

@@ -303,7 +303,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         return found
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
-    how, every, wide = moving(at), found.every, []
+    how, every = moving(at), found.every
     known = [every[name].ci95 for name in how.names]
     halves = [
         half(ends, log) if ends else at.spread.half_width(slope)
@@ -313,32 +313,31 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         open_ = unstated_filter.ambiguity(at, np.array(halves))
     if open_ is None:
         return found
-    axes = dict(zip(at.labels, model.coordinates, strict=True))
-    asked = [k for k, n in enumerate(how.names) if n == REFERENCE or _of_law(axes[n])]
-    if open_.decisive:
-        moved, there = [], {}
-        values = model.values(open_.best.point).tolist()
-        for k, value in ((k, values[k]) for k in asked if k < len(values)):
-            p, hull = every[how.names[k]], open_.ends(k, (value, value), how.log[k], how.limits[k])
-            there[how.names[k]] = replace(p, value=value, ci95=hull, headline=unstated_filter.KIND)
-            new, old = (brief(x, p.unit) for x in hull), brief(p.value, p.unit)
-            moved.append(f"{how.names[k]} {' to '.join(new)} in place of {old}")
-        text = f"{unstated_filter.seen(open_)}: {', '.join(moved)}. {unstated_filter.REMEDY}"
-        return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
-    for k in asked:
-        name, ends, log = how.names[k], known[k], how.log[k]
-        if ends is None:
+    axes, values = dict(zip(at.labels, model.coordinates, strict=True)), model.values(open_.best.point).tolist()
+    what, there = [], {}
+    for k, (name, ends, log) in enumerate(zip(how.names, known, how.log, strict=True)):
+        axis, p = axes.get(name), every[name]
+        if open_.decisive:
+            ends = (values[k], values[k]) if axis else None
+        if ends is None or not (axis is None or _of_law(axis)):
             continue
-        axis, p, hull = axes.get(name), every[name], open_.ends(k, ends, log, how.limits[k])
-        every[name] = replace(p, intervals={**p.intervals, unstated_filter.KIND: hull})
-        if axis and half(hull, log) >= fit_tests.widest(axis):
-            wide.append(f"{name} anywhere from {brief(hull[0], p.unit)} to {brief(hull[1], p.unit)}")
-        elif axis is None or half(hull, log) > half(ends, log):
-            every[name] = replace(every[name], ci95=hull, headline=unstated_filter.KIND)
-    if wide:
-        text = f"{unstated_filter.hidden(open_)}: {', '.join(wide)}. {unstated_filter.REMEDY}"
-        return _refused(found, text, unstated_filter.NONE)
-    return replace(found, **_estimating(every))
+        hull = open_.ends(k, ends, log, how.limits[k])
+        new = " to ".join(brief(x, p.unit) for x in hull)
+        if open_.decisive:
+            there[name] = replace(p, value=values[k], ci95=hull, headline=unstated_filter.KIND)
+            what.append(f"{name} {new} in place of {brief(p.value, p.unit)}")
+            continue
+        if wide := axis is not None and half(hull, log) >= fit_tests.widest(axis):
+            what.append(f"{name} anywhere from {new}")
+        every[name] = p = replace(p, intervals={**p.intervals, unstated_filter.KIND: hull})
+        if not wide and (axis is None or half(hull, log) > half(ends, log)):
+            every[name] = replace(p, ci95=hull, headline=unstated_filter.KIND)
+    if not (what or open_.decisive):
+        return replace(found, **_estimating(every))
+    text = f"{unstated_filter.said(open_)}: {', '.join(what)}. {unstated_filter.REMEDY}"
+    if open_.decisive:
+        return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
+    return _refused(found, text, unstated_filter.NONE)
 
 
 def _of_law(axis: Coordinate) -> bool:

@@ -99,7 +99,7 @@ def tolerances(where: str, given: Any, known: Mapping[str, Quantity]) -> dict[st
 def pair(where: str, given: Any, quantity: Quantity) -> tuple[float, float]:
     """Two numbers of a quantity, the smaller first."""
     if not isinstance(given, (tuple, list)) or len(given) != 2:
-        raise InputError(where, f"{quoted(given)} is no pair", "give (lower, upper)")
+        raise InputError(where, f"{quoted(given)} is no pair", 'give [lower, upper], such as ["-1 ms", "2 ms"]')
     lower, upper = (scalar(where, quantity, value) for value in given)
     if not lower < upper:
         raise InputError(where, f"{lower:g} is not below {upper:g}", "swap the bounds")

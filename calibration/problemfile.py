@@ -521,7 +521,7 @@ def _experiment(read: _Read, where: str, known: dict[str, Quantity], one: Callab
         features=features,
         span=span,
         tolerances={name: tolerance for name, (_, tolerance) in own.items() if tolerance is not None},
-        bounds={one(name): _pair(name, pair, where, known, one) for name, pair in entry.bounds.items()},
+        bounds=_bounds(entry, where, known, one),
     )
 
 
@@ -542,13 +542,11 @@ def _check_own(entry: _Experiment, where: str, free: list[Free], found: Sensor, 
             raise InputError(where, f"'{name}' is not free with a value of its own for each record", remedy)
 
 
-def _pair(
-    name: str, pair: list[Any], where: str, known: dict[str, Quantity], one: Callable[[str], str]
-) -> tuple[float, float]:
-    place = f"{where} bounds.{name}"
-    if one(name) not in known:
-        raise InputError(place, f"no parameter '{name}'", nearest(name, known))
-    if len(pair) != 2:
-        raise InputError(place, f"{pair}", 'give [lower, upper], such as ["-1 ms", "2 ms"]')
-    lower, upper = (quantity(value, known[one(name)].unit, place) for value in pair)
-    return lower, upper
+def _bounds(
+    entry: _Experiment, where: str, known: dict[str, Quantity], one: Callable[[str], str]
+) -> dict[str, tuple[float, float]]:
+    """Bounds of a record's own parameters."""
+    for name in entry.bounds:
+        if one(name) not in known:
+            raise InputError(f"{where} bounds.{name}", f"no parameter '{name}'", nearest(name, known))
+    return {one(n): given.pair(f"{where} bounds.{n}", pair, known[one(n)]) for n, pair in entry.bounds.items()}

@@ -1,13 +1,13 @@
 """Which scales the channels cannot tell: masses and speeds that may be wrong without any reading showing it.
 
 With m -> c m, v -> v/c, K -> K c^n and a -> a c every force of an impact stays the same; of accelerations only K/m acts. With
-B the derivatives of the residuals by the logarithms of what is free, and A those by the logarithms of fixed masses and
-speeds, what no reading shows is a direction in which A - B B^+ A is 0. The estimates move along by -B^+ A.
+A the derivatives of the residuals by the logarithms of all that is free, and of masses and speeds that are fixed, what no
+reading shows is a direction in which A is 0: so far scales move, and so far the estimates move along.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -26,8 +26,20 @@ _UNSEEN, _STEP = 1e-3, 1e-3
 _FINITE, _LEFT = 0.05, 5e-3
 # A move of an estimate that is named, for 1 % of a scale [%].
 _NAMED = 0.05
-# Relations of two scales that a direction leaves open are recognised to this share.
+# Moves of scales below this share of the largest are none; relations of two are recognised to it.
 _EQUAL = 0.05
+
+
+class _Axes(NamedTuple):
+    """What moves: names (M,), of estimates as results have them, how many are free, which are scales, and the derivatives (N, M)
+    of the residuals by their logarithms; of a nuisance by its range.
+    """
+
+    names: list[str]
+    labels: list[str]
+    free: int
+    scales: np.ndarray
+    columns: np.ndarray
 
 
 def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dict[str, Any]]:
@@ -38,143 +50,118 @@ def untold(model: Model, labels: tuple[str, ...], point: np.ndarray) -> list[dic
     """
     if budget(model).rough or not model.scene.traits.history or not model.channels:
         return []
-    quantities = {name: q.unit for name, q in model.scene.quantities.items()}
-    scales = [n for n, unit in quantities.items() if (unit in _UNITS or n in _LENGTHS) and n not in _NONE]
-    at = evaluation(model)(np.asarray(point)[None])
+    point = np.asarray(point, dtype=float)
+    axes = _axes(model, labels, point)
+    sizes = np.linalg.norm(axes.columns, axis=0)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    _, singular, directions = np.linalg.svd(axes.columns / sizes, full_matrices=False)
+    unseen = singular < _UNSEEN * np.linalg.norm(directions[:, axes.scales], axis=1)
+    ways = [way / np.abs(way[axes.scales]).max() for way in directions[unseen] / sizes]
+    ways = [way for way in ways if _exact(model, point, way, axes, sizes)]
+    return [_told(model, way, axes) for way in _apart(np.reshape(ways, (-1, sizes.size)), axes)]
+
+
+def _axes(model: Model, labels: tuple[str, ...], point: np.ndarray) -> _Axes:
+    at, free = evaluation(model)(point[None]), [axis.name for axis in model.coordinates]
     jacobian = np.where(np.isfinite(at.jacobians[0]), at.jacobians[0], 0.0)
-    inner = jacobian @ _steps(model, point)
-    free = [axis.name for axis in model.coordinates]
-    found = _searched(model, labels, point, inner, [n for n in scales if n in free])
-    if found:
-        return found
-    return _fixed(model, labels, point, inner, [n for n in scales if n not in free])
+    columns, fixed = [jacobian @ _steps(model, point)], []
+    units = {name: q.unit for name, q in model.scene.quantities.items()}
+    scales = [n for n, unit in units.items() if (unit in _UNITS or n in _LENGTHS) and n not in _NONE]
+    for name in (n for n in scales if n not in free and np.any(model.data.fixed.get(n, 0.0))):
+        sides = [evaluation(_scaled(model, {name: sign * _STEP}))(point[None]).residuals[0] for sign in (1.0, -1.0)]
+        column = (sides[0] - sides[1]) / (2.0 * _STEP)
+        if np.isfinite(column).all() and np.any(column):
+            columns.append(column[:, None])
+            fixed.append(name)
+    names = [*free, *fixed]
+    return _Axes(names, [*labels, *fixed], len(free), np.isin(names, scales), np.hstack(columns))
+
+
+def _scaled(model: Model, logs: dict[str, float]) -> Model:
+    """The model with the logarithms of fixed values moved."""
+    moved = {name: np.asarray(model.data.fixed[name], dtype=float) * np.exp(log) for name, log in logs.items()}
+    return eqx.tree_at(lambda m: m.data.fixed, model, {**model.data.fixed, **moved})
 
 
 def _steps(model: Model, point: np.ndarray) -> np.ndarray:
     """Moves of the unit box (P, P) for the logarithm of each parameter; of a nuisance, for its whole range."""
-    values, steps = model.values(np.asarray(point)), np.eye(len(model.coordinates))
+    values, steps = model.values(point), np.eye(len(model.coordinates))
     for k, axis in enumerate(model.coordinates):
         if axis.name not in NUISANCES and values[k] > 0:
-            moved = values * (1.0 + 1e-6 * (np.arange(values.size) == k))
-            steps[:, k] = (model.point(moved) - np.asarray(point)) / 1e-6
+            steps[:, k] = (model.point(values * (1.0 + 1e-6 * (np.arange(values.size) == k))) - point) / 1e-6
     return steps
 
 
-def _searched(
-    model: Model, labels: tuple[str, ...], point: np.ndarray, inner: np.ndarray, scales: list[str]
-) -> list[dict[str, Any]]:
-    """Free scales of which the data determine a combination only."""
-    mine = [k for k, axis in enumerate(model.coordinates) if axis.name in scales]
-    if not mine:
-        return []
-    sizes = np.linalg.norm(inner, axis=0)
-    normal = inner / np.where(sizes > 0, sizes, 1.0)
-    _, singular, directions = np.linalg.svd(normal, full_matrices=False)
-    way = directions[-1] / np.where(sizes > 0, sizes, 1.0)  # of the logarithms
-    if singular[-1] > _UNSEEN or np.max(np.abs(directions[-1][mine])) < _EQUAL:
-        return []
-    lead = mine[int(np.argmax(np.abs(way[mine])))]
-    way = way / way[lead]
-    if not _exact(model, point, way, {}, sizes[lead]):
-        return []
-    together = [k for k in mine if abs(way[k]) > _EQUAL]
-    names = list(dict.fromkeys(model.coordinates[k].name for k in together))
-    share = {labels[k]: float(way[k]) for k in range(len(labels)) if abs(way[k]) > _NAMED}
-    if len(names) == 1:
-        only = f"{names[0]} is not determined"
-    else:
-        other = next(k for k in together if model.coordinates[k].name != model.coordinates[lead].name)
-        kind = "product" if abs(way[other] + 1) < _EQUAL else "ratio" if abs(way[other] - 1) < _EQUAL else "combination"
-        only = f"only the {kind} of {' and '.join(names)} is determined"
-    more = {
-        labels[k]: float(way[k]) for k in range(len(labels)) if k != lead and model.coordinates[k].name not in NUISANCES
-    }
-    same = f"{labels[lead]} by +1 % together with {_moves(more)} gives the same readings"
-    text = f"{_channels(model)} alone leave a scale open, and {only}: {same}"
-    return [{"parameters": names, "moves": {names[0]: share}, "text": text, "remedy": _remedy(names, model, True)}]
-
-
-def _fixed(
-    model: Model, labels: tuple[str, ...], point: np.ndarray, inner: np.ndarray, scales: list[str]
-) -> list[dict[str, Any]]:
-    """Fixed scales, or combinations of them, that may be wrong without any reading showing it."""
-    columns, names = [], []
-    for name in scales:
-        own = np.asarray(model.data.fixed.get(name, 0.0), dtype=float)
-        if not np.any(own):
-            continue
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], model, own * (1.0 + sign * _STEP))
-            sides.append(evaluation(moved)(np.asarray(point)[None]).residuals[0])
-        column = (sides[0] - sides[1]) / (2.0 * _STEP)
-        if np.isfinite(column).all() and np.linalg.norm(column) > 0.0:
-            columns.append(column)
-            names.append(name)
-    if not names:
-        return []
-    outer = np.stack(columns, axis=1)
-    sizes, outer_sizes = np.linalg.norm(inner, axis=0), np.linalg.norm(outer, axis=0)
-    sizes = np.where(sizes > 0, sizes, 1.0)
-    along = -np.linalg.lstsq(inner / sizes, outer, rcond=1e-6)[0] / sizes[:, None]
-    left = (outer + inner @ along) / outer_sizes
-    _, singular, directions = np.linalg.svd(left, full_matrices=False)
-    weak = directions[singular < _UNSEEN]
-    ways = [(way / outer_sizes) / np.max(np.abs(way / outer_sizes)) for way in weak]
-    weak = np.array([
-        w * outer_sizes for w in ways
-        if _exact(model, point, along @ w, dict(zip(names, w, strict=True)), float(np.max(np.abs(w) * outer_sizes)))
-    ])  # fmt: skip
-    involved = [k for k in range(len(names)) if weak.size and np.max(np.abs(weak[:, k] / outer_sizes[k])) > _EQUAL]
-    if not involved:
-        return []
-    own = [names[k] for k in involved]
-    kept = [i for i, axis in enumerate(model.coordinates) if axis.name not in NUISANCES]
-    moves = {names[k]: {labels[i]: float(along[i, k]) for i in kept} for k in involved}
-    given = " and ".join(f"the {name}" for name in own)
-    alone = " alone" if len(own) > 1 else ""
-    said = [f"1 % of {name}{alone} moves {_moves(_shared(model, labels, moves[name]))}" for name in own]
-    if alone:
-        way = weak[0] / weak[0][involved[0]]
-        beside = {names[k]: float(way[k] * outer_sizes[involved[0]] / outer_sizes[k]) for k in involved[1:]}
-        together = (along / outer_sizes) @ way * outer_sizes[involved[0]]
-        same = _moves(_shared(model, labels, {labels[i]: float(together[i]) for i in kept}))
-        said.insert(0, f"{own[0]} by +1 % together with {_moves(beside)} gives the same readings and moves {same}")
-    what = ", ".join(dict.fromkeys(model.coordinates[i].name for i in kept))
-    text = f"{_channels(model)} alone determine {what} only for {given} given: {'; '.join(said)}"
-    return [{"parameters": own, "moves": moves, "text": text, "remedy": _remedy(own, model, False)}]
-
-
-def _exact(model: Model, point: np.ndarray, way: np.ndarray, fixed: dict[str, float], size: float) -> bool:
-    """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do.
-
-    ``way``, ``fixed``: logarithms by which what is free, and what is fixed, move; ``size``: what the largest of them alone
-    does.
-    """
-    point = np.asarray(point, dtype=float)
-    values, moved = model.values(point), model
-    nuisance = np.array([axis.name in NUISANCES for axis in model.coordinates])
+def _exact(model: Model, point: np.ndarray, way: np.ndarray, axes: _Axes, sizes: np.ndarray) -> bool:
+    """Whether a finite move leaves every reading as it is: few samples have directions that only to first order do."""
+    own, nuisance = way[: axes.free], np.array([axis.name in NUISANCES for axis in model.coordinates])
     # What the data hardly show moves without a bound; so far away nothing is exact.
-    other = model.point(values * np.exp(np.where(nuisance, 0.0, np.clip(_FINITE * way, -50.0, 50.0))))
-    other = np.where(nuisance, point + _FINITE * way, other)
-    for name, log in fixed.items():
-        own = np.asarray(model.data.fixed[name], dtype=float) * np.exp(_FINITE * log)
-        moved = eqx.tree_at(lambda m, name=name: m.data.fixed[name], moved, own)
-    change = evaluation(moved)(other[None]).residuals[0] - evaluation(model)(point[None]).residuals[0]
-    return bool(np.linalg.norm(change) < _LEFT * _FINITE * size)
+    logs = np.where(nuisance, 0.0, np.clip(_FINITE * own, -50.0, 50.0))
+    other = np.where(nuisance, point + _FINITE * own, model.point(model.values(point) * np.exp(logs)))
+    fixed = {name: _FINITE * float(x) for name, x in zip(axes.names[axes.free :], way[axes.free :], strict=True)}
+    change = evaluation(_scaled(model, fixed))(other[None]).residuals[0] - evaluation(model)(point[None]).residuals[0]
+    return bool(np.linalg.norm(change) < _LEFT * _FINITE * np.max((np.abs(way) * sizes)[axes.scales]))
 
 
-def _shared(model: Model, labels: tuple[str, ...], moves: dict[str, float]) -> dict[str, float]:
+def _apart(ways: np.ndarray, axes: _Axes) -> np.ndarray:
+    """Directions (R, M) of which each has a scale of its own, fixed ones first, and as few others as may be."""
+    count = 0
+    for k in sorted(np.flatnonzero(axes.scales), key=lambda k: k < axes.free):
+        left = np.abs(ways[count:, axes.scales])
+        if not left.size or np.abs(ways[count:, k]).max() <= _EQUAL * left.max():
+            continue
+        first = count + int(np.argmax(np.abs(ways[count:, k])))
+        ways[[count, first]] = ways[[first, count]]
+        ways[count] /= ways[count, k]
+        ways -= np.outer(np.where(np.arange(len(ways)) == count, 0.0, ways[:, k]), ways[count])
+        count += 1
+    return ways[:count]
+
+
+def _told(model: Model, way: np.ndarray, axes: _Axes) -> dict[str, Any]:
+    """One direction in words: of fixed scales by what they are given, of free ones by what is determined of them."""
+    moving = np.flatnonzero(np.abs(way) > _EQUAL)
+    fixed = [int(k) for k in moving if k >= axes.free]
+    mine = fixed or [int(k) for k in moving if axes.scales[k]]
+    lead, names = max(mine, key=lambda k: abs(way[k])), list(dict.fromkeys(axes.names[k] for k in mine))
+    way = way / way[lead]
+    kept = [k for k in range(axes.free) if axes.names[k] not in NUISANCES and k != lead]
+    beside = _moves([(axes.names[k], way[k]) for k in fixed if k != lead]) if len(fixed) > 1 else ""
+    with_it = f"{axes.labels[lead]} by +1 % together with {{}} gives the same readings"
+    if fixed:
+        alone = {axes.names[k]: _alone(axes, k) if beside else way for k in fixed}
+        said = [f"{with_it.format(beside)} and moves {_moves(_shared(axes, way, kept))}"] if beside else []
+        said += [
+            f"1 % of {n}{' alone' * bool(beside)} moves {_moves(_shared(axes, x, kept))}" for n, x in alone.items()
+        ]
+        what, known = ", ".join(dict.fromkeys(axes.names[k] for k in kept)), " and ".join(f"the {n}" for n in names)
+        text = f"{_channels(model)} alone determine {what} only for {known} given: {'; '.join(said)}"
+    else:
+        alone = {axes.names[lead]: way}
+        relations = [way[k] for k in mine if axes.names[k] != axes.names[lead]]
+        near = {x: abs(relations[0] - x) < _EQUAL for x in (-1.0, 1.0)} if relations else {}
+        kind = "product" if near.get(-1.0) else "ratio" if near.get(1.0) else "combination"
+        only = f"only the {kind} of {' and '.join(names)} is" if relations else f"{names[0]} is not"
+        same = with_it.format(_moves([(axes.labels[k], way[k]) for k in kept]))
+        text = f"{_channels(model)} alone leave a scale open, and {only} determined: {same}"
+    moves = {name: {axes.labels[k]: float(x[k]) for k in kept} for name, x in alone.items()}
+    return {"parameters": names, "moves": moves, "text": text, "remedy": _remedy(names, model, not fixed)}
+
+
+def _alone(axes: _Axes, k: int) -> np.ndarray:
+    """Moves (P,) of the estimates by least squares for a scale that alone is wrong, whatever residuals that leaves."""
+    inner = axes.columns[:, : axes.free]
+    sizes = np.where(np.any(inner, axis=0), np.linalg.norm(inner, axis=0), 1.0)
+    return -np.linalg.lstsq(inner / sizes, axes.columns[:, k], rcond=1e-6)[0] / sizes
+
+
+def _shared(axes: _Axes, moves: np.ndarray, kept: list[int]) -> list[tuple[str, float]]:
     """Moves by the parameter's name: where every record has its own, that of the first stands for all."""
-    found: dict[str, float] = {}
-    for axis, label in zip(model.coordinates, labels, strict=True):
-        if label in moves:
-            found.setdefault(axis.name, moves[label])
-    return found
+    return list({axes.names[k]: (axes.names[k], float(moves[k])) for k in reversed(kept)}.values())[::-1]
 
 
-def _moves(moves: dict[str, float]) -> str:
-    named = [f"{name} by {share:+.2g} %" for name, share in moves.items() if abs(share) > _NAMED]
+def _moves(moves: list[tuple[str, float]]) -> str:
+    named = [f"{name} by {share:+.2g} %" for name, share in moves if abs(share) > _NAMED]
     return ", ".join(named) or "no estimate by 0.05 %"
 
 

@@ -55,7 +55,7 @@ def values(d: Diagnosis, plain: Fit) -> list[list[str]]:
 
 
 def _value(p: Parameter) -> str:
-    ends = f" ({' to '.join(bounded(p.ci95, p.ci95, p.unit))})" if p.ci95 else ""
+    ends = f" ({' to '.join(bounded(p.ci95, p.ci95, p.unit))}, {p.headline})" if p.ci95 else ""
     return bounded([p.value], p.ci95 or (), p.unit)[0] + ends
 
 
@@ -119,7 +119,7 @@ def sections(d: Diagnosis, plain: Fit) -> list[tuple[str, list[list[str]]]]:
     if d.agreed:
         found.append((agreement.heading(d.agreed), agreement.rows(d.agreed)))
     if d.trials:
-        found.append(("Estimates with each", values(d, plain)))
+        found.append(("Estimates with each, their 95 % intervals and the kinds that these are", values(d, plain)))
     lines = [(name, d.lines[name]) for name in d.named if d.lines[name]]
     lines += [(" and ".join(t.names), t.lines) for t in d.trials if len(t.names) > 1 and t.confirmed]
     for name, text in lines:

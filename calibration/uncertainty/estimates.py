@@ -82,8 +82,9 @@ class Reference(Parameter):
 
 
 def briefly(parameters: Mapping[str, Parameter]) -> dict[str, dict[str, Any]]:
-    """Estimates with their intervals, for a file."""
-    return {name: {"value": p.value, "unit": p.unit, "ci95": p.ci95} for name, p in parameters.items()}
+    """Estimates with their intervals, and the kind that each is, for a file."""
+    known = parameters.items()
+    return {n: {"value": p.value, "unit": p.unit, "ci95": p.ci95, "headline": p.headline or None} for n, p in known}
 
 
 class Estimates(NamedTuple):

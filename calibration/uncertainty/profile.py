@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -129,135 +130,122 @@ def profiles(
     """
 
     def both(one: Asked) -> Profile:
-        below, above = (_Walk(one, scouts).outwards(one.place, sign) for sign in (-1.0, 1.0))
-        return _profile(one.target, below, above, one.threshold, labels)
+        best, slope = _best(one)
+        return _profile(one, slope, [_side(one, best, slope, scouts, sign) for sign in (-1.0, 1.0)], labels)
 
     return tuple((each if at_once else map)(both, asked))
 
 
 class _Point(NamedTuple):
-    """A constrained optimum: c, unit-box coordinates, cost, and half the cost's slope along the profile."""
+    """A constrained optimum: c, unit-box coordinates, cost, and the root of its rise above the best."""
 
     c: float
     place: np.ndarray
     cost: float
-    slope: float
+    root: float = 0.0
 
 
 class _Side(NamedTuple):
-    """One side of a profile: points from the best outwards, c at the threshold or why there is none, whether another region
-    is as good or better, and the slope of the root of the rise at the best.
+    """One side of a profile: points from the best outwards, c at the threshold or why there is none, and whether another region
+    is as good or better.
     """
 
     trail: list[_Point]
     end: float | None
-    slope: float
     why: str = ""
     other: bool = False
-
-    def at(self, target: Target) -> float | None:
-        """The parameter's value at its end."""
-        return None if self.end is None else target.physical(self.end)
 
 
 class _Lost(ArithmeticError):
     """No constrained optimum is found."""
 
 
-class _Walk:
-    """Along constrained optima: one quantity held, all other coordinates following, until the cost has risen."""
+def _best(one: Asked) -> tuple[_Point, float]:
+    """The optimum, and the slope there of the root of the rise, which is linear in c where the cost is quadratic."""
+    residuals, jacobian = (a[0] for a in one.residuals(one.place[None]))
+    if not np.isfinite(residuals).all():
+        raise ValueError("the simulation fails at the optimum itself")
+    others, held = np.delete(jacobian, one.target.index, axis=1), jacobian[:, one.target.index]
+    slope = float(np.linalg.norm(held - others @ np.linalg.lstsq(others, held)[0]))
+    return _Point(one.place[one.target.index], one.place, float(residuals @ residuals)), slope
 
-    def __init__(self, asked: Asked, scouts: int) -> None:
-        self.target, self.threshold, self.residuals, _ = asked
-        self.scouts = scouts
 
-    def outwards(self, place: np.ndarray, sign: float) -> _Side:
-        """From the optimum to the threshold or the end of the range."""
-        target, goal, limit = self.target, np.sqrt(self.threshold), float(sign > 0)
-        residuals, jacobian = (a[0] for a in self.residuals(place[None]))
-        if not np.isfinite(residuals).all():
-            raise ValueError("the simulation fails at the optimum itself")
-        # The root of the rise is linear in c where the cost is quadratic, and its first slope follows from the Jacobian.
-        others, held = np.delete(jacobian, target.index, axis=1), jacobian[:, target.index]
-        first = float(np.linalg.norm(held - others @ np.linalg.lstsq(others, held)[0]))
-        best = _Point(place[target.index], place, float(residuals @ residuals), 0.0)
-        step = least = min(goal / _POINTS / first, _LONGEST) if first > 0 else _LONGEST
-        trail = [best]
-        while len(trail) < _MOST_POINTS:
-            at = trail[-1]
-            if sign * (limit - at.c) <= 0:
-                return _Side(trail, None, first, "it reaches its bound")
-            c = at.c + sign * step if step < sign * (limit - at.c) else limit
-            found = self._relaxed(c, _ahead(trail, c))
-            if found is None:
-                step /= 4
-                if step < 1e-3 * least:
-                    return self._lost(trail, first)
-                continue
-            if found.cost < best.cost - _BETTER * self.threshold:
-                why = f"a better optimum lies near {target.physical(c):.4g}"
-                return _Side([*trail, found], None, first, why, True)
-            root = _root(found, best)
-            if root >= goal * (1 - 1e-9):
-                return self._ended(trail, found, limit, first)
-            slope = sign * found.slope / max(root, 1e-12)
-            wanted = min(goal / _POINTS, goal - root) / slope if slope > 0 else np.inf
-            trail.append(found)
-            step = float(np.clip(wanted, step / 4, min(3 * step, _LONGEST)))
-        return _Side(trail, None, first, f"it is not bounded after {_MOST_POINTS} steps")
-
-    def _ended(self, trail: list[_Point], outside: _Point, limit: float, first: float) -> _Side:
-        """The side whose threshold lies between the last point of its trail and one outside, and what lies beyond."""
-        inside, best, goal = trail[-1], trail[0], float(np.sqrt(self.threshold))
-        known: dict[float, Any] = {inside.c: inside, outside.c: outside}
-
-        def beyond(c: float) -> float:
-            if c not in known:
-                near = min(known.values(), key=lambda p: abs(p.c - c))
-                known[c] = self._relaxed(c, near.place)
-                if known[c] is None:
-                    raise _Lost
-            return _root(known[c], best) - goal
-
+def _side(one: Asked, best: _Point, slope: float, scouts: int, sign: float) -> _Side:
+    """Along constrained optima from the best to the threshold or the end of the range."""
+    goal, limit, physical = float(np.sqrt(one.threshold)), float(sign > 0), one.target.physical
+    step = least = min(goal / _POINTS / slope, _LONGEST) if slope > 0 else _LONGEST
+    trail = [best]
+    while len(trail) < _MOST_POINTS:
+        at = trail[-1]
+        if sign * (limit - at.c) <= 0:
+            return _Side(trail, None, "it reaches its bound")
+        c = at.c + sign * step if step < sign * (limit - at.c) else limit
         try:
-            precise = 1e-7 * abs(outside.c - inside.c)
-            end = float(brentq(beyond, inside.c, outside.c, xtol=precise)) if beyond(outside.c) > 0.0 else outside.c  # pyright: ignore[reportArgumentType]
+            found = _relaxed(one, best, c, _ahead(trail, c))
         except _Lost:
-            return self._lost(trail, first)
-        pinned = min(known.values(), key=lambda p: abs(p.c - end))
-        place = pinned.place
-        for c in np.linspace(pinned.c, limit, self.scouts + 1)[1:]:
-            found = self._relaxed(float(c), place, _SCOUT_TRIES)
-            place = found.place if found else place
-            if found and found.cost < best.cost + self.threshold:
-                why = f"the data fit as well near {self.target.physical(float(c)):.4g}"
-                return _Side([*trail, pinned], None, first, why, True)
-        return _Side([*trail, pinned], end, first)
-
-    def _lost(self, trail: list[_Point], first: float) -> _Side:
-        where = self.target.physical(trail[-1].c)
-        return _Side(trail, None, first, f"no simulation succeeds, or no optimum is found, beyond {where:.4g}")
-
-    def _relaxed(self, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point | None:
-        """The least squares over the other coordinates; None where nothing simulates, or none is found in all tries."""
-        index, held = self.target.index, dict[bytes, np.ndarray]()
-
-        def evaluate(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            residuals, jacobian = (a[0] for a in self.residuals(np.insert(rest, index, c)[None]))
-            held[rest.tobytes()] = jacobian[:, index]
-            return residuals, np.delete(jacobian, index, axis=1)
-
-        precise = dict.fromkeys(("xtol", "ftol", "gtol"), _PRECISE)
-        begin = np.clip(np.delete(place, index), 0.0, 1.0)
-        found = trust_region(evaluate, begin, method="dogbox", max_nfev=tries, **precise)
-        if found.failed or not (found.converged or tries == _SCOUT_TRIES):
-            return None
-        slope = float(found.residuals @ held[found.point.tobytes()])
-        return _Point(c, np.insert(found.point, index, c), float(found.residuals @ found.residuals), slope)
+            step /= 4
+            if step < 1e-3 * least:
+                return _lost(one, trail)
+            continue
+        if found.cost < best.cost - _BETTER * one.threshold:
+            return _Side([*trail, found], None, f"a better optimum lies near {physical(c):.4g}", True)
+        if found.root >= goal * (1 - 1e-9):
+            return _ended(one, trail, found, scouts, limit)
+        trail.append(found)
+        rise = (found.root - at.root) / abs(c - at.c)
+        wanted = min(goal / _POINTS, goal - found.root) / rise if rise > 0 else np.inf
+        step = float(np.clip(wanted, step / 4, min(3 * step, _LONGEST)))
+    return _Side(trail, None, f"it is not bounded after {_MOST_POINTS} steps")
 
 
-def _root(at: _Point, best: _Point) -> float:
-    return float(np.sqrt(max(at.cost - best.cost, 0.0)))
+def _ended(one: Asked, trail: list[_Point], outside: _Point, scouts: int, limit: float) -> _Side:
+    """The side whose threshold lies between the last point of its trail and one outside, and what lies beyond."""
+    best, known = trail[0], {p.c: p for p in (trail[-1], outside)}
+
+    def beyond(c: float) -> float:
+        if c not in known:
+            known[c] = _relaxed(one, best, c, min(known.values(), key=lambda p: abs(p.c - c)).place)
+        return known[c].root - float(np.sqrt(one.threshold))
+
+    try:
+        precise, inside = 1e-7 * abs(outside.c - trail[-1].c), trail[-1].c
+        end = float(brentq(beyond, inside, outside.c, xtol=precise)) if beyond(outside.c) > 0.0 else outside.c  # pyright: ignore[reportArgumentType]
+    except _Lost:
+        return _lost(one, trail)
+    pinned = found = min(known.values(), key=lambda p: abs(p.c - end))
+    for c in np.linspace(pinned.c, limit, scouts + 1)[1:].tolist():
+        with suppress(_Lost):
+            found = _relaxed(one, best, c, found.place, _SCOUT_TRIES)
+            if found.cost < best.cost + one.threshold:
+                why = f"the data fit as well near {one.target.physical(c):.4g}"
+                return _Side([*trail, pinned], None, why, True)
+    return _Side([*trail, pinned], end)
+
+
+def _lost(one: Asked, trail: list[_Point]) -> _Side:
+    where = one.target.physical(trail[-1].c)
+    return _Side(trail, None, f"no simulation succeeds, or no optimum is found, beyond {where:.4g}")
+
+
+def _relaxed(one: Asked, best: _Point, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point:
+    """The least squares over the other coordinates.
+
+    Raises:
+        _Lost: where nothing simulates, or none is found in all tries.
+    """
+    index = one.target.index
+
+    def evaluate(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residuals, jacobian = (a[0] for a in one.residuals(np.insert(rest, index, c)[None]))
+        return residuals, np.delete(jacobian, index, axis=1)
+
+    precise = dict.fromkeys(("xtol", "ftol", "gtol"), _PRECISE)
+    begin = np.clip(np.delete(place, index), 0.0, 1.0)
+    found = trust_region(evaluate, begin, method="dogbox", max_nfev=tries, **precise)
+    if found.failed or not (found.converged or tries == _SCOUT_TRIES):
+        raise _Lost
+    cost = float(found.residuals @ found.residuals)
+    return _Point(c, np.insert(found.point, index, c), cost, float(np.sqrt(max(cost - best.cost, 0.0))))
 
 
 def _ahead(trail: list[_Point], c: float) -> np.ndarray:
@@ -267,32 +255,26 @@ def _ahead(trail: list[_Point], c: float) -> np.ndarray:
     return np.clip(at.place + move * min(1.0, _LEAP / max(np.abs(move).max(), _LEAP)), 0.0, 1.0)
 
 
-def _profile(target: Target, below: _Side, above: _Side, threshold: float, labels: Sequence[str]) -> Profile:
-    """Both walks as one curve, its shape in a word, and what there is to say of its ends."""
-    trail = [*below.trail[:0:-1], *above.trail]
-    best = above.trail[0]
+def _profile(one: Asked, slope: float, sides: Sequence[_Side], labels: Sequence[str]) -> Profile:
+    """Both sides as one curve, its shape in a word, and what there is to say of its ends."""
+    target, (below, above) = one.target, sides
+    trail, best = [*below.trail[:0:-1], *above.trail], above.trail[0]
     rises = np.array([p.cost for p in trail]) - best.cost
     with np.errstate(divide="ignore", over="ignore"):
-        half = np.sqrt(threshold) / np.float64(above.slope)
+        half = np.sqrt(one.threshold) / np.float64(slope)
         quadratic = (target.physical(best.c - half), target.physical(best.c + half))
-    notes = [f"{where} {target.name}: {side.why}" for where, side in (("below", below), ("above", above)) if side.why]
-    for where, side in (("lower", below), ("upper", above)):
+    notes = [f"{where} {target.name}: {s.why}" for where, s in zip(("below", "above"), sides, strict=True) if s.why]
+    for where, side in zip(("lower", "upper"), sides, strict=True):
         place = side.trail[-1].place
         resting = [n for i, (n, u) in enumerate(zip(labels, place, strict=True)) if not 0 < u < 1 and i != target.index]
         if side.end is not None and resting:
             notes.append(f"the {where} end of {target.name} rests on the bound of {' and '.join(resting)}")
+    low, high = (None if side.end is None else target.physical(side.end) for side in sides)
+    values = np.array([target.physical(p.c) for p in trail])
     return Profile(
-        name=target.name,
-        values=np.array([target.physical(p.c) for p in trail]),
-        rises=rises,
-        best=target.physical(best.c),
-        threshold=threshold,
-        ends=(below.at(target), above.at(target)),
-        quadratic=quadratic,
-        shape=_shape(below, above, rises, threshold),
-        log=target.log,
-        notes=tuple(notes),
-    )
+        target.name, values, rises, target.physical(best.c), one.threshold, (low, high), quadratic,
+        _shape(below, above, rises, one.threshold), target.log, tuple(notes),
+    )  # fmt: skip
 
 
 def _shape(below: _Side, above: _Side, rises: np.ndarray, threshold: float) -> str:

@@ -235,7 +235,7 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     rest = lin.data - basis @ (basis.T @ lin.data)
     combined = found.combined()[0]
     sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-    lines = []
+    every, lines = evaluated(lin, errors, found.variance) if any(e.floor for e in errors) else found, []
     for k, error in enumerate(errors):
         columns, lean = error.prior
         beside = columns - basis @ (basis.T @ columns)
@@ -251,7 +251,6 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         stated = error.floor >= 1.0
         cost = combined / np.maximum(found.without(k).combined()[0], 1e-300)
         if stated:  # It is in every set, each of which is narrower without it.
-            every = evaluated(lin, errors, found.variance)
             apart = evaluated(lin, [e for e in errors if e is not error], found.variance)._replace(log=every.log)
             cost = merged([every]).combined()[0] / np.maximum(merged([apart]).combined()[0], 1e-300)
         chance = (1.0, 1.0) if stated else (float(chances[k]), float(found.prior[k]))

@@ -230,8 +230,10 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
     means, covered, doubt = (np.concatenate(part) for part in parts)
     noise = at.student * np.linalg.norm(inverse, axis=1)
     type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
-    # Of all sets alike, and other about another point: what no coordinate explains, and how many readings tell them apart.
+    # Of all sets alike, and other about another point: what no coordinate explains, how many readings tell them apart, and the
+    # evidence of what always acts.
     common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
+    common += 0.5 * float(always.amplitude @ sums.push[count:] / variance + np.linalg.slogdet(always.inner)[1])
     log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
     return Mixture(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
 

@@ -86,8 +86,7 @@ def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[
             continue
         column = of_channels(scene, own)
         rest = [s for s, said in zip(scene.series, known, strict=True) if own.key not in said]
-        if np.any(signature := part(column, rest)):
-            columns = shared_and_own(signature, rest) if own.own else signature
+        if np.any(columns := _of(own, column, rest)):
             every.append(Error(name, own.unit, own.most, columns, sign=own.sign, chance=own.chance))
         every += _as_stated(name, own, column, scene, known) if len(rest) < len(scene.series) else []
     return [*every, *_steps(scene, known)]
@@ -102,21 +101,24 @@ def of_channels(scene: Scene, own: Sensor) -> np.ndarray:
     return signatures.of_readings(scene, errors)
 
 
+def _of(own: Sensor, column: np.ndarray, series: list[Series]) -> np.ndarray:
+    """The columns of an error in some series."""
+    signature = part(column, series)
+    return shared_and_own(signature, series) if own.own else signature
+
+
 def _as_stated(name: str, own: Sensor, column: np.ndarray, scene: Scene, known: _Known) -> list[Error]:
     """An error of which instruments say how large it is: no two channels share it."""
-    sizes = {
-        k: _amplitude(own.key, said[own.key], scene.series[k], scene.peaks[k], scene.contact)
-        for k, said in enumerate(known)
-        if own.key in said and np.any(column[scene.series[k].rows])
-    }
-    most, columns = max(sizes.values(), default=0.0), []
+    sized, most, by_channel = np.zeros_like(column), 0.0, dict[str, list[Series]]()
+    for s, said, peak, channel in zip(scene.series, known, scene.peaks, scene.channels, strict=True):
+        if own.key in said and np.any(column[s.rows]):
+            size = _amplitude(own.key, said[own.key], s, peak, scene.contact)
+            sized[s.rows], most = size * column[s.rows], max(most, size)
+            by_channel.setdefault(channel, []).append(s)
     if not most:
         return []
-    for channel in dict.fromkeys(scene.channels[k] for k in sizes):
-        of = [k for k in sizes if scene.channels[k] == channel]
-        mine = sum((part(column, [scene.series[k]]) * (sizes[k] / most) for k in of), np.zeros_like(column))
-        columns.append(shared_and_own(mine, [scene.series[k] for k in of]) if own.own else mine)
-    return [Error(f"{name}, as stated", own.unit, most, np.hstack(columns), floor=1.0)]
+    columns = np.hstack([_of(own, sized / most, series) for series in by_channel.values()])
+    return [Error(f"{name}, as stated", own.unit, most, columns, floor=1.0)]
 
 
 def _amplitude(key: str, limit: Limit, s: Series, peak: float, duration: float) -> float:
@@ -132,17 +134,11 @@ def _steps(scene: Scene, known: _Known) -> list[Error]:
              for said, peak in zip(known, scene.peaks, strict=True)]  # fmt: skip
     if not any(steps):
         return []
-    columns = [
-        signatures.of_readings(
-            scene,
-            [
-                QUANTILE * q / np.sqrt(12.0) * f(2.0 * np.pi * x / (q or 1.0))
-                for x, q in zip(scene.read, steps, strict=True)
-            ],
-        )
-        for f in (np.sin, np.cos)
+    waves = [
+        [f(2.0 * np.pi * x / (q or 1.0)) * q for x, q in zip(scene.read, steps, strict=True)] for f in (np.sin, np.cos)
     ]
-    return [Error("resolution, as stated", "of its step", 1.0, np.hstack(columns), floor=1.0)]
+    columns = np.hstack([signatures.of_readings(scene, wave) for wave in waves]) * QUANTILE / np.sqrt(12.0)
+    return [Error("resolution, as stated", "of its step", 1.0, columns, floor=1.0)]
 
 
 def of_fixed(

@@ -289,16 +289,10 @@ def _named(one: Tried) -> str:
     return f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}"
 
 
-def seen(found: Ambiguity) -> str:
-    """Of a decisive one in words: the filter that explains the record better."""
-    return (
-        f"the record shows a filter, or a law that looks like one: {_named(found.best)} "
-        "explains it decisively better than the law alone"
-    )
-
-
-def hidden(found: Ambiguity) -> str:
-    """Of one that is not decisive: the slowest filter that explains the record as well."""
-    one = found.slowest
-    slow = _named(one) if one else "a filter"
+def said(found: Ambiguity) -> str:
+    """In words what the record says: the filter that explains it better than none, or the slowest that does so as well."""
+    if found.decisive:
+        better = f"{_named(found.best)} explains it decisively better than the law alone"
+        return f"the record shows a filter, or a law that looks like one: {better}"
+    slow = _named(found.slowest) if found.slowest else "a filter"
     return f"the record does not distinguish a filter from the law: {slow} explains it as well as none"

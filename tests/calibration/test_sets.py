@@ -9,7 +9,7 @@ import pytest
 import tiers
 
 from calibration.uncertainty import sets
-from calibration.uncertainty.sets import ACTS, QUANTILE, SCALES, Error, Linear, mixture
+from calibration.uncertainty.sets import ACTS, QUANTILE, SCALES, Error, Linear, evaluated, mixture
 
 COUNT, COORDINATES = 60, 3
 
@@ -67,6 +67,18 @@ def test_every_set_is_generalised_least_squares(sign):
     np.testing.assert_allclose(found.combined()[1], np.sqrt(noise), rtol=1e-4)
     acting = [[scales[k] > 0.0 for scales in sets] for k in range(2)]
     np.testing.assert_allclose(found.chances, np.array(acting, float) @ weights, rtol=1e-4)
+
+
+def test_what_always_acts_counts_in_the_evidence_of_a_point():
+    """Points whose errors of that kind have other signatures, by dense matrices."""
+    world = World(8)
+    data, found, exact = world.rng.standard_normal(COUNT), [], []
+    for scale in (1.0, 4.0):
+        world.errors[0] = world.errors[0]._replace(columns=scale * world.errors[0].columns)
+        every = evaluated(world.at(data), world.errors, 1.3)
+        found.append(every.log[~every.members.any(axis=1)][0])
+        exact.append(dense(world, data, (0.0, 0.0), 1.3)[3])
+    assert found[1] - found[0] == pytest.approx(exact[1] - exact[0], rel=1e-9) and abs(exact[1] - exact[0]) > 0.1
 
 
 def test_without_errors_it_is_the_interval_of_the_noise():
