@@ -257,7 +257,8 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
     if name == "capsule_on_capsule":
         # Between points of their segments, across both, or off their ends.
         side, reach = np.cross([0.0, 0.0, 1.0], turned[:, 2]), SIZES["radius_a"] + SIZES["radius_b"] - depth
-        return np.array([0.0, 0.0, 0.01]) - 0.005 * turned[:, 2] + reach * side / np.linalg.norm(side)
+        side = side / np.linalg.norm(side) if np.any(side) else np.array([1.0, 0.0, 0.0])
+        return np.array([0.0, 0.0, 0.01]) - 0.005 * turned[:, 2] + reach * side
     if name == "sphere_on_box":
         half = np.array([SIZES[f"half_{k}"] for k in ("length", "width", "height")])
         return half * np.sign(way) + (SIZES["radius"] - depth) * way

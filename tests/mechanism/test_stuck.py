@@ -208,5 +208,5 @@ def test_a_ladder_leans_as_its_two_contacts_creep():
     arms = [np.asarray(x) * [np.cos(state[2]), np.sin(state[2])] for x in (1.0, -1.0)]
     moments = [arm[0] * force[1] - arm[1] * force[0] for arm, force in zip(arms, (foot, top), strict=True)]
     assert sum(moments) == pytest.approx(0.0, abs=1e-5)
-    with pytest.raises(InputError, match="nothing stops 'ladder'.*friction of 0.5"):
+    with pytest.raises(InputError, match=r"nothing stops 'ladder'.*friction of 0.5"):
         statics.check(ladder(40.0), ladder(40.0).parameters(), "scene")

@@ -194,8 +194,15 @@ def touches(name, p, a, b):
         low = s["radius"] * low / np.linalg.norm(low)
         return [(a[:, 1], k * s["half_length"] * b[:, 2] + low) for k in (1, -1)]
     if name == "capsule_on_capsule":
-        # Where both segments are crossed by what is across them.
-        along = np.linalg.solve(np.stack([a[:, 2], -b[:, 2], np.cross(a[:, 2], b[:, 2])], axis=1), p)
+        across = np.cross(a[:, 2], b[:, 2])
+        if np.linalg.norm(across) < 1e-9:  # In the middle of where parallel ones lie beside each other.
+            far = p @ a[:, 2]
+            ends = np.clip(
+                [far - s["half_length_b"], far + s["half_length_b"]], *np.array([-1, 1]) * s["half_length_a"]
+            )
+            along = np.array([np.mean(ends), (np.mean(ends) - far) * np.sign(a[:, 2] @ b[:, 2])])
+        else:  # Where both segments are crossed by what is across them.
+            along = np.linalg.solve(np.stack([a[:, 2], -b[:, 2], across], axis=1), p)
         r = p + along[1] * b[:, 2] - along[0] * a[:, 2]
         n, d = -r / np.linalg.norm(r), s["radius_a"] + s["radius_b"] - np.linalg.norm(r)
         return [(n, along[1] * b[:, 2] + (s["radius_b"] - 0.5 * d) * n)]
