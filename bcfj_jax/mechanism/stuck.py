@@ -77,7 +77,6 @@ def _contacts(m: Dynamics, bound: bool) -> tuple[Contact, ...]:
 
 def ways(m: Dynamics, now: Instant, places: Array, mass: Array, p: Params, bound: bool) -> Ways:
     """Of an instant at rest and its places; ``level`` is nearest by ``mass`` (n,), the mass matrix' diagonal."""
-
     if not _contacts(m, bound) and not _dry(m):
         return Ways({}, {}, jnp.eye(mass.size))
 
