@@ -52,7 +52,7 @@ def gradient(problem: Problem, how: Plan) -> tuple[Level, np.ndarray, np.ndarray
     static = (problem.scene, problem.times.tobytes(), problem.names, tuple(problem.wanted))
     solve, compile_s = program("gradient", _gradient, static, arguments)
     begin = time.perf_counter()
-    slopes, (numbers, force, (code, end, accepted, rejected)) = solve(*arguments)
+    slopes, (numbers, force, (code, end, accepted, rejected, _)) = solve(*arguments)
     wall = time.perf_counter() - begin
     matrix = np.stack([slopes[name] for name in problem.names], axis=1)
     if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():

@@ -171,14 +171,11 @@ def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Bat
     """As ``run``, with derivatives of the features."""
     scene, (given, ends, grid) = study.given.scene, points
     params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
-    found = derivatives.run(scene, Points(params, ends, grid), wrt, how, size, study.histories)
+    more = derivatives.More(study.histories)
+    found = derivatives.run(scene, Points(params, ends, grid), wrt, how, size, more)
     rows = np.full((len(ends), len(study.columns)), np.nan)
     for i in np.flatnonzero(found.code == OK):
-        value, slopes = (
-            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
-            for part in (found.value, found.derivative)
-        )
-        both = measured(scene, study.features, ends[i] * grid, value, slopes)
+        both = measured(scene, study.features, ends[i] * grid, *found.one(int(i)))
         rows[i] = np.concatenate([x.ravel() for x in both])
     reasons = [reason(code, how.max_steps) for code in found.code]
     force = found.value.force if study.histories else np.zeros((len(ends), 0, 0, 0))
