@@ -39,12 +39,16 @@ _AT_ONCE = 64
 
 
 class More(NamedTuple):
-    """What is wanted of runs besides: all of a force, not the normal part alone; rates; ``near``: from where all instants are
-    searched (``AbstractModel.instants``), None: each from the run before.
+    """What is wanted of runs besides.
+
+    Attributes:
+        whole: all of a force, not the normal part alone.
+        lean: of runs that are solved by themselves normal forces and penetrations alone, with rates of 0.
+        near: from where all instants are searched (``AbstractModel.instants``); None: each from the run before.
     """
 
     whole: bool = False
-    rates: bool = True
+    lean: bool = False
     near: Any = None
 
 
@@ -203,10 +207,16 @@ class _Sharing:
     def single(self, near: Any, one: tuple) -> tuple:
         """A run by itself, whose instants are searched from ``near`` if it has no history; where the next may begin."""
         params, end = one
-        search = None if self.scene.traits.history else Search(near, self.more.rates)
-        by, (value, (*ended, ahead)) = by_shares(
-            lambda given: histories(self.scene, given, end * self.grid, self.how, search=search), params, self.wrt
-        )
+        search = None if self.scene.traits.history else Search(near, not self.more.lean)
+
+        def at(given: dict) -> tuple:
+            found, ended = histories(self.scene, given, end * self.grid, self.how, search=search)
+            if self.more.lean:
+                none = jnp.zeros_like(found.rate)
+                found = found._replace(force=found.force[..., :1], rate=none, state=found.state[:, :0])
+            return found, ended
+
+        by, (value, (*ended, ahead)) = by_shares(at, params, self.wrt)
         kept, slopes, *bad = self.kept(tuple(value[:3]), tuple(by[:3]), by.state)
         return (*kept, value.curve), (*slopes, by.curve), *bad, Solution(end, *ended), ahead
 

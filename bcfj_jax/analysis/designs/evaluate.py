@@ -169,24 +169,16 @@ class Evaluator:
 
     def _read(self, points: np.ndarray) -> _Read:
         """What runs at points that can be built leave, (n, P) SI, n up to the batch."""
-        near = None if self.steady is not None or self.scene.traits.history else self.near
-        begin = time.perf_counter()
         if self.steady is not None:
-            found, compile_s = self._turns(points, self.steady)
-        else:
-            parts = self._runs(points, near)
-            compile_s = max(part.compile_s for part in parts)
-            found: _Read = [
-                part.one(i) if code == OK else reason(int(code), self.how.max_steps)
-                for part in parts
-                for i, code in enumerate(part.code)
-            ]
-        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
-        return found
+            return self._turns(points, self.steady)
+        parts = self._runs(points, None if self.scene.traits.history else self.near)
+        ended = [(part, i, int(code)) for part in parts for i, code in enumerate(part.code)]
+        return [part.one(i) if code == OK else reason(code, self.how.max_steps) for part, i, code in ended]
 
-    def _turns(self, points: np.ndarray, end: float) -> tuple[_Read, float]:
-        """As ``_read``, of a turn of the steady motion; and the seconds of compiling."""
-        names, params = self.space.names, columns(self.params, self.space.names, points)
+    def _turns(self, points: np.ndarray, end: float) -> _Read:
+        """As ``_read``, of a turn of the steady motion."""
+        begin, names = time.perf_counter(), self.space.names
+        params = columns(self.params, self.space.names, points)
         runs = to_the_end(self.scene, params, np.full(len(points), end), self.how, self.batch)
         spent = [runs.compile_s]
 
@@ -204,7 +196,9 @@ class Evaluator:
 
         # The first alone: it may compile, for which all others would wait.
         first, *others = range(len(points))
-        return [turned(first), *each(turned, others)], sum(spent)
+        read = [turned(first), *each(turned, others)]
+        self.spent.batch(time.perf_counter() - begin - sum(spent), sum(spent))
+        return read
 
     def _runs(self, points: np.ndarray, near: Any) -> list[Runs]:
         """Runs at points (n, P) as one batch; what runs one by one is shared out among the cores."""
@@ -214,9 +208,12 @@ class Evaluator:
 
         def some(part: np.ndarray) -> Runs:
             runs = Points(columns(self.params, names, part), np.full(len(part), times[-1]), times / times[-1])
-            return run(scene, runs, names, self.how, self.batch, More(rates=False, near=near))
+            return run(scene, runs, names, self.how, self.batch, More(lean=True, near=near))
 
-        return each(some, np.array_split(points, shares))
+        begin, found = time.perf_counter(), each(some, np.array_split(points, shares))
+        compile_s = max(part.compile_s for part in found)
+        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        return found
 
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""
