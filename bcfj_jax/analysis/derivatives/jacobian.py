@@ -125,7 +125,7 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments, LONG if scene.traits.stiff else None)
     begin = time.perf_counter()
-    derivative, (value, (code, end, accepted, rejected, _)), scale = solve(*arguments)
+    derivative, (value, (code, end, accepted, rejected, *_)), scale = solve(*arguments)
     wall = time.perf_counter() - begin
     # A force that is 0 has a derivative of 0, whatever the state's is.
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))
