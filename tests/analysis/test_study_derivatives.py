@@ -17,6 +17,8 @@ import bcfj_jax as bj
 from bcfj_jax import InputError
 from bcfj_jax.analysis.derivatives import batch
 from bcfj_jax.analysis.derivatives.jacobian import level
+from bcfj_jax.analysis.derivatives.measures import measure
+from bcfj_jax.analysis.derivatives.names import feature
 from bcfj_jax.analysis.studies import block
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.core.status import OK
@@ -138,6 +140,9 @@ def test_a_stiff_batch_has_the_derivatives_of_the_closed_form_whatever_stands_be
     np.testing.assert_array_equal(found.derivative.force[other], again.derivative.force)
     np.testing.assert_array_equal(found.value.force[other], again.value.force)
     np.testing.assert_array_equal(found.steps[other], again.steps)
+    # A queue knows no continuous curve; features are then those of the samples.
+    value, slopes = measure(TIMES, *found.one(0), [feature("spring.peak", {"spring": 0})], {"spring": 0}, False)
+    assert value[0] == found.value.force[0].max() and np.isfinite(slopes).all()
 
 
 def test_what_has_no_batch_is_told_apart():

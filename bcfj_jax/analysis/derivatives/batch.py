@@ -2,14 +2,15 @@
 
 What ``jacobian.level`` gives of one run. Tangents go beside the states through the work queue
 (``solve.work_queue``), so that no run waits for the slowest. Explicit runs that land on their contacts are solved one after
-the other within the program, on a CPU. Instants that are solved for themselves are each searched from the run before. On
-several devices each has its own part of the batch and its own queue.
+the other within the program, on a CPU. Instants that are solved for themselves are each searched from the run before, or all
+from where it is said. On several devices each has its own part of the batch and its own queue.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,11 +19,11 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, by_shares, histories
+from bcfj_jax.analysis.crests import Curve
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Search, by_channel, by_shares, histories
 from bcfj_jax.core.status import NO_FORCE, OK, STEEP
 from bcfj_jax.mechanism.model import AbstractModel, Solution
 from bcfj_jax.solve.plan import Plan, Points
-from bcfj_jax.solve.simulation import readings
 from bcfj_jax.xla import backend
 from bcfj_jax.xla.batched_jvp import along, changes
 from bcfj_jax.xla.programs import program
@@ -37,6 +38,23 @@ _SAMPLES = 64
 _AT_ONCE = 64
 
 
+class More(NamedTuple):
+    """What is wanted of runs besides.
+
+    Attributes:
+        whole: all of a force, not the normal part alone.
+        lean: of runs that are solved by themselves normal forces and penetrations alone, with rates of 0.
+        near: from where all instants are searched (``AbstractModel.instants``); None: each from the run before.
+    """
+
+    whole: bool = False
+    lean: bool = False
+    near: Any = None
+
+
+_NOTHING_MORE = More()
+
+
 class Runs(NamedTuple):
     """What N runs left, and how they ended.
 
@@ -45,6 +63,8 @@ class Runs(NamedTuple):
         derivative: (N, P, ...) per SI unit, of a force the normal part.
         code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
         rounds: of all places of the batch; 0 where there are none.
+        near: (N, ...) from where instants near each run's are searched.
+        compile_s: what compiling took [s].
     """
 
     value: Histories
@@ -53,6 +73,12 @@ class Runs(NamedTuple):
     end: np.ndarray
     steps: np.ndarray
     rounds: int
+    near: Any = None
+    compile_s: float = 0.0
+
+    def one(self, run: int) -> tuple[Histories, Histories]:
+        """One of them, and its derivatives."""
+        return jax.tree.map(lambda x: x[run], (self.value, self.derivative))
 
 
 def possible(scene: AbstractModel, how: Plan) -> bool:
@@ -60,21 +86,29 @@ def possible(scene: AbstractModel, how: Plan) -> bool:
     return not (scene.traits.open or how.solver or (scene.traits.history and how.tangents))
 
 
-def run(scene: AbstractModel, points: Points, wrt: tuple[str, ...], how: Plan, size: int, whole: bool = False) -> Runs:
-    """Run N points of a scene whose level is chosen, as ``possible`` allows, with derivatives by ``wrt``.
+def alone(scene: AbstractModel, how: Plan) -> bool:
+    """Whether a run with a history is solved by itself: one that lands on its contacts, or whose tangents have a say."""
+    return scene.traits.history and bool(how.tangents or (scene.contacts and not scene.traits.stiff))
 
-    N is at most the ``size`` of the program: fewer points need no other one. ``whole``: whether all of a force is given back.
+
+def run(
+    scene: AbstractModel, points: Points, wrt: tuple[str, ...], how: Plan, size: int, more: More = _NOTHING_MORE
+) -> Runs:  # fmt: skip
+    """Run N points of a scene whose level is chosen, with derivatives by ``wrt``.
+
+    N is at most the ``size`` of the program: fewer points need no other one.
     """
     count = len(points.ends)
     fill, mesh = filled(count, size)
-    arguments = Points(points.one(fill), points.ends[fill], np.asarray(points.grid)), how, np.asarray(count)
-    batch, _ = program("batched jacobian", _program, (scene, wrt, whole, mesh), arguments)
-    found = batch(*arguments)
-    rounds = int(np.max(found[4]))
-    value, slopes, code, end, steps = (jax.tree.map(lambda x: x[:count], part) for part in (*found[:4], found[5]))
+    given = Points(points.one(fill), points.ends[fill], np.asarray(points.grid))
+    arguments = given, how, np.asarray(count), more.near
+    batch, compile_s = program("batched jacobian", _program, (scene, wrt, more[:2], mesh), arguments)
+    *kept, rounds, steps, near = batch(*arguments)
+    value, slopes, code, end, steps, near = jax.tree.map(lambda x: x[:count], (*kept, steps, near))
     force, *others = (np.moveaxis(x, 2, 1) for x in slopes[:3])
     derivative = Histories(force[..., None], *others, state=None, curve=slopes[3])
-    return Runs(Histories(*value[:3], state=None, curve=value[3]), derivative, code, end, steps, rounds)
+    value = Histories(*value[:3], state=None, curve=value[3])
+    return Runs(value, derivative, code, end, steps, int(np.max(rounds)), near, compile_s)
 
 
 def filled(count: int, size: int) -> tuple[np.ndarray, Mesh | None]:
@@ -108,12 +142,14 @@ def divided(part: Callable[..., tuple], mesh: Mesh | None, points: Points, how: 
 
 
 def _program(
-    scene: AbstractModel, wrt: tuple[str, ...], whole: bool, mesh: Mesh | None, points: Points, how: Plan, count: Array
+    scene: AbstractModel, wrt: tuple[str, ...], kept: tuple[bool, bool], mesh: Mesh | None, *given: Any
 ) -> tuple:
-    def part(points: Points, how: Plan, count: Array) -> tuple:
-        return jacobians(scene, wrt, points, how, count, whole)
+    *runs, near = given
 
-    return divided(part, mesh, points, how, count)
+    def part(points: Points, how: Plan, count: Array) -> tuple:
+        return jacobians(_Sharing(scene, wrt, points.grid, how, More(*kept, near)), points, count)
+
+    return divided(part, mesh, *runs)
 
 
 def places() -> int:
@@ -129,7 +165,7 @@ class _Sharing:
     wrt: Sequence[str]
     grid: Array
     how: Plan
-    whole: bool
+    more: More
 
     def kept(self, value: tuple, slopes: tuple, tangents: Array) -> tuple:
         """What is kept of some samples, and in which of them forces or derivatives are not finite.
@@ -140,7 +176,7 @@ class _Sharing:
         lost = ~jnp.isfinite(force).all(axis=(1, 2))
         steep = ~(jnp.isfinite(by).all(axis=(0, 2, 3)) & jnp.isfinite(tangents).all(axis=(0, 2)))
         slopes = tuple(jnp.moveaxis(x, 0, 1) for x in (by[..., 0], *slopes[1:]))
-        return (force if self.whole else force[..., :1], *value[1:]), slopes, lost, steep
+        return (force if self.more.whole else force[..., :1], *value[1:]), slopes, lost, steep
 
     def look(self, one: tuple) -> tuple:
         """What a run's contacts read, and how that changes along the tangents; some samples at once."""
@@ -168,70 +204,69 @@ class _Sharing:
         found = jax.lax.map(some, take)
         return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: grid.size], found)
 
-    def instants(self, near: Any, one: tuple) -> tuple:
-        """A run without a history, searched from another."""
+    def single(self, near: Any, one: tuple) -> tuple:
+        """A run by itself, whose instants are searched from ``near`` if it has no history; where the next may begin."""
         params, end = one
+        search = None if self.scene.traits.history else Search(near, not self.more.lean)
 
         def at(given: dict) -> tuple:
-            solution, ahead = self.scene.instants(given, end * self.grid, near)
-            value = by_channel(self.scene, readings(self.scene, given, end * self.grid, solution.states))
-            return (value, solution.states), (solution, ahead)
+            found, ended = histories(self.scene, given, end * self.grid, self.how, search=search)
+            if self.more.lean:
+                none = jnp.zeros_like(found.rate)
+                found = found._replace(force=found.force[..., :1], rate=none, state=found.state[:, :0])
+            return found, ended
 
-        (by, tangents), ((value, _), (solution, ahead)) = by_shares(at, params, self.wrt)
-        return ahead, (*self.kept(value, by, tangents), solution._replace(states=end))
-
-    def landed(self, one: tuple) -> tuple:
-        """A run that lands on its contacts, by itself."""
-        params, end = one
-        by, (value, ended) = by_shares(
-            lambda given: histories(self.scene, given, end * self.grid, self.how), params, self.wrt
-        )
+        by, (value, (*ended, ahead)) = by_shares(at, params, self.wrt)
         kept, slopes, *bad = self.kept(tuple(value[:3]), tuple(by[:3]), by.state)
-        return (*kept, value.curve), (*slopes, by.curve), *bad, Solution(end, *ended)
+        return (*kept, value.curve), (*slopes, by.curve), *bad, Solution(end, *ended), ahead
+
+    def queued(self, points: Points, count: Array) -> tuple:
+        """All runs through one queue, which knows no continuous curve; and the rounds of its places."""
+        from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program needs not.
+
+        (params, ends, _), total = points, points.ends.size
+        found, rounds = integrate_queue(self.scene, points, self.how, count, min(places(), total), self.wrt)
+        few = None if backend.on_cpu() else min(_AT_ONCE, total)
+        value, slopes, *bad = jax.lax.map(self.look, (params, ends, found.states), batch_size=few)
+        shape = total, value[1].shape[-1], len(Curve._fields)
+        unknown, still = jnp.full(shape, jnp.nan), jnp.zeros((total, len(self.wrt), *shape[1:]))
+        return (*value, unknown), (*slopes, still), *bad, found, (), rounds
+
+    def solved(self, points: Points, count: Array) -> tuple:
+        """Values and slopes of all runs, where they are not finite, how they ended, where to search next; rounds."""
+        scene, near, runs, none = self.scene, self.more.near, (points.params, points.ends), jnp.asarray(0)
+        history, on_cpu = scene.traits.history, backend.on_cpu()
+        if history and not alone(scene, self.how):
+            return self.queued(points, count)
+        if on_cpu and (history or (near is not None and scene.traits.large)):
+            # One after the other; those beyond the count cost nothing.
+            whole = partial(self.single, near)
+            nothing = jax.eval_shape(whole, (points.one(0), points.ends[0]))
+            nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), nothing)
+            each = jnp.arange(points.ends.size), runs
+            return *jax.lax.map(lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each), none
+        if near is None:
+            near = jax.tree.map(jnp.asarray, scene.origin(self.grid.size))
+            if jax.tree.leaves(near) and on_cpu:
+                return *jax.lax.scan(self.after, near, runs)[1], (), none
+        return *jax.vmap(lambda *one: self.single(near, one))(*runs), none
+
+    def after(self, near: Any, one: tuple) -> tuple:
+        """A run that is searched from the one before it."""
+        *found, ahead = self.single(near, one)
+        return ahead, tuple(found)
 
 
-def jacobians(
-    scene: AbstractModel, wrt: Sequence[str], points: Points, how: Plan, count: Array, whole: bool = False
-) -> tuple:
+def jacobians(each: _Sharing, points: Points, count: Array) -> tuple:
     """Force, penetration and rate of N runs (as ``work_queue.integrate_queue``) with their derivatives per SI unit. Pure.
 
     Values (N, T, C, 3), (N, T, C) twice, (N, C, 4) of the continuous curve (``Histories``); of a force (N, T, C, 1), the normal
-    part, unless ``whole``. Derivatives (N, T, P, C) of normal force, penetration and rate, (N, P, C, 4) of the curve. Then (N,)
-    codes and ends, the rounds of all places, and (N,) attempted steps.
+    part, unless all is wanted. Derivatives (N, T, P, C) of normal force, penetration and rate, (N, P, C, 4) of the curve. Then
+    (N,) codes and ends, the rounds of all places, (N,) attempted steps, and from where to search next.
     """
-    from bcfj_jax.solve.work_queue import integrate_queue  # With diffrax, which a kept program needs not.
-
-    params, ends, grid = points
-    each = _Sharing(scene, wrt, grid, how, whole)
-    rounds = jnp.asarray(0)
-    if scene.traits.history and scene.contacts and not scene.traits.stiff:
-        runs = jnp.arange(ends.size), params, ends
-        # Those beyond the count cost nothing.
-        nothing = jax.tree.map(
-            lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(each.landed, (points.one(0), ends[0]))
-        )
-        if backend.on_cpu():
-            found = jax.lax.map(lambda x: jax.lax.cond(x[0] < count, each.landed, lambda _: nothing, x[1:]), runs)
-        else:
-            found = jax.vmap(each.landed)(runs[1:])
-        value, slopes, lost, steep, solution = found
-    elif scene.traits.history:
-        width = min(places(), ends.size)
-        solution, rounds = integrate_queue(scene, points, how, count, width, wrt)
-        few = None if backend.on_cpu() else min(_AT_ONCE, ends.size)
-        value, slopes, lost, steep = jax.lax.map(each.look, (params, ends, solution.states), batch_size=few)
-    else:
-        near = jax.tree.map(jnp.asarray, scene.origin(grid.size))
-        if jax.tree.leaves(near) and backend.on_cpu():
-            found = jax.lax.scan(each.instants, near, (params, ends))[1]
-        else:
-            found = jax.vmap(lambda *one: each.instants(near, one)[1])(params, ends)
-        value, slopes, lost, steep, solution = found
-    if len(value) < 4:
-        shape = (ends.size, value[1].shape[-1], 3)
-        value, slopes = (*value, jnp.full(shape, jnp.nan)), (*slopes, jnp.zeros((shape[0], len(wrt), *shape[1:])))
+    value, slopes, lost, steep, solution, near, rounds = each.solved(points, count)
     code, end = solution.code, solution.end
     for bad, why in ((lost, NO_FORCE), (steep, STEEP)):
         now = (code == OK) & bad.any(axis=1)
-        code, end = jnp.where(now, why, code), jnp.where(now, ends * grid[jnp.argmax(bad, axis=1)], end)
-    return value, slopes, code, end, rounds, solution.accepted + solution.rejected
+        code, end = jnp.where(now, why, code), jnp.where(now, points.ends * each.grid[jnp.argmax(bad, axis=1)], end)
+    return value, slopes, code, end, rounds, solution.accepted + solution.rejected, near

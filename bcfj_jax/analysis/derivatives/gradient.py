@@ -13,12 +13,10 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from bcfj_jax.analysis.crests import crest
 from bcfj_jax.analysis.derivatives import certificate as verdicts
 from bcfj_jax.analysis.derivatives.bounds import feature_bounds
 from bcfj_jax.analysis.derivatives.certificate import NAN, Certificate, Check
-from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, channel_names, histories
-from bcfj_jax.analysis.derivatives.measures import seen
+from bcfj_jax.analysis.derivatives.jacobian import Histories, Level, histories
 from bcfj_jax.analysis.derivatives.measures import vector as feature_vector
 from bcfj_jax.analysis.derivatives.names import Feature, complete, smooth
 from bcfj_jax.analysis.derivatives.names import feature as named
@@ -28,7 +26,6 @@ from bcfj_jax.core.quantities import increasing, real
 from bcfj_jax.core.settings import taking
 from bcfj_jax.core.status import OK, STEEP
 from bcfj_jax.mechanism import inputs
-from bcfj_jax.mechanism.channels import is_reading
 from bcfj_jax.mechanism.model import AbstractModel, Params, as_model
 from bcfj_jax.solve.plan import Plan, Solving, SolvingKeys, plan
 from bcfj_jax.xla.programs import program
@@ -52,7 +49,7 @@ def gradient(problem: Problem, how: Plan) -> tuple[Level, np.ndarray, np.ndarray
     static = (problem.scene, problem.times.tobytes(), problem.names, tuple(problem.wanted))
     solve, compile_s = program("gradient", _gradient, static, arguments)
     begin = time.perf_counter()
-    slopes, (numbers, force, (code, end, accepted, rejected)) = solve(*arguments)
+    slopes, (numbers, force, (code, end, accepted, rejected, *_)) = solve(*arguments)
     wall = time.perf_counter() - begin
     matrix = np.stack([slopes[name] for name in problem.names], axis=1)
     if code == OK and not np.isfinite(matrix[np.isfinite(numbers)]).all():
@@ -140,14 +137,12 @@ def _product(
 ) -> Array:
     """The Hessian of a feature times ``v``."""
     t = np.frombuffer(samples)
-    place = channel_names(scene.members).index(wanted.contacts[0])
 
     def scalar(theta: Array) -> Array:
         values = {**params, **{name: theta[k] for k, name in enumerate(names)}}
         found, _ = histories(scene, values, jnp.asarray(t), how)
-        if wanted.kind == "peak":
-            history = seen(t, is_reading(wanted.contacts[0]), found.force[:, place, 0], None, None, None)
-            return crest(t, history.force)
+        # The summit of the continuous curve has a first derivative alone; the crest between samples has two.
+        found = found._replace(curve=None) if wanted.kind == "peak" else found
         return feature_vector(t, found, [wanted], scene.members, {})[0]
 
     theta = jnp.stack([params[name] for name in names])

@@ -48,6 +48,13 @@ class Histories(NamedTuple):
         return Histories(*(None if x is None else x[None][:0] for x in self))
 
 
+class Search(NamedTuple):
+    """How instants of a model without a history are searched (``AbstractModel.instants``): from where, and whether with rates."""
+
+    near: Any
+    rates: bool = True
+
+
 class Level(NamedTuple):
     """One solve with its derivatives: at which tolerance, what came out, what it cost, how it ended.
 
@@ -84,19 +91,22 @@ def channel_names(contacts: Mapping[str, int]) -> list[str]:
 
 
 def histories(
-    scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward"
+    scene: AbstractModel, params: Params, times: Array, how: Plan, mode: Way = "forward", search: Search | None = None
 ) -> tuple[Histories, tuple]:
-    """Histories by the solver meant for derivatives, and (code, end, accepted, rejected). Pure."""
-    from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
-
+    """Histories by the solver meant for derivatives; code, end, accepted, rejected, and from where to search next. Pure."""
     params = scene.completed(params)
-    solution = integrate(scene, params, times, how, mode, "whole")
+    if search is None:
+        from bcfj_jax.solve.integrate import integrate  # With diffrax, which a kept program does not need.
+
+        solution, ahead = integrate(scene, params, times, how, mode, "whole"), ()
+    else:
+        solution, ahead = scene.instants(params, times, *search)
     force, depth, rate = by_channel(scene, readings(scene, params, times, solution.states))
     curve = jnp.full((force.shape[1], len(Curve._fields)), jnp.nan)
     if solution.whole is not None:
         curve = of_curve(scene, params, solution.whole, times[0], times[-1])
     found = Histories(force, depth, rate, solution.states / jax.lax.stop_gradient(scene.error_scale(params)), curve)
-    return found, (solution.code, solution.end, solution.accepted, solution.rejected)
+    return found, (solution.code, solution.end, solution.accepted, solution.rejected, ahead)
 
 
 def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array, Array, Array]:
@@ -115,7 +125,7 @@ def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[st
     arguments = (dict(params), np.asarray(times), how)
     solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments, LONG if scene.traits.stiff else None)
     begin = time.perf_counter()
-    derivative, (value, (code, end, accepted, rejected)), scale = solve(*arguments)
+    derivative, (value, (code, end, accepted, rejected, *_)), scale = solve(*arguments)
     wall = time.perf_counter() - begin
     # A force that is 0 has a derivative of 0, whatever the state's is.
     finite = np.isfinite(derivative.force).all(axis=(0, 2, 3)) & np.isfinite(derivative.state).all(axis=(0, 2))

@@ -14,24 +14,20 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from bcfj_jax.analysis.crests import Curve
-from bcfj_jax.analysis.derivatives.batch import filling, jacobians, possible
-from bcfj_jax.analysis.derivatives.jacobian import Histories, by_channel, histories
+from bcfj_jax.analysis.derivatives.batch import More, Runs, alone, run
+from bcfj_jax.analysis.derivatives.jacobian import Histories
 from bcfj_jax.analysis.derivatives.problem import Problem
 from bcfj_jax.analysis.derivatives.steady import Restless, to_the_end, turn
 from bcfj_jax.analysis.designs.objective import Objective, measured, sampled
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.analysis.engine import columns, refusal
 from bcfj_jax.core.dual import Dual
-from bcfj_jax.core.status import NOT_FINITE, OK, STEEP, reason
+from bcfj_jax.core.status import OK, STEEP, reason
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.plan import Plan, Points
-from bcfj_jax.solve.simulation import readings
-from bcfj_jax.xla.programs import program
+from bcfj_jax.xla import backend
 from bcfj_jax.xla.threads import cores, each
 
 
@@ -74,27 +70,8 @@ class Spent:
         return ", ".join(f"{text} ({n})" for text, n in self.failures.most_common(3))
 
 
-class _Read(NamedTuple):
-    """What N runs left, for any objective: histories (T, ...) and their derivatives (P, T, ...) per SI unit, by run; codes (N,),
-    and why some have no steady motion; equilibria, from which the next search begins.
-    """
-
-    value: list[Histories]
-    derivative: list[Histories]
-    code: np.ndarray
-    whys: list[str]
-    near: Any = ()
-
-
-class _Given(NamedTuple):
-    """What ``_runs`` takes: all parameters, values (n, P) of the free ones, times, plan, how many count, equilibria."""
-
-    fixed: dict[str, Any]
-    points: Any
-    times: Any
-    how: Plan
-    count: Any
-    near: Any
+# Of every point its histories and their derivatives per SI unit, or why there are none.
+_Read = list[tuple[Histories, Histories] | str]
 
 
 @dataclass(frozen=True)
@@ -141,18 +118,17 @@ class Evaluator:
             return found
         read, sign = self._read(values[good]), self.objective.sign
         begin = time.perf_counter()
-        for i, k in enumerate(good):
-            code = int(read.code[i])
-            if code == OK:
-                smooth, goal, true = self._objectives(read.value[i], read.derivative[i], norm)
+        for k, one in zip(good, read, strict=True):
+            why = one if isinstance(one, str) else reason(STEEP, self.how.max_steps)
+            if not isinstance(one, str):
+                smooth, goal, true = self._objectives(*one, norm)
                 slope = sign * smooth.slope * self.space.slope(values[k])
                 if np.isfinite([smooth.value, goal.value, true.value, *slope]).all():
                     found.smooth[k], found.slope[k], found.goal[k] = sign * smooth.value, slope, sign * goal.value
                     found.true[k] = true.value
                     continue
-                code = STEEP
-            found.reasons[k] = read.whys[i] or reason(code, self.how.max_steps)
-            self.spent.failures[found.reasons[k]] += 1
+            found.reasons[k] = why
+            self.spent.failures[why] += 1
         self.spent.wall_s += time.perf_counter() - begin
         return found
 
@@ -177,11 +153,10 @@ class Evaluator:
         self.spent.points += 1
         if not self.objective.sampled or self._refusal(values):
             return None
-        read = self._read(values[None])
-        if read.code[0] != OK:
+        (read,) = self._read(values[None])
+        if isinstance(read, str):
             return None
-        histories = read.value[0], read.derivative[0]
-        return sampled(*histories, self.objective, self.scene.members, self.space.slope(values))
+        return sampled(*read, self.objective, self.scene.members, self.space.slope(values))
 
     @cached_property
     def near(self) -> Any:
@@ -189,109 +164,58 @@ class Evaluator:
         origin = self.scene.origin(len(self.times))
         if not jax.tree.leaves(origin):
             return origin
-        found = self._batch(np.array([[float(self.params[name]) for name in self.space.names]]), origin)
+        (found,) = self._runs(np.array([[float(self.params[name]) for name in self.space.names]]), origin)
         return jax.tree.map(lambda x: x[0], found.near)
 
     def _read(self, points: np.ndarray) -> _Read:
         """What runs at points that can be built leave, (n, P) SI, n up to the batch."""
-        return self._batch(points, self.near) if self.steady is None else self._turns(points, self.steady)
+        if self.steady is not None:
+            return self._turns(points, self.steady)
+        parts = self._runs(points, None if self.scene.traits.history else self.near)
+        ended = [(part, i, int(code)) for part in parts for i, code in enumerate(part.code)]
+        return [part.one(i) if code == OK else reason(code, self.how.max_steps) for part, i, code in ended]
 
     def _turns(self, points: np.ndarray, end: float) -> _Read:
         """As ``_read``, of a turn of the steady motion."""
-        begin, count, names = time.perf_counter(), len(points), self.space.names
-        params = columns(self.params, names, points)
-        runs = to_the_end(self.scene, params, np.full(count, end), self.how, self.batch)
-        none = [Histories(None, None, None, None)] * count
-        read, compile_s = _Read(none, list(none), np.array(runs.code), [""] * count), runs.compile_s
+        begin, names = time.perf_counter(), self.space.names
+        params = columns(self.params, self.space.names, points)
+        runs = to_the_end(self.scene, params, np.full(len(points), end), self.how, self.batch)
+        spent = [runs.compile_s]
 
-        def turned(i: int) -> tuple[Histories, Histories, float] | str:
+        def turned(i: int) -> tuple[Histories, Histories] | str:
+            if runs.code[i] != OK:
+                return reason(int(runs.code[i]), self.how.max_steps)
             one = {name: leaf[i] for name, leaf in params.items()}
             problem = Problem(self.scene, one, self.times, names, max_steps=self.how.max_steps)
             try:
-                return turn(problem, runs.state[i], end)
+                *found, compile_s = turn(problem, runs.state[i], end)
             except Restless as why:
                 return str(why)
+            spent.append(compile_s)
+            return found[0], found[1]
 
         # The first alone: it may compile, for which all others would wait.
-        good = np.flatnonzero(runs.code == OK)
-        for i, found in zip(good, [*map(turned, good[:1]), *each(turned, good[1:])], strict=True):
-            if isinstance(found, str):
-                read.code[i], read.whys[i] = NOT_FINITE, found
-                continue
-            read.value[i], read.derivative[i] = found[:2]
-            compile_s += found[2]
-        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        first, *others = range(len(points))
+        read = [turned(first), *each(turned, others)]
+        self.spent.batch(time.perf_counter() - begin - sum(spent), sum(spent))
         return read
 
-    def _batch(self, points: np.ndarray, near: Any) -> _Read:
-        """``_runs``, filled up with the first point; what runs one by one is shared out among the cores."""
-        shares = min(cores(), len(points)) if _one_by_one(self.scene, self.how) else 1
-        parts = [points[share] for share in np.array_split(np.arange(len(points)), shares)]
-        sizes = [len(part) for part in parts]
-        given = [
-            _Given(dict(self.params), part[filling(size, self.batch)], self.times, self.how, np.asarray(size), near)
-            for part, size in zip(parts, sizes, strict=True)
-        ]
-        runs, compile_s = program("design runs", _runs, (self.scene, self.space.names), (given[0],))
-        begin = time.perf_counter()
-        found = each(runs, given)
+    def _runs(self, points: np.ndarray, near: Any) -> list[Runs]:
+        """Runs at points (n, P) as one batch; what runs one by one is shared out among the cores."""
+        scene, times, names = self.scene, self.times, self.space.names
+        one_by_one = scene.traits.large and not scene.traits.history if near is not None else alone(scene, self.how)
+        shares = min(cores(), len(points)) if one_by_one and backend.on_cpu() else 1
 
-        def joined(*shared: Any) -> np.ndarray:
-            wanted = [x[:size] for x, size in zip(shared, sizes, strict=True)]
-            return np.concatenate(wanted)[filling(len(points), self.batch)]
+        def some(part: np.ndarray) -> Runs:
+            runs = Points(columns(self.params, names, part), np.full(len(part), times[-1]), times / times[-1])
+            return run(scene, runs, names, self.how, self.batch, More(lean=True, near=near))
 
-        value, slopes, code, near = jax.tree.map(joined, *found)
-        self.spent.batch(time.perf_counter() - begin, compile_s)
-        # No objective asks for a rate.
-        histories, tangents = (
-            [Histories(f, d, np.zeros_like(d), None, c) for f, d, c in zip(force[..., None], depth, curve, strict=True)]
-            for force, depth, curve in (value, slopes)
-        )
-        return _Read(histories, tangents, code, [""] * len(code), near)
+        begin, found = time.perf_counter(), each(some, np.array_split(points, shares))
+        compile_s = max(part.compile_s for part in found)
+        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        return found
 
     def _refusal(self, point: np.ndarray) -> str:
         """Why a point cannot be built; "" if it can."""
         illegal = self.space.legal(point)
         return illegal or refusal(self.scene, {**self.params, **dict(zip(self.space.names, point, strict=True))})
-
-
-def _one_by_one(scene: AbstractModel, how: Plan) -> bool:
-    """Whether points are taken one after the other: side by side a large model gains nothing on a core."""
-    batched = scene.traits.history and possible(scene, how)
-    return scene.traits.large and jax.default_backend() == "cpu" and not batched
-
-
-def _runs(scene: AbstractModel, names: tuple[str, ...], given: _Given) -> tuple:
-    """Normal forces and penetrations (N, T, C) and curves (N, C, 4) of runs, their derivatives (N, P, ...), codes; equilibria."""
-    fixed, points, times, how, count, near = given
-    if scene.traits.history and possible(scene, how):
-        size = len(points)
-        params = {name: jnp.full(size, value) for name, value in fixed.items()}
-        params |= {name: points[:, k] for k, name in enumerate(names)}
-        runs = Points(params, jnp.full(size, times[-1]), times / times[-1])
-        value, slopes, code, *_ = jacobians(scene, names, runs, how, count)
-        by = jnp.moveaxis(slopes[0], 2, 1), jnp.moveaxis(slopes[1], 2, 1), slopes[3]
-        return (value[0][..., 0], value[1], value[3]), by, code, near
-
-    def one(theta: Array) -> tuple[tuple, tuple]:
-        params = {**fixed, **{name: theta[k] for k, name in enumerate(names)}}
-        if scene.traits.history:
-            found, (code, *_) = histories(scene, params, times, how)
-            read, places = (found.force[:, :, 0], found.penetration, found.curve), near
-        else:
-            solution, places = scene.instants(params, times, near, rates=False)
-            force, depth, _ = by_channel(scene, readings(scene, params, times, solution.states))
-            read, code = (force[:, :, 0], depth, jnp.full((depth.shape[1], len(Curve._fields)), jnp.nan)), solution.code
-        return read, (read, code, places)
-
-    whole = jax.jacfwd(one, has_aux=True)
-    if _one_by_one(scene, how):
-        # Those beyond the count cost nothing.
-        nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(whole, points[0]))
-        each = (jnp.arange(len(points)), points)
-        slopes, (read, code, places) = jax.lax.map(
-            lambda x: jax.lax.cond(x[0] < count, whole, lambda _: nothing, x[1]), each
-        )
-    else:
-        slopes, (read, code, places) = jax.vmap(whole)(points)
-    return read, jax.tree.map(lambda x: jnp.moveaxis(x, -1, 1), slopes), code, places

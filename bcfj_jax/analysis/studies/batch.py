@@ -63,13 +63,16 @@ def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safe
     ``safety`` times the scene's tolerance.
     """
     given, scene, how = study.given, study.given.scene, planned(study.given, safety)
-    points = Points(study.params(values), ends, given.times / given.times[-1])
-    if study.steady:
-        return _of_steady(study, points, how, size)
-    if not together(study):
-        return _one_by_one(study, points, safety)
+    params, wrt = study.params(values), ()
     if study.derivatives:
-        return _with_derivatives(study, points, how, size)
+        params, wrt = complete(scene, params, study.derivatives)  # pyright: ignore[reportArgumentType]
+    points = Points(params, ends, given.times / given.times[-1])
+    if study.steady:
+        return _of_steady(study, points, wrt, how, size)
+    if not together(study):
+        return _one_by_one(study, points, wrt, safety)
+    if wrt:
+        return _with_derivatives(study, points, wrt, how, size)
     return run(scene, points, study.features, Plan(how.tolerance, given.max_steps), size, study.histories)
 
 
@@ -167,33 +170,26 @@ def _part(scene: AbstractModel, asked: tuple, points: Points, how: Plan, count: 
     return features, solution.code, solution.end, solution.accepted + solution.rejected, rounds, *read
 
 
-def _with_derivatives(study: Study, points: Points, how: Plan, size: int) -> Batch:
+def _with_derivatives(study: Study, points: Points, wrt: tuple[str, ...], how: Plan, size: int) -> Batch:
     """As ``run``, with derivatives of the features."""
-    scene, (given, ends, grid) = study.given.scene, points
-    params, wrt = complete(scene, given, study.derivatives)  # pyright: ignore[reportArgumentType]
-    found = derivatives.run(scene, Points(params, ends, grid), wrt, how, size, study.histories)
-    rows = np.full((len(ends), len(study.columns)), np.nan)
+    found = derivatives.run(study.given.scene, points, wrt, how, size, derivatives.More(study.histories))
+    rows = np.full((len(points.ends), len(study.columns)), np.nan)
     for i in np.flatnonzero(found.code == OK):
-        value, slopes = (
-            Histories(*(x[i] for x in part[:3]), state=None, curve=part.curve[i])
-            for part in (found.value, found.derivative)
-        )
-        both = measured(scene, study.features, ends[i] * grid, value, slopes)
+        both = measured(study.given.scene, study.features, points.ends[i] * points.grid, *found.one(int(i)))
         rows[i] = np.concatenate([x.ravel() for x in both])
     reasons = [reason(code, how.max_steps) for code in found.code]
-    force = found.value.force if study.histories else np.zeros((len(ends), 0, 0, 0))
+    force = found.value.force if study.histories else np.zeros((len(rows), 0, 0, 0))
     return Batch(rows, reasons, found.end, found.steps, found.rounds, force)
 
 
-def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
+def _one_by_one(study: Study, points: Points, wrt: tuple[str, ...], safety: float) -> Batch:
     """As ``run``, for what has no batch (``together``)."""
     given, scene = study.given, study.given.scene
     finer = plan(scene, given.accuracy, given.max_steps)
     rows: list[tuple] = []
     for i, end in enumerate(points.ends):
-        one, wrt, times, peaks, slopes = points.one(i), (), end * points.grid, {}, None
-        if study.derivatives:
-            one, wrt = complete(scene, one, study.derivatives)
+        one, times, peaks, slopes = points.one(i), end * points.grid, {}, None
+        if wrt:
             found = differentiated(given, wrt, one, times, safety)
             value, slopes, stop, steps = found.value, found.derivative, found.end, found.steps
             why = reason(found.code, given.max_steps)
@@ -213,7 +209,7 @@ def _one_by_one(study: Study, points: Points, safety: float) -> Batch:
     return Batch(np.array(features), list(whys), np.array(stop), np.array(steps), 0, np.array(force))
 
 
-def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
+def _of_steady(study: Study, points: Points, wrt: tuple[str, ...], how: Plan, size: int) -> Batch:
     """As ``run``, of one turn of steady motion; where it does not repeat itself, the reason says so.
 
     All points run to their ends in one batch; from there each point's orbit is found by itself, whose matrix over all states
@@ -224,10 +220,7 @@ def _of_steady(study: Study, points: Points, how: Plan, size: int) -> Batch:
     rows, steps = np.full((count, len(study.columns)), np.nan), found.steps.copy()
     reasons = [reason(int(code), how.max_steps) for code in found.code]
     for i in np.flatnonzero(found.code == OK):
-        one, wrt = points.one(i), ()
-        if study.derivatives:
-            one, wrt = complete(scene, one, study.derivatives)
-        problem = Problem(scene, one, points.ends[i : i + 1], wrt, study.features, max_steps=how.max_steps)
+        problem = Problem(scene, points.one(i), points.ends[i : i + 1], wrt, study.features, max_steps=how.max_steps)
         orbit = steady(problem, found.state[i], float(points.ends[i]))
         reasons[i] = "its motion has no pitch" if orbit is None else orbit.reason
         if orbit is None or orbit.reason:

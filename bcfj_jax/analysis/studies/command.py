@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io import changes, outputs, report, tables
 from bcfj_jax.io.changes import Change
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, brief, counted, span
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Table, Verdict, counted, span
 from bcfj_jax.io.stop import heeded
 
 DONE, FAILED, INTERRUPTED = 0, 3, 5
@@ -105,7 +105,7 @@ def _so_far(found: api.Result) -> str:
     """Ranges of what is finished of a study."""
     done = found.state["finished"]
     head = f"Over {done} of {found.state['points']} points, {found.failed} of them failed; not complete yet."
-    return f"{head}\n{report.text([['', 'least', 'median', 'largest'], *ranges(found, found.study.columns)])}\n"
+    return f"{head}\n{report.text(view.ranges(found, found.study.columns))}\n"
 
 
 def status(what: str, out: Path | None) -> tuple[str, int]:
@@ -152,21 +152,7 @@ def write(result: Result, stem: str) -> str:
     first = [f"At its {place} {headline(findings)}" for place, findings in absurd.items()]
     said = f"{found['finished']} points, {found['failed']} of them failed."
     more = [f"  {text}: {count}" for text, count in found["reasons"].items()]
-    rows = [["", "least", "median", "largest"], *ranges(result, study.columns)]
-    return "\n".join([*first, said, *more, "", report.text(rows)])
-
-
-def ranges(result: Result, names: Sequence[str]) -> list[list[str]]:
-    """Least, median and largest value of columns over the points that did not fail."""
-    good = result.column("status") == "ok"
-    units = {feature.name: feature_unit(feature.name) for feature in result.study.features}
-    rows = []
-    for name in names:
-        values = result.column(name)[good]
-        values = values[np.isfinite(values)]
-        ends = (np.min(values), np.median(values), np.max(values)) if values.size else [float("nan")] * 3
-        rows.append([name, *(brief(float(x), units.get(name, "1")) for x in ends)])
-    return rows
+    return "\n".join([*first, said, *more, "", report.text(view.ranges(result, study.columns))])
 
 
 def _absurd(result: Result) -> dict[str, list[Finding]]:
@@ -186,12 +172,9 @@ def _absurd(result: Result) -> dict[str, list[Finding]]:
 def page(title: str, result: Result, drawn: Sequence[Picture], absurd: Mapping[str, list[Finding]]) -> Page:
     """The report: which parameter moves which feature most, the range of every feature, and points that failed."""
     study = result.study
-    rows = [["feature", "least", "median", "largest"], *ranges(result, [f.name for f in study.features])]
-    varied = [["parameter", "from", "to"]]
-    for name in study.names:
-        unit, values = study.given.scene.quantities[name].unit, result.column(name)
-        varied.append([name, brief(float(np.min(values)), unit), brief(float(np.max(values)), unit)])
-    tables = [Table("Features over all points", rows), Table("What was varied", varied)]
+    rows = view.ranges(result, [f.name for f in study.features], "feature")
+    tables = [Table("Features over all points", rows)]
+    tables.append(Table("What was varied", view.ranges(result, study.names, "parameter")))
     warnings = ()
     if found := result.failed:
         warnings = (f"{found} of {study.count} points failed; the features do not include them.",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,30 +13,34 @@ from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.studies.api import Result
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.io import plots
-from bcfj_jax.io.page import Picture, span
+from bcfj_jax.io.page import Picture, brief, span
 from bcfj_jax.io.show import Dataset, Told
-from bcfj_jax.io.units import format_si
 
-_DIGITS = 4
 NAME = "study.png"
 _MOST = 12  # panels
 _FEWEST = 4  # values of either parameter on a map
 
 
 def told(found: Result) -> Told:
-    """Points that ran and that failed; of every varied parameter and feature the least and the largest value."""
+    """Points that ran and that failed; the range of every varied parameter and feature."""
     study, state = found.study, found.state
     verdict = f"{state['status']}, {state['points']} points of scene '{study.given.scene.kind}', {found.failed} failed"
     lines = [f"{count} failed: {reason}" for reason, count in list(state["reasons"].items())[:2]]
-    rows = [["", "least", "largest"]]
-    units = {name: study.given.scene.quantities[name].unit for name in study.names}
-    units |= {feature.name: feature_unit(feature.name) for feature in study.features}
-    for name, unit in units.items():
-        values = found.column(name)
-        known = values[np.isfinite(values)]
-        ends = (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
-        rows.append([name, *(format_si(x, unit, _DIGITS) for x in ends)])
-    return Told(verdict, lines, rows, [f"in {found.folder}"])
+    names = [*study.names, *(feature.name for feature in study.features)]
+    return Told(verdict, lines, ranges(found, names), [f"in {found.folder}"])
+
+
+def ranges(result: Result, names: Sequence[str], first: str = "") -> list[list[str]]:
+    """A table of columns: least, median and largest value over the points that have one."""
+    study, rows = result.study, [[first, "least", "median", "largest"]]
+    units = {feature.name: feature_unit(feature.name) for feature in study.features}
+    units |= {name: study.given.scene.quantities[name].unit for name in study.names}
+    for name in names:
+        values = result.column(name)
+        values = values[np.isfinite(values)]
+        ends = (np.min(values), np.median(values), np.max(values)) if values.size else [np.nan] * 3
+        rows.append([name, *(brief(float(x), units.get(name, "1")) for x in ends)])
+    return rows
 
 
 def frame(found: Result) -> tuple[dict[str, Any], str]:
