@@ -6,6 +6,7 @@ first, as the rows with numbers. What stands above them is then names, units or 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
+# Rows of a table, at least; rows of sums below one, at most; and how these are named.
+_FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"[^\W\d_]{3}[^\d]*")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -92,6 +95,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         raise InputError(file.name, found, "give a file with names and data")
     top = {r.line for r in (*names, *units)}
     facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
+    data, tail = _table_alone(data, [*names, *units], numeric)
+    left = left or tail
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
     titles = _titles(names, wide)
@@ -115,18 +120,52 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     )  # fmt: skip
 
 
+def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[list[Row], tuple[int, int] | None]:
+    """Rows without what is no sample: names that stand again above each run, sums below, counts above; lines of the sums."""
+    again = [r.cells for r in top]
+    if any(r.cells in again for r in data):
+        data = [r for r in data if r.cells not in again and (any(map(_holds, r.cells)) or len(_given(r.cells)) > 1)]
+    if not numeric or len(data) < _FEWEST:
+        return data, None
+    first, end = numeric[0], len(data)
+
+    def cell(row: Row) -> str:
+        return str(row.cells[first]) if first < len(row.cells) else ""
+
+    while end > len(data) - _LAST_ROWS and _WORD.fullmatch(cell(data[end - 1])) and not is_missing(cell(data[end - 1])):
+        end -= 1
+    tail = (data[end].line, data[-1].line) if end < len(data) else None
+    counts = is_missing(cell(data[0])) and not any(is_missing(cell(r)) for r in data[1:_FEWEST])
+    return data[int(counts) : end], tail
+
+
+def _given(cells: Sequence[Any]) -> list[Any]:
+    return [c for c in cells if not is_missing(c)]
+
+
 def _incremented(
     names: list[Row], units: list[Row], data: list[Row], numeric: list[int], wide: int
 ) -> tuple[list[Row], list[Row], list[Row], preamble.Facts]:
     """Names, units and data where the row below the names holds a start and a step (Rigol), and these; else as they are."""
+    if names:
+        cells, inline = preamble.inline(names[-1].cells)
+        if len(cells) == wide - 1 and all(cells) and _numbers_rows(data):
+            cells = ["", *cells]  # R gives the numbers of rows no name.
+        names = [*names[:-1], names[-1]._replace(cells=cells)]
     below = data[0] if names and not _is_data(data[0].cells, numeric) else None
     more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []
     if below is None or not more:
-        return names, units, data, []
+        return names, units, data, inline if names else []
     said = {name for name, _ in more}
     cells = ["" if c in said else c for c in names[-1].cells[:wide]]
     texts = [c if isinstance(c, str) and not is_number(c) else "" for c in below.cells[:wide]]
     return [names[-1]._replace(cells=cells)], [below._replace(cells=texts)], data[1:], more
+
+
+def _numbers_rows(data: Sequence[Row]) -> bool:
+    """Whether the first cells of rows count them."""
+    first = [str(r.cells[0]) for r in data]
+    return first[0] in ("0", "1") and first == [str(k + int(first[0])) for k in range(len(first))]
 
 
 def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:
@@ -190,9 +229,9 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     """Rows of names, rows of units, where the data begin, and how many rows stand above the names."""
     k = begin - 1
     # A first row of data with a fault looks like no data; names stand above it all the same.
-    while k >= 0 and not _is_text(rows[k].cells):
+    while k >= 0 and not (_is_text(rows[k].cells) or preamble.states(rows[k].cells)):
         k -= 1
-    if k < 0:
+    if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
     first, united = k + 1, []
     over = rows[k - 1] if k and _is_text(rows[k - 1].cells) else None
@@ -216,6 +255,7 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
     """Names, and units below them, in the last comments above the data, as numpy.savetxt writes them."""
     fitting = [r for r in rows if r.comment and r.line < first and len(r.cells) == wide and _is_text(r.cells)]
+    fitting = [r for r in fitting if not preamble.states(r.cells)]
     if len(fitting) > 1 and _is_units(fitting[-1].cells):
         return [fitting[-2]], [fitting[-1]]
     return fitting[-1:], []

@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import InputError, clip
 from bcfj_jax.data import clock, numbers
 from bcfj_jax.data.decoding import decoded
 from bcfj_jax.data.layout import File, Layout, Row, found, others
-from bcfj_jax.data.record import Record
+from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.io.opening import LARGEST_TEXT, content
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
@@ -28,6 +28,7 @@ _COMMENTS = ("#", "%", "//", "!")
 DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decimal of bcfj init calibration'
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
+_STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
@@ -67,6 +68,7 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _monitored(lines)
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
@@ -141,9 +143,19 @@ def table(
         names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
         decimals = (".", *decimals) if decimals else ()
         parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
-    return Record(
+    found = Record(
         path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
     )  # fmt: skip
+    return with_sweeps(found)
+
+
+def _monitored(lines: list[str]) -> list[str]:
+    """Lines of a serial monitor without its arrow, "12:30:01.123 -> 4.3,5.2"; others as they are."""
+    some = [line for line in lines[:_SAMPLE] if line.strip()]
+    if not some or sum(_STAMPED.match(line) is not None for line in some) < 0.9 * len(some):
+        return lines
+    parts = [line.partition(" -> ") for line in lines]
+    return [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
 
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:
@@ -184,7 +196,8 @@ def _separator(lines: Sequence[str]) -> str:
         full = [*full[:half], *full[half :: max(1, (len(full) - half) // half)]]
     for least in (2, 1):
         scores = {separator: _score(full, separator, least) for separator in SEPARATORS}
-        best = max(scores, key=lambda k: scores[k])
+        # Of one column of numbers, what stands above it says what parts cells.
+        best = max(scores, key=lambda k: (scores[k], sum(line.count(SEPARATORS[k]) for line in full if k != "blank")))
         if scores[best] > 0.0:
             return best
     return "comma"
