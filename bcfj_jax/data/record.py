@@ -144,7 +144,8 @@ class Record:
             self._refuse(position, wrong, blank)
         # Of a time of day, a unit such as [hh:mm:ss] says how it is written.
         unit = None if si_unit == "s" and is_of_day(next(iter(self.columns[position].tolist()), "")) else unit
-        return values * self.scale(unit, si_unit, column(header)[0], place)
+        with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
+            return values * self.scale(unit, si_unit, column(header)[0], place)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
         """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity."""

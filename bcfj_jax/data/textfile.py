@@ -29,6 +29,7 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 _STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
+_PLOTTED = re.compile(r"(?:[\d.: ]+[\t;,])?(?:[A-Za-z_]\w*:[-+.\d][-+.\deE]*[\t,; ]*)+")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
@@ -45,10 +46,11 @@ class Stated:
     header: int | list[int] | None = None  # line of the names, or lines of names in two lines; 0: the file has no names
     sensitivity: str | None = None  # of channels that are voltages or charges
     full_scale: str | None = None  # of channels that are shares of it
+    rate: str | None = None  # of the samples of a file that states no clock
 
     def written(self) -> dict[str, Any]:
         """What is said of how a text is written."""
-        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale")}
+        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale", "rate")}
 
     def check(self, where: str) -> None:
         """Refuse values that are none, naming the key."""
@@ -150,12 +152,15 @@ def table(
 
 
 def _monitored(lines: list[str]) -> list[str]:
-    """Lines of a serial monitor without its arrow, "12:30:01.123 -> 4.3,5.2"; others as they are."""
+    """Lines of a serial monitor as cells: "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50,F:4.3" without names."""
     some = [line for line in lines[:_SAMPLE] if line.strip()]
-    if not some or sum(_STAMPED.match(line) is not None for line in some) < 0.9 * len(some):
-        return lines
-    parts = [line.partition(" -> ") for line in lines]
-    return [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
+    if some and sum(_STAMPED.match(line) is not None for line in some) > 0.9 * len(some):
+        parts = [line.partition(" -> ") for line in lines]
+        lines = [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
+        some = [line for line in lines[:_SAMPLE] if line.strip()]
+    if some and sum(_PLOTTED.fullmatch(line) is not None for line in some) > 0.9 * len(some):
+        lines = [re.sub(r"[A-Za-z_]\w*:", "", line) for line in lines]
+    return lines
 
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:

@@ -32,7 +32,7 @@ def files_of(path: Path, name: str, where: str) -> list[Path]:
 
 def runs_of(path: Path, entry: Any, where: str) -> tuple[list[Record], list[tuple[str, Record]]]:
     """The files of an entry (``problemfile``), read, and its runs with their names."""
-    how = Stated(entry.separator, entry.decimal, entry.encoding, entry.header, entry.sensitivity, entry.full_scale)
+    how = Stated(**{key: getattr(entry, key) for key in vars(Stated())})
     files = [read(file, f"{where} file", entry.table, how) for file in files_of(path, entry.file, where)]
     runs = [run for file in files for run in split(_filled(file, entry), entry.rows, where, entry.runs_by)]
     if entry.contacts == "each":

@@ -187,7 +187,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         if known := without_time(table, found):
             raise known
         bare = column(table.header[0])[0]
-        remedy = f'head one as "time [s]", or say which it is: --time "{bare} [us]" of init calibration'
+        remedy = (
+            f'say which it is or how often was sampled: --time "{bare} [us]" or --rate "20 kHz" of init calibration'
+        )
         faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
