@@ -35,8 +35,9 @@ STARTS = {
     "timeoffirstsample",
 }  # fmt: skip
 _NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
 _OF_DAY = re.compile(
-    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d)?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
+    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
     r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?|\d{1,3}:\d\d[.,]\d+)"
 )
 # As 20261125T100000.5Z, and minutes and seconds alone, as 00:01.5.
@@ -114,7 +115,7 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
 
 def _day(text: str) -> float:
     """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
-    for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"):
+    for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%b-%Y"):
         with contextlib.suppress(ValueError):
             return float(datetime.strptime(text, form).toordinal())
     return 0.0
@@ -148,6 +149,8 @@ def _number(value: str, unit: str | None, si_unit: str) -> float | None:
     found = _NUMBER.fullmatch(str(value))
     if found is None:
         return None
+    if _THOUSANDS.fullmatch(found[1]):
+        return None  # 20,000 is 20 or 20000.
     text = found[1].replace(",", "." if "." not in found[1] else "")
     said: str = (found[2].strip(' "') or unit or "").strip()
     said = said[:-1] + "s" if si_unit == "s" and said.endswith("S") else said  # No clock is in siemens.

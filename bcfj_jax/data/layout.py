@@ -27,7 +27,7 @@ _SAMPLE = 600
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
-_FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"[^\W\d_]{3}[^\d]*")
+_FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -151,6 +151,8 @@ def _incremented(
         cells, inline = preamble.inline(names[-1].cells)
         if len(cells) == wide - 1 and all(cells) and _numbers_rows(data):
             cells = ["", *cells]  # R gives the numbers of rows no name.
+        elif len(cells) == wide + 1 and preamble.before_names(cells[0]):
+            cells = cells[1:]
         names = [*names[:-1], names[-1]._replace(cells=cells)]
     below = data[0] if names and not _is_data(data[0].cells, numeric) else None
     more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []
@@ -234,8 +236,8 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
     first, united = k + 1, []
-    over = rows[k - 1] if k and _is_text(rows[k - 1].cells) else None
-    if over is None and k and _is_units(rows[k].cells) and _names_numbers(rows[k - 1].cells, rows[k].cells):
+    over = rows[k - 1] if k and _is_text(rows[k - 1].cells) and not preamble.states(rows[k - 1].cells) else None
+    if over is None and k and _is_units(rows[k].cells, most=True) and _names_numbers(rows[k - 1].cells, rows[k].cells):
         over = rows[k - 1]
     if over and len(over.cells) >= len(numeric):
         if _is_units(rows[k].cells, most=not _is_units(over.cells)):
@@ -274,7 +276,8 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    count = sum(known(t) for t in texts)
+    # "t (ms)" is a name with its unit.
+    count = sum(known(t) and not re.search(r"\w\s*[(\[]", t) for t in texts)
     return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 

@@ -21,6 +21,8 @@ _SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel
 _KNOWN = clock.STEPS | clock.RATES | clock.STARTS | {*_UNITS, *_SOURCES}
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points)\s*[\]:]?\s*")
+# What stands before names in their own line.
+_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels)\s*:?")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs")
@@ -65,10 +67,16 @@ def states(cells: Sequence[Any]) -> bool:
     if len(given) == 1:
         key, sign, value = given[0].replace("=", ":").partition(":")
         known = bool(value.strip()) and (is_number(value) or clock.plain(key) in _KNOWN)
-        return bool(sign and known) or (_DATA.fullmatch(given[0]) is not None and (len(cells) > 1 or sign != ""))
+        marked = len(cells) > 1 or sign != "" or given[0].startswith("[")
+        return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
     if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
         return False
-    return is_number(given[1]) or clock.is_of_day(given[1])
+    return clock.plain(given[0]) in _UNITS or is_number(given[1]) or clock.is_of_day(given[1])
+
+
+def before_names(cell: Any) -> bool:
+    """Whether a cell says that names follow, as "CHANNEL_NAMES" does."""
+    return isinstance(cell, str) and _BEFORE.fullmatch(cell.strip()) is not None
 
 
 def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:

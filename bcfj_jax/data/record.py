@@ -108,6 +108,8 @@ class Record:
         unitless = tuple(n if unit is None else None for n, unit in bare)
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
+            if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):
+                return found[0]
             if len(found) > 1:
                 twice = f"{len(found)} columns of {self.name} are headed '{name}'"
                 raise InputError(where, twice, "rename one in the file")
@@ -115,6 +117,10 @@ class Record:
                 return found[0]
         known = [h for h in self.header if h]
         raise InputError(where, f"no column '{clip(name)}' in {self.name}", nearest(name, known))
+
+    def _alike(self, positions: list[int]) -> bool:
+        """Whether columns hold the same, as where a clock stands before each channel."""
+        return all(np.array_equal(self.columns[positions[0]], self.columns[k]) for k in positions[1:])
 
     def bare(self, time: str) -> bool:
         """Whether no unit of a column of times is stated, by its header or since it holds times of day."""

@@ -30,6 +30,7 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 _STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
 _PLOTTED = re.compile(r"(?:[\d.: ]+[\t;,])?(?:[A-Za-z_]\w*:[-+.\d][-+.\deE]*[\t,; ]*)+")
+_ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
@@ -204,8 +205,16 @@ def _separator(lines: Sequence[str]) -> str:
         # Of one column of numbers, what stands above it says what parts cells.
         best = max(scores, key=lambda k: (scores[k], sum(line.count(SEPARATORS[k]) for line in full if k != "blank")))
         if scores[best] > 0.0:
-            return best
+            return "tab" if best == "comma" and _one_column(full) else best
     return "comma"
+
+
+def _one_column(lines: Sequence[str]) -> bool:
+    """Whether numbers with decimal commas stand alone below one name: no whole number begins with 0, as decimals do."""
+    alone = [_ALONE.fullmatch(line) for line in lines]
+    first = next((k for k, found in enumerate(alone) if found), 0)
+    named = first > 0 and "," not in lines[first - 1] and sum(found is None for found in alone[first:]) < 3
+    return named and any(found is not None and found[1].startswith("0") and len(found[1]) > 1 for found in alone)
 
 
 def _score(lines: Sequence[str], separator: str, least: int) -> float:

@@ -22,6 +22,8 @@ _NUMBER = re.compile(r"\s*([-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|inf))\s*
 _COLUMN = re.compile(r"\s*(.*?)\s*\[\s*([^\[\]]*?)\s*\]\s*")
 _ROUND = re.compile(r"(.*?[^\s/])\s*/?\s*\(\s*([^()]*|[^()]*\([^()]*\)[^()]*?)\s*\)")
 _OTHER_BRACKETS = re.compile(r"(.*?[^\s/])\s*(?:\{\s*([^{}]*?)\s*\}|<\s*([^<>]*?)\s*>)")
+# V behind a word; behind a letter it is a direction.
+_VOLTS = re.compile(r"((?:.*[\W_])?[A-Za-z]{3,}[\W_\d]*?)_V")
 # A unit that something follows: "Force (N) Run #1".
 _INSIDE = re.compile(r"(.*?[^\s/])\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s+([^\s()\[\]][^()\[\]]*)")
 # A header whose name and unit are not parted by brackets.
@@ -62,7 +64,7 @@ _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
 # Masses in which forces are stated by their weight, and its unit.
-WEIGHTS = {"kg": "kgf", "lb": "lbf", "lbs": "lbf"}
+WEIGHTS = {"kg": "kgf", "g": "gf", "lb": "lbf", "lbs": "lbf"}
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',
@@ -314,6 +316,8 @@ def column(header: str) -> tuple[str, str | None]:
         return match[1], match[2]
     if plain in _ALONE:
         return plain, plain
+    if match := _VOLTS.fullmatch(plain):
+        return match[1], "V"
     if (match := _INSIDE.fullmatch(plain)) and match[2] not in (*_LETTERS, "") and known(match[2]):
         return f"{match[1]} {match[3]}", match[2]
     if (match := _OTHER_BRACKETS.fullmatch(plain)) and known(match[2] or match[3] or ""):

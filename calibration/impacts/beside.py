@@ -21,6 +21,8 @@ from bcfj_jax.data.record import Record
 from calibration.impacts.proposal import Hints, Part, Understood, understood
 
 _WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
+# Seconds since 1970 are more than any record lasts.
+_EPOCH = 1e6
 _LABEL = re.compile(rf"(?i)\b(?:(?:{_WORDS})[\s#:._-]*\d+|\d+ _ \d+)\s*:?")
 
 
@@ -105,8 +107,13 @@ def _clocked(table: Record) -> list[Record]:
         except InputError:
             return []
         clocks.append(clock[np.isfinite(clock)])
-    first = clocks[0] - clocks[0][:1]
-    alike = [
-        c.size == first.size and np.allclose(c - c[:1], first, rtol=0.0, atol=1e-9 + 1e-6 * np.ptp(c)) for c in clocks
-    ]
+    # A time of day beside one since the start is the same clock; one that begins later is not.
+    first, day = clocks[0], any(days[block[0]] for block in blocks)
+
+    def same(other: np.ndarray) -> bool:
+        late = other[:1] - first[:1] if day or abs(float(other[0] - first[0])) > _EPOCH else 0.0
+        near = 1e-9 + 1e-6 * float(np.ptp(first))
+        return other.size == first.size and np.allclose(other - late, first, rtol=0.0, atol=near)
+
+    alike = [c.size > 0 and same(c) for c in clocks]
     return [] if all(alike) else [_part(table, block) for block in blocks]

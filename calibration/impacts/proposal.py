@@ -35,7 +35,7 @@ _NAMES = {
     "s": TIMES,
     "N": (
         "force", "load", "f", "fn", "f_n", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
-        "prüfkraft", "effort", "forza", "loadcell", "last",
+        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids",
     ),
     "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
@@ -260,7 +260,8 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
     named = column(heavy or other)[0]
-    said = f', or say which it is: --observe "{named} [{WEIGHTS.get(unit, unit)}]" of init calibration' if named else ""
+    unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
+    said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
     return f'head one with its unit, as in "force [N]"{said}'
 
 
@@ -385,9 +386,10 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
     stated = {h: u for h in numeric if (u := read_unit(table, h))}
 
-    def later(header: str) -> tuple[bool, float]:
+    def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
-        return not _named(header, unit), -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
+        size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
+        return not _named(header, unit), _name(header) not in _NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
