@@ -221,22 +221,26 @@ def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
     return numbers >= min(2, len(numeric)) and all(_holds(c) or is_missing(c) for c in inside)
 
 
-def _is_text(cells: Sequence[Any]) -> bool:
-    """Whether a row can hold names or units: two texts at least, and no number."""
+def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
+    """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
-    return bool(given) and len(given) >= min(2, len(cells)) and not any(_holds(c) for c in given)
+    return bool(given) and len(given) >= min(2, columns, len(cells)) and not any(_holds(c) for c in given)
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
     """Rows of names, rows of units, where the data begin, and how many rows stand above the names."""
     k = begin - 1
+
+    def text(j: int) -> bool:
+        return j >= 0 and _is_text(rows[j].cells, len(numeric))
+
     # A first row of data with a fault looks like no data; names stand above it all the same.
-    while k >= 0 and not (_is_text(rows[k].cells) or preamble.states(rows[k].cells)):
+    while k >= 0 and not (text(k) or preamble.states(rows[k].cells)):
         k -= 1
     if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
     first, united = k + 1, []
-    over = rows[k - 1] if k and _is_text(rows[k - 1].cells) and not preamble.states(rows[k - 1].cells) else None
+    over = rows[k - 1] if text(k - 1) and not preamble.states(rows[k - 1].cells) else None
     if over is None and k and _is_units(rows[k].cells, most=True) and _names_numbers(rows[k - 1].cells, rows[k].cells):
         over = rows[k - 1]
     if over and len(over.cells) >= len(numeric):
@@ -245,7 +249,7 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
             return [rows[k]], [over], first, k - 1
     named = [rows[k]]
-    above = rows[k - 1] if k and _is_text(rows[k - 1].cells) and len(rows[k - 1].cells) >= len(numeric) else None
+    above = rows[k - 1] if text(k - 1) and len(rows[k - 1].cells) >= len(numeric) else None
     texts = _texts(rows[k].cells, wide)
     lacking = [texts[j] for j in numeric if j < wide]
     if above and (not all(lacking) or len(set(lacking)) < len(lacking)):

@@ -17,7 +17,14 @@ from calibration.impacts.proposal import Hints
 COUNT, STEP = 260, 5e-5
 FORCE = instruments.FORCE[60 : 60 + COUNT]
 RUNS = [FORCE, 0.8 * FORCE, 0.6 * FORCE[: COUNT - 30]]
-NAMED = {"square": "{} [{}]", "round": "{} ({})", "slash": "{} / {}", "in": "{} in {}", "brace": "{} {{{}}}", "row": "{}"}
+NAMED = {
+    "square": "{} [{}]",
+    "round": "{} ({})",
+    "slash": "{} / {}",
+    "in": "{} in {}",
+    "brace": "{} {{{}}}",
+    "row": "{}",
+}
 PREAMBLES = (
     [], ["Model,MSO46", "Serial Number,C0123"], ["# Prüfer: Müller", "# 25.11.2026"], ["Operator: lab", "Points: 260"],
     ["File name;drop.dat", "Recording started;25.11.2026 10:00:00", ""],
@@ -31,7 +38,10 @@ def stamps(count):
 
 def written(rng):
     """A file, and the options that it needs."""
-    style, (unit, scale) = str(rng.choice(list(NAMED))), [("N", 1.0), ("kN", 1e-3), ("lbf", 1 / 4.4482216)][rng.integers(3)]
+    style, (unit, scale) = (
+        str(rng.choice(list(NAMED))),
+        [("N", 1.0), ("kN", 1e-3), ("lbf", 1 / 4.4482216)][rng.integers(3)],
+    )
     by, comma = [(",", False), (";", True), (";", False), ("\t", True), ("\t", False)][rng.integers(5)]
     clock = str(rng.choice(["s", "ms", "us", "stamps", "rate"]))
     runs = str(rng.choice(["one", "column", "sweeps", "again", "beside"])) if clock in ("s", "ms", "us") else "one"
@@ -41,7 +51,9 @@ def written(rng):
         digits = [f"{factor * STEP * k:.7g}" for k in range(force.size)]
         times = stamps(force.size) if clock == "stamps" else digits
         body = [[] if clock == "rate" else times, [f"{scale * f:.9f}" for f in force]]
-        return [[c.replace(".", ",") if comma and clock != "stamps" else c for c in column] for column in body if column]
+        return [
+            [c.replace(".", ",") if comma and clock != "stamps" else c for c in column] for column in body if column
+        ]
 
     def heads(label=""):
         units = [u for u in ({"stamps": "", "rate": None}.get(clock, clock), unit) if u is not None]
