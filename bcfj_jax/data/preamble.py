@@ -82,6 +82,7 @@ def before_names(cell: Any) -> bool:
 def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
     """Names without cells such as "tInc = 5e-05", and these."""
     found = [(c, m) for c in cells if isinstance(c, str) and (m := _INLINE.fullmatch(c))]
+    found = [(c, m) for c, m in found if clock.plain(m[1]) in _KNOWN]
     said = {c for c, _ in found}
     return ["" if c in said else c for c in cells], [(m[1], m[2]) for _, m in found]
 

@@ -107,6 +107,8 @@ def _clocked(table: Record) -> list[Record]:
         except InputError:
             return []
         clocks.append(clock[np.isfinite(clock)])
+    if not all(c.size for c in clocks):
+        return []
     # A time of day beside one since the start is the same clock; one that begins later is not.
     first, day = clocks[0], any(days[block[0]] for block in blocks)
 
@@ -115,5 +117,4 @@ def _clocked(table: Record) -> list[Record]:
         near = 1e-9 + 1e-6 * float(np.ptp(first))
         return other.size == first.size and np.allclose(other - late, first, rtol=0.0, atol=near)
 
-    alike = [c.size > 0 and same(c) for c in clocks]
-    return [] if all(alike) else [_part(table, block) for block in blocks]
+    return [] if all(map(same, clocks)) else [_part(table, block) for block in blocks]
