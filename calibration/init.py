@@ -23,14 +23,14 @@ from bcfj_jax.data.record import RUN_COLUMNS
 from bcfj_jax.io.outputs import create
 from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
-from calibration.impacts import slow_tests, tosses
+from calibration.impacts import beside, slow_tests, tosses
 from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.inspection import clock_note
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
 from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Run, Sizes, Understood, sizes, understood
+from calibration.impacts.proposal import Run, Sizes, Understood, sizes
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -141,7 +141,7 @@ def found_in(record: Path, said: Said) -> Understood:
     """What a record is: a file, the one table of several that holds a contact, or all files of a pattern."""
 
     def seen(path: Path, table: str | None) -> Understood:
-        return understood(read(path, "record", table, said.stated), said.hints)
+        return beside.runs(read(path, "record", table, said.stated), said.hints)
 
     if (paths := matching(record)) != [record]:
         if not paths:
@@ -162,8 +162,9 @@ def found_in(record: Path, said: Said) -> Understood:
             found.append(seen(record, name))
         except InputError as error:
             refused.append(f"'{name}': {error.found}")
-    if len(found) == 1:
-        return found[0]
+    kinds = {(f.time, tuple(f.columns.items())) for f in found}
+    if len(found) == 1 or (len(kinds) == 1 and all(beside.label(f.table) for f in found)):
+        return beside.joined([(f.table, f) for f in found])
     which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
     many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
     raise InputError(str(record), f"holds {len(names)} tables, and {many}", f"give {which}" if found else which)
@@ -211,7 +212,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     # 1 + e from the impulse, where mass and speed are both known.
     ratio = float("nan")
     if isinstance(known.mass, float) and isinstance(known.speed, float):
-        ratio = s.impulse / (known.mass * known.speed)
+        # Of an acceleration what is summed up is a change of speed already.
+        ratio = s.impulse / ((known.mass if "N" in found.columns else 1.0) * known.speed)
     doubt = _SURE * s.doubt * ratio
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
@@ -236,19 +238,34 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *(f"# {text}." for text in said_of),
         Line(f'scene = "{kind}"', f"one contact under the gravity below; {_FILE}" if falls else _SAID[kind]),
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
-        "[[experiment]]",
-        *read_as(found, said, file),
-        *([Line('contacts = "each"', "every contact is a record, each with a speed of its own")] if found.each else []),
-        *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
-        _observed(found, kind),
-        NOISE,
-        *_window(s, kind),
-        *([_columned(found, kind)] if known.by_column else []),
-        *_parameters(entries, said.struck, _asks(found, kind, said)),
+        *(
+            line
+            for one in _parts(found)
+            for line in (
+                "[[experiment]]",
+                *read_as(one, said, file),
+                *(
+                    [Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
+                    if found.each
+                    else []
+                ),
+                *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
+                _observed(one, kind),
+                NOISE,
+                *_window(s, kind),
+                *([_columned(found, kind)] if known.by_column else []),
+                *_parameters(entries, said.struck, _asks(found, kind, said)),
+            )
+        ),
         "[free]",
         *_free(s, known, kind, found, elastic),
     ]
     return joined(lines), [e.key for e in entries if e.value is None]
+
+
+def _parts(found: Understood) -> list[Understood]:
+    """Of runs that stand beside each other one for each entry, else what was found."""
+    return [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts] or [found]
 
 
 def _asks(found: Understood, kind: str, said: Said) -> bool:
@@ -318,7 +335,7 @@ def rows_of(text: str | None) -> dict[str, Any]:
 def _asked_runs(found: Understood, said: Said) -> bool:
     """Whether the file must say what numbers its runs, since no name of the column does."""
     named = found.runs[0].strip().lower() in RUN_COLUMNS
-    return found.runs[0] not in ("", "file", "contact") and (said.hints.runs_by is not None or not named)
+    return found.runs[0] not in ("", "file", "contact", "beside") and (said.hints.runs_by is not None or not named)
 
 
 def _summary(found: Understood, s: Sizes) -> str:

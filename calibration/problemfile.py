@@ -77,6 +77,7 @@ class _Experiment(tables.Table):
     header: int | list[int] | None = None
     sensitivity: str | None = None
     full_scale: str | None = None
+    rate: str | None = None
     runs_by: str | None = None
     contacts: Literal["first", "each"] = "first"
     bounds: dict[str, list[Any]] = {}

@@ -102,6 +102,7 @@ def init(
     full_scale: Annotated[
         str | None, typer.Option(help='Of a WAV file: what its full scale stands for, "500 N".')
     ] = None,
+    rate: Annotated[str | None, typer.Option(help='Of a record that states no clock: "20 kHz".')] = None,
     time: Annotated[
         str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 (us)".')
     ] = None,
@@ -119,7 +120,7 @@ def init(
         from calibration import init as proposal
         from calibration.impacts.proposal import Hints
 
-        stated = Stated(separator, decimal, encoding, header, sensitivity, full_scale)
+        stated = Stated(separator, decimal, encoding, header, sensitivity, full_scale, rate)
         wanted = proposal.rows_of(rows)
         said = proposal.Said(scene, mass, speed, table, struck_mass, stated, Hints(time, observe, runs_by, wanted))
         return proposal.run(record, out, said, typer.echo)

@@ -23,23 +23,30 @@ STEPS = {
     "dt", "deltat", "deltax", "xinc", "xincr", "xincrement", "xdelta", "xstep", "increment", "sampleinterval", "samplinginterval",
     "sampleperiod", "samplingperiod", "horizontalinterval", "horizinterval", "timeinterval", "timestep", "timeincrement",
     "tinterval", "interval", "scaninterval", "abtastintervall", "abtastzeit", "abtastperiode", "schrittweite", "messintervall",
-    "intervalledechantillonnage", "horizontalresolution", "samplinginc",
+    "intervalledechantillonnage", "horizontalresolution", "samplinginc", "tinc", "hresolution", "clock",
 }  # fmt: skip
 RATES = {
     "fs", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq", "scanrate",
     "frequency", "acquisitionrate", "datarate", "framerate", "capturerate", "abtastrate", "abtastfrequenz", "messrate",
     "samplespersecond", "analograte", "analogrecordingrate", "frequencedechantillonnage", "loggingrate",
 }  # fmt: skip
-STARTS = {"x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst"}
+STARTS = {
+    "x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst", "xorg", "hoffset",
+    "timeoffirstsample",
+}  # fmt: skip
 _NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
 _OF_DAY = re.compile(
-    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d)?[ T]?\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
-    r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?"
+    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
+    r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?|\d{1,3}:\d\d[.,]\d+)"
 )
+# As 20261125T100000.5Z, and minutes and seconds alone, as 00:01.5.
+_BASIC = re.compile(r"(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)(?!:)(.*)")
+_MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
 # Fewest times of a clock that can be taken as even, and of its steps the share that are 0: a row that stands twice is a fault.
 # Of numbers with some digits one unit is up to ten of another.
 _FEW, _TWICE, _LARGEST = 16, 0.25, 10.1
-_SAMPLES_A_SECOND = re.compile(r"(?i)(?:k|m)?(?:sa?|samples|sps|scans)(?:/s|/sec|/second)?|samples per second")
+_SAMPLES_A_SECOND = re.compile(r"([kKM]?)(?i:(?:sa?|samples|sps|scans)(?:/s|/sec|/second)?|samples per second)")
 
 
 def plain(key: str) -> str:
@@ -59,7 +66,12 @@ def is_time(header: str) -> bool:
 
 def is_of_day(cell: object) -> bool:
     """Whether a cell is a time of day, or a date and a time."""
-    return isinstance(cell, str) and ":" in cell and _OF_DAY.fullmatch(cell.strip()) is not None
+    return isinstance(cell, str) and (":" in cell or "T" in cell) and _OF_DAY.fullmatch(_extended(cell)) is not None
+
+
+def _extended(cell: object) -> str:
+    """A time of day in the extended format of ISO 8601."""
+    return _BASIC.sub(r"\1-\2-\3T\4:\5:\6\7", str(cell).strip())
 
 
 def of_day(cells: Sequence[object]) -> np.ndarray | None:
@@ -68,7 +80,10 @@ def of_day(cells: Sequence[object]) -> np.ndarray | None:
         return None
     days, seconds = np.zeros(len(cells)), np.zeros(len(cells))
     for k, cell in enumerate(cells):
-        date, hours = re.fullmatch(r"(.*?)[ T]?(\d\d?:\d\d:\d\d.*)", str(cell).strip()).groups()  # pyright: ignore
+        text = _extended(cell)
+        if short := _MINUTES.fullmatch(text):
+            text = f"{int(short[1]) // 60}:{int(short[1]) % 60:02}:{short[2]}"
+        date, hours = re.fullmatch(r"(.*?)[ T]?(\d\d?:\d\d:\d\d.*)", text).groups()  # pyright: ignore
         whole, fraction = re.fullmatch(r"(\d\d?:\d\d:\d\d)(?:[.,:](\d+))?.*", hours).groups()  # pyright: ignore
         h, m, s = map(int, whole.split(":"))
         if hours[-1:] in "mM":
@@ -100,7 +115,7 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
 
 def _day(text: str) -> float:
     """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
-    for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y"):
+    for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%b-%Y"):
         with contextlib.suppress(ValueError):
             return float(datetime.strptime(text, form).toordinal())
     return 0.0
@@ -119,6 +134,8 @@ def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] 
         elif name in STARTS:
             start = _number(value, unit, "s") or start
     right = {key: step for key, step in steps.items() if step > 0.0}
+    # "Frequency" is that of the signal where a rate of samples stands beside it.
+    right = {key: step for key, step in right.items() if plain(key) != "frequency"} or right
     if not right:
         return None
     if max(right.values()) > 1.001 * min(right.values()):
@@ -132,10 +149,13 @@ def _number(value: str, unit: str | None, si_unit: str) -> float | None:
     found = _NUMBER.fullmatch(str(value))
     if found is None:
         return None
+    if _THOUSANDS.fullmatch(found[1]):
+        return None  # 20,000 is 20 or 20000.
     text = found[1].replace(",", "." if "." not in found[1] else "")
     said: str = (found[2].strip(' "') or unit or "").strip()
+    said = said[:-1] + "s" if si_unit == "s" and said.endswith("S") else said  # No clock is in siemens.
     with contextlib.suppress(ValueError, InputError):
-        if si_unit == "Hz" and _SAMPLES_A_SECOND.fullmatch(said):
-            return float(text) * {"k": 1e3, "m": 1e6}.get(said[0].lower() if said[0] in "kM" else "", 1.0)
+        if si_unit == "Hz" and (each := _SAMPLES_A_SECOND.fullmatch(said)):
+            return float(text) * {"": 1.0, "k": 1e3, "m": 1e6}[each[1].lower()]
         return float(text) * (scale_of(said, si_unit, "clock") if said else 1.0)
     return None

@@ -79,6 +79,17 @@ def text(value: object) -> str | None:
     return str(value).strip() or None if isinstance(value, str) else None
 
 
+def wrong_length(size: int, *stated: int) -> str:
+    """What is said of a file whose size [bytes] is none of those that its head states; "" of one that has such a size."""
+    if size in stated:
+        return ""
+    least = min(stated)
+    return (
+        f"the file is cut off: it lacks {least - size} bytes" if size < least
+        else f"the file has {size - least} bytes more than it states: samples may be wrong"
+    )  # fmt: skip
+
+
 def sampled(path: str, channels: Sequence[Sampled]) -> Tables:
     """Channels as tables, each with its clock "time": one where all share it, else one a clock, named after its first channel."""
     by_clock: dict[tuple[float, float, int], list[Sampled]] = {}

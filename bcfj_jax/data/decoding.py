@@ -21,6 +21,8 @@ _BINARY = (
     (b"PAR1", "a Parquet file: name it .parquet"),
     (b"TDSm", "a TDMS file: name it .tdms"),
     (b"MATLAB 5", "a MATLAB file: name it .mat"),
+    (b"{", "JSON: write its columns as CSV, or give a reader of your own by --code FILE"),
+    (b"<?xml", "XML: export it as CSV, or give a reader of your own by --code FILE"),
 )
 # Letters of two bytes in UTF-8, read as if each byte were a letter: "µ" as "Âµ", "ü" as "Ã¼".
 _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
@@ -36,6 +38,7 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
     for mark, remedy in _BINARY:
         if raw.startswith(mark):
             raise InputError(str(path), "is no text file", f"it begins as {remedy}")
+    raw = raw.rstrip(b"\0\x1a") if raw[-2:] in (b"\0\0", b"\n\x1a") else raw  # A logger's space that was not written.
     head = raw[:4096]
     if b"\0" in head:
         # Western text in UTF-16 has a zero in every second byte.

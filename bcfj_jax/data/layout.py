@@ -6,6 +6,7 @@ first, as the rows with numbers. What stands above them is then names, units or 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
+# Rows of a table, at least; rows of sums below one, at most; and how these are named.
+_FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -92,6 +95,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         raise InputError(file.name, found, "give a file with names and data")
     top = {r.line for r in (*names, *units)}
     facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
+    data, tail = _table_alone(data, [*names, *units], numeric)
+    left = left or tail
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
     titles = _titles(names, wide)
@@ -115,18 +120,54 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     )  # fmt: skip
 
 
+def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[list[Row], tuple[int, int] | None]:
+    """Rows without what is no sample: names that stand again above each run, sums below, counts above; lines of the sums."""
+    again = [r.cells for r in top]
+    if any(r.cells in again for r in data):
+        data = [r for r in data if r.cells not in again and (any(map(_holds, r.cells)) or len(_given(r.cells)) > 1)]
+    if not numeric or len(data) < _FEWEST:
+        return data, None
+    first, end = numeric[0], len(data)
+
+    def cell(row: Row) -> str:
+        return str(row.cells[first]) if first < len(row.cells) else ""
+
+    while end > len(data) - _LAST_ROWS and _WORD.fullmatch(cell(data[end - 1])) and not is_missing(cell(data[end - 1])):
+        end -= 1
+    tail = (data[end].line, data[-1].line) if end < len(data) else None
+    counts = is_missing(cell(data[0])) and not any(is_missing(cell(r)) for r in data[1:_FEWEST])
+    return data[int(counts) : end], tail
+
+
+def _given(cells: Sequence[Any]) -> list[Any]:
+    return [c for c in cells if not is_missing(c)]
+
+
 def _incremented(
     names: list[Row], units: list[Row], data: list[Row], numeric: list[int], wide: int
 ) -> tuple[list[Row], list[Row], list[Row], preamble.Facts]:
     """Names, units and data where the row below the names holds a start and a step (Rigol), and these; else as they are."""
+    if names:
+        cells, inline = preamble.inline(names[-1].cells)
+        if len(cells) == wide - 1 and all(cells) and _numbers_rows(data):
+            cells = ["", *cells]  # R gives the numbers of rows no name.
+        elif len(cells) == wide + 1 and preamble.before_names(cells[0]):
+            cells = cells[1:]
+        names = [*names[:-1], names[-1]._replace(cells=cells)]
     below = data[0] if names and not _is_data(data[0].cells, numeric) else None
     more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []
     if below is None or not more:
-        return names, units, data, []
+        return names, units, data, inline if names else []
     said = {name for name, _ in more}
     cells = ["" if c in said else c for c in names[-1].cells[:wide]]
     texts = [c if isinstance(c, str) and not is_number(c) else "" for c in below.cells[:wide]]
     return [names[-1]._replace(cells=cells)], [below._replace(cells=texts)], data[1:], more
+
+
+def _numbers_rows(data: Sequence[Row]) -> bool:
+    """Whether the first cells of rows count them."""
+    first = [str(r.cells[0]) for r in data]
+    return first[0] in ("0", "1") and first == [str(k + int(first[0])) for k in range(len(first))]
 
 
 def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:
@@ -180,23 +221,27 @@ def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
     return numbers >= min(2, len(numeric)) and all(_holds(c) or is_missing(c) for c in inside)
 
 
-def _is_text(cells: Sequence[Any]) -> bool:
-    """Whether a row can hold names or units: two texts at least, and no number."""
+def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
+    """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
-    return bool(given) and len(given) >= min(2, len(cells)) and not any(_holds(c) for c in given)
+    return bool(given) and len(given) >= min(2, columns, len(cells)) and not any(_holds(c) for c in given)
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
     """Rows of names, rows of units, where the data begin, and how many rows stand above the names."""
     k = begin - 1
+
+    def text(j: int) -> bool:
+        return j >= 0 and _is_text(rows[j].cells, len(numeric))
+
     # A first row of data with a fault looks like no data; names stand above it all the same.
-    while k >= 0 and not _is_text(rows[k].cells):
+    while k >= 0 and not (text(k) or preamble.states(rows[k].cells)):
         k -= 1
-    if k < 0:
+    if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
     first, united = k + 1, []
-    over = rows[k - 1] if k and _is_text(rows[k - 1].cells) else None
-    if over is None and k and _is_units(rows[k].cells) and _names_numbers(rows[k - 1].cells, rows[k].cells):
+    over = rows[k - 1] if text(k - 1) and not preamble.states(rows[k - 1].cells) else None
+    if over is None and k and _is_units(rows[k].cells, most=True) and _names_numbers(rows[k - 1].cells, rows[k].cells):
         over = rows[k - 1]
     if over and len(over.cells) >= len(numeric):
         if _is_units(rows[k].cells, most=not _is_units(over.cells)):
@@ -204,7 +249,7 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
             return [rows[k]], [over], first, k - 1
     named = [rows[k]]
-    above = rows[k - 1] if k and _is_text(rows[k - 1].cells) and len(rows[k - 1].cells) >= len(numeric) else None
+    above = rows[k - 1] if text(k - 1) and len(rows[k - 1].cells) >= len(numeric) else None
     texts = _texts(rows[k].cells, wide)
     lacking = [texts[j] for j in numeric if j < wide]
     if above and (not all(lacking) or len(set(lacking)) < len(lacking)):
@@ -216,6 +261,7 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
     """Names, and units below them, in the last comments above the data, as numpy.savetxt writes them."""
     fitting = [r for r in rows if r.comment and r.line < first and len(r.cells) == wide and _is_text(r.cells)]
+    fitting = [r for r in fitting if not preamble.states(r.cells)]
     if len(fitting) > 1 and _is_units(fitting[-1].cells):
         return [fitting[-2]], [fitting[-1]]
     return fitting[-1:], []
@@ -234,7 +280,8 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    count = sum(known(t) for t in texts)
+    # "t (ms)" is a name with its unit.
+    count = sum(known(t) and not re.search(r"\w\s*[(\[]", t) for t in texts)
     return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 

@@ -16,8 +16,14 @@ from bcfj_jax.io.units import column
 Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
-_UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch")
-_SOURCES = ("source", "channel", "sourcechannel")
+_UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units")
+_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
+_KNOWN = clock.STEPS | clock.RATES | clock.STARTS | {*_UNITS, *_SOURCES}
+# A line that says that numbers follow, and no names.
+_DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points)\s*[\]:]?\s*")
+# What stands before names in their own line.
+_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels)\s*:?")
+_INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs")
 _VALUE = re.compile(r"\s*(.*?[^\s:=\d])\s*[:=]?\s+([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*[\w/%]*)\s*")
@@ -32,8 +38,13 @@ def beside(rows: Sequence[Any]) -> tuple[list[Any], Facts]:
         j += 1
     top = rows[:last]
     texts = sum(any(not is_missing(c) and not is_number(c) for c in r.cells[:j]) for r in top)
-    if not j or texts < 2 or not all(sum(map(is_number, r.cells[j:])) >= 1 for r in top):
+    if not j or texts < 2:
         return list(rows), []
+    if not all(sum(map(is_number, r.cells[j:])) >= 1 for r in top):
+        # Settings above a table whose first cells are blank (Yokogawa).
+        k = 1 + max(k for k in range(last) if any(not is_missing(c) for c in top[k].cells[:j]))
+        below = [r._replace(cells=r.cells[j:]) for r in rows[k:]]
+        return [*rows[:k], *below] if states(top[k - 1].cells) else list(rows), []
     found = [pair for r in top for pair in _pairs(r.cells[:j])]
     return [r._replace(cells=r.cells[j:]) for r in rows], found
 
@@ -48,6 +59,32 @@ def above(rows: Iterable[Any]) -> Facts:
         before = str(cells[0]).strip().lower() if len(cells) == 1 else ""
         found += _pairs(row.cells)
     return found
+
+
+def states(cells: Sequence[Any]) -> bool:
+    """Whether a row above data is a setting or says that data follow, and so holds no names."""
+    given = [str(c).strip() for c in cells if not is_missing(c)]
+    if len(given) == 1:
+        key, sign, value = given[0].replace("=", ":").partition(":")
+        known = bool(value.strip()) and (is_number(value) or clock.plain(key) in _KNOWN)
+        marked = len(cells) > 1 or sign != "" or given[0].startswith("[")
+        return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
+    if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
+        return False
+    return clock.plain(given[0]) in _UNITS or is_number(given[1]) or clock.is_of_day(given[1])
+
+
+def before_names(cell: Any) -> bool:
+    """Whether a cell says that names follow, as "CHANNEL_NAMES" does."""
+    return isinstance(cell, str) and _BEFORE.fullmatch(cell.strip()) is not None
+
+
+def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
+    """Names without cells such as "tInc = 5e-05", and these."""
+    found = [(c, m) for c in cells if isinstance(c, str) and (m := _INLINE.fullmatch(c))]
+    found = [(c, m) for c, m in found if clock.plain(m[1]) in _KNOWN]
+    said = {c for c, _ in found}
+    return ["" if c in said else c for c in cells], [(m[1], m[2]) for _, m in found]
 
 
 def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
@@ -75,12 +112,14 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
     said = {clock.plain(key): value.rpartition(":")[2].strip() for key, value in reversed(facts)}
     unit = next((said[key] for key in _UNITS if key in said), "")
     timed = next((j for j, t in enumerate(titles) if clock.is_time(t)), None)
-    if not named and timed is None and (even := clock.stated(facts, "")) and _steps(columns[0], even[1]):
-        source = next((said[key] for key in _SOURCES if key in said), "")
-        titles = ["time [s]", *(source if source and len(titles) == 2 else t for t in titles[1:])]
-        timed = 0
+    even = clock.stated(facts, "") if timed is None else None
+    source = next((said[key] for key in _SOURCES if key in said), "")
+    if not named and even and _steps(columns[0], even[1]):
+        titles, timed = ["time [s]", *titles[1:]], 0
+    if not named and source and len(titles) == (1 if timed is None else 2):
+        titles = [*titles[:-1], source]
     bare = [j for j, t in enumerate(titles) if j != timed and t and column(t)[1] is None]
-    if unit and timed is not None and len(bare) == 1:
+    if unit and (timed is not None or even) and len(bare) == 1:
         titles = [f"{t} [{unit}]" if j in bare else t for j, t in enumerate(titles)]
     return titles
 

@@ -38,7 +38,20 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         _unknown(path, where)
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
-    return replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
+    found = replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
+    return found if stated.rate is None else _clocked(found, stated.rate, where)
+
+
+def _clocked(table: Record, rate: str, where: str) -> Record:
+    """A table with a clock of a rate that is stated of it."""
+    even = clock.stated([("rate", rate)], where)
+    if even is None:
+        raise InputError(f"{where} rate", f"'{clip(rate)}' is no rate of samples", 'give one such as "20 kHz"')
+    if table.clock:
+        raise InputError(f"{where} rate", f"{table.name} has a clock, '{table.clock}'", "take the rate out")
+    times = even[1] * np.arange(table.lines.size)
+    marks = (".", *table.decimals) if table.decimals else ()
+    return replace(table, header=("time [s]", *table.header), columns=(times, *table.columns), decimals=marks)
 
 
 def tables(path: Path, where: str, stated: Stated) -> list[str]:

@@ -6,7 +6,7 @@ What the channels mean is stated by the problem file. A file that holds several 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data.clock import is_time, of_day
-from bcfj_jax.data.numbers import parsed
+from bcfj_jax.data.clock import is_of_day, is_time, of_day
+from bcfj_jax.data.numbers import is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import WEIGHTS, column, scale_of
 
@@ -25,9 +25,14 @@ RUN_COLUMNS = (
     "run number", "trial no", "drop no", "hit no", "impact", "impact no", "essai", "prüfung", "probe", "specimen",
     "wurf", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
 )  # fmt: skip
+# What numbers the runs of a clock that begins anew, where no column does.
+SWEEP = "sweep"
+# Rows of a run at least, and of all times the share within which the clocks of runs begin.
+_RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
 _QUOTED = 5
-# How oscilloscopes write a sample beyond what they can show.
+# How oscilloscopes write a sample beyond what they can show; 9.9e37 is infinity of SCPI, 9.91e37 no number.
+_OVERLOAD = 9.8e37
 CLIPPED = ("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity")
 
 
@@ -103,6 +108,8 @@ class Record:
         unitless = tuple(n if unit is None else None for n, unit in bare)
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
+            if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):
+                return found[0]
             if len(found) > 1:
                 twice = f"{len(found)} columns of {self.name} are headed '{name}'"
                 raise InputError(where, twice, "rename one in the file")
@@ -110,6 +117,16 @@ class Record:
                 return found[0]
         known = [h for h in self.header if h]
         raise InputError(where, f"no column '{clip(name)}' in {self.name}", nearest(name, known))
+
+    def _alike(self, positions: list[int]) -> bool:
+        """Whether columns hold the same, as where a clock stands before each channel."""
+        return all(np.array_equal(self.columns[positions[0]], self.columns[k]) for k in positions[1:])
+
+    def bare(self, time: str) -> bool:
+        """Whether no unit of a column of times is stated, by its header or since it holds times of day."""
+        header = self.header[self.index(time, self.name)]
+        first = next(iter(self.columns[self.index(time, self.name)][:1].tolist()), "")
+        return column(header)[1] is None and column(time)[1] is None and not is_of_day(first)
 
     def texts(self, name: str, where: str) -> list[str]:
         """A column as it stands; numbers in their shortest form."""
@@ -127,10 +144,14 @@ class Record:
             # A sample beyond what an instrument can read stands as infinity: where it was is known, what it was is not.
             infinite = np.flatnonzero(np.isinf(values))
             bad[[k for k in infinite if str(self.columns[position][k]).strip() not in CLIPPED]] = True
+            values[np.abs(values) >= _OVERLOAD] = np.inf
         wrong = np.flatnonzero(bad if blank else bad | ~np.isfinite(values))
         if wrong.size:
             self._refuse(position, wrong, blank)
-        return values * self.scale(unit, si_unit, column(header)[0], place)
+        # Of a time of day, a unit such as [hh:mm:ss] says how it is written.
+        unit = None if si_unit == "s" and is_of_day(next(iter(self.columns[position].tolist()), "")) else unit
+        with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
+            return values * self.scale(unit, si_unit, column(header)[0], place)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
         """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity."""
@@ -196,9 +217,21 @@ class Record:
             remedy = f"correct the {cell}" + (f", or leave {them} blank if nothing was measured" if blank else "")
         raise InputError(self.place(int(wrong[0]), header), found, remedy)
 
+    def held(self, headers: Iterable[str]) -> Record:
+        """The rows in which one of the columns holds something."""
+        filled = np.zeros(self.lines.size, dtype=bool)
+        for header in headers:
+            cells = self.columns[self.index(header, self.name)]
+            filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else ~_blank(cells)
+        return self if filled.all() else self.where(filled)
+
     def where(self, keep: np.ndarray) -> Record:
         """The rows to keep, (N,) of truth values."""
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
+
+
+def _blank(values: np.ndarray) -> np.ndarray:
+    return np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
 
 
 def run_column(table: Record) -> str:
@@ -207,6 +240,24 @@ def run_column(table: Record) -> str:
         if header.strip().lower() in RUN_COLUMNS and (cells.size < 2 or len(set(cells.tolist())) < cells.size):
             return header
     return ""
+
+
+def with_sweeps(table: Record) -> Record:
+    """The table with a column "sweep", which numbers the runs where its clock begins anew; else as it is."""
+    if not table.clock or run_column(table) or SWEEP in table.header:
+        return table
+    try:
+        clock = table.numbers(table.clock, "s", table.name, True)
+    except InputError:
+        return table
+    begins = np.r_[0, np.flatnonzero(np.diff(clock) < 0.0) + 1]
+    lengths = np.diff(np.r_[begins, clock.size])
+    if begins.size < 2 or lengths.min() < _RUN_ROWS or np.ptp(clock[begins]) > _ANEW * np.ptp(clock):
+        return table
+    said = f"{table.found}; its clock begins anew {begins.size - 1} times: column '{SWEEP}' numbers what is between"
+    columns = (np.repeat(np.arange(1, begins.size + 1), lengths), *table.columns)
+    marks = (".", *table.decimals) if table.decimals else ()
+    return replace(table, header=(SWEEP, *table.header), columns=columns, decimals=marks, found=said)
 
 
 def split(

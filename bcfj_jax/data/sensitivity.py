@@ -16,10 +16,18 @@ from bcfj_jax.io.units import GRAVITIES, scale_of
 
 _GIVE = 'say what it stands for: --sensitivity "10 mV/N" of init calibration, or sensitivity = "10 mV/N" under [[experiment]]'
 _FULL = 'say what full scale is: --full-scale "500 N" of init calibration, or full_scale = "500 N" under [[experiment]]'
-NEEDED = {"": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N"))}
+NEEDED = {
+    "": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N")),
+    "mV/V": _GIVE.replace("10 mV/N", "2 mV/V/kN"), **dict.fromkeys(("mA", "A"), _GIVE.replace("10 mV/N", "16 mA/kN")),
+}  # fmt: skip
 # Units of columns that are no quantity of a scene, and in which a sensitivity is written.
-_VOLTS = ("V", "Volt", "Volts", "volt", "volts", "mV", "uV", "µV", "kV", "Vdc", "VDC", "mVolt", "mV/V", "mA")
-ELECTRICAL = {**dict.fromkeys(_VOLTS, "mV"), **dict.fromkeys(("pC", "nC", "C"), "pC"), FULL_SCALE: FULL_SCALE}
+_BRIDGE = "mV/V"
+_VOLTS = ("V", "Volt", "Volts", "volt", "volts", "mV", "uV", "µV", "kV", "Vdc", "VDC", "mVolt", _BRIDGE)
+ELECTRICAL = {
+    **dict.fromkeys(_VOLTS, "mV"), **dict.fromkeys(("pC", "nC", "C"), "pC"), **dict.fromkeys(("mA", "A"), "mA"),
+    FULL_SCALE: FULL_SCALE,
+}  # fmt: skip
+_BASES = {"mV": "V", "pC": "C", "mA": "A"}
 _ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt": "V", "mVolt": "mV"}
 # What a sensor may read, in SI.
 _READ = ("N", "m/s^2", "m/s", "m", "N m")
@@ -55,10 +63,12 @@ class Sensitivities:
             if not found:
                 raise InputError(f"{self.where} sensitivity", f"'{clip(text)}' is none", _RIGHT)
             if found["name"] in (None, name):
-                one = _factor(float(found["number"]), found["unit"], unit, f"{self.where} sensitivity")
+                one = _factor(
+                    float(found["number"]), found["unit"], unit, f"{self.where} sensitivity", bool(found["name"])
+                )
                 if found["name"]:
                     return one
-                other = one
+                other = one or other
         return other
 
 
@@ -84,10 +94,16 @@ def _scale(unit: str, si_unit: str) -> float | None:
         return None
 
 
-def _factor(number: float, text: str, unit: str, where: str) -> Factor:
-    """What one ``unit`` of a column is, of a sensitivity of ``number`` ``text``: in volts per newton, or newtons per volt."""
+def _factor(number: float, text: str, unit: str, where: str, named: bool) -> Factor | None:
+    """What one ``unit`` of a column is, of a sensitivity of ``number`` ``text``: in volts per newton, or newtons per volt.
+
+    None of one that is not ``named`` and of another kind of sensor. mV/V of a bridge are taken as the mV of both.
+    """
+    said = text
+    if unit == _BRIDGE:
+        unit, text = "mV", text.replace(f"({_BRIDGE})", "mV").replace(_BRIDGE, "mV")
     above, _, below = text.partition("/")
-    base = "C" if ELECTRICAL[unit] == "pC" else "V"
+    base = _BASES.get(ELECTRICAL[unit], "V")
     for electric, other, inverse in ((above, below, True), (below, above, False)):
         volts = _scale(_ALIKE.get(electric.strip(), electric), base)
         if volts is None or not other or not number:
@@ -96,8 +112,11 @@ def _factor(number: float, text: str, unit: str, where: str) -> Factor:
             if (scale := _scale(other, si_unit)) is not None:
                 size = scale_of(_ALIKE.get(unit, unit), base, where)
                 factor = scale / (number * volts) if inverse else number * scale / volts
-                return Factor(factor * size, si_unit, f"{number:g} {text}")
-    raise InputError(where, f"'{number:g} {clip(text)}' is no sensitivity of a column in {unit}", _RIGHT)
+                return Factor(factor * size, si_unit, f"{number:g} {said}")
+    others = {_scale(part.strip(), b) for part in (above, below) for b in _BASES.values() if b != base}
+    if not named and number and others != {None}:
+        return None
+    raise InputError(where, f"'{number:g} {clip(said)}' is no sensitivity of a column in {unit}", _RIGHT)
 
 
 NONE = Sensitivities()

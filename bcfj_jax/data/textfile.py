@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import InputError, clip
 from bcfj_jax.data import clock, numbers
 from bcfj_jax.data.decoding import decoded
 from bcfj_jax.data.layout import File, Layout, Row, found, others
-from bcfj_jax.data.record import Record
+from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.io.opening import LARGEST_TEXT, content
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
@@ -28,6 +28,9 @@ _COMMENTS = ("#", "%", "//", "!")
 DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decimal of bcfj init calibration'
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
+_STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
+_PLOTTED = re.compile(r"(?:[\d.: ]+[\t;,])?(?:[A-Za-z_]\w*:[-+.\d][-+.\deE]*[\t,; ]*)+")
+_ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
@@ -44,10 +47,11 @@ class Stated:
     header: int | list[int] | None = None  # line of the names, or lines of names in two lines; 0: the file has no names
     sensitivity: str | None = None  # of channels that are voltages or charges
     full_scale: str | None = None  # of channels that are shares of it
+    rate: str | None = None  # of the samples of a file that states no clock
 
     def written(self) -> dict[str, Any]:
         """What is said of how a text is written."""
-        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale")}
+        return {k: v for k, v in vars(self).items() if k not in ("sensitivity", "full_scale", "rate")}
 
     def check(self, where: str) -> None:
         """Refuse values that are none, naming the key."""
@@ -67,6 +71,7 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _monitored(lines)
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
@@ -141,9 +146,22 @@ def table(
         names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
         decimals = (".", *decimals) if decimals else ()
         parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
-    return Record(
+    found = Record(
         path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
     )  # fmt: skip
+    return with_sweeps(found)
+
+
+def _monitored(lines: list[str]) -> list[str]:
+    """Lines of a serial monitor as cells: "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50,F:4.3" without names."""
+    some = [line for line in lines[:_SAMPLE] if line.strip()]
+    if some and sum(_STAMPED.match(line) is not None for line in some) > 0.9 * len(some):
+        parts = [line.partition(" -> ") for line in lines]
+        lines = [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
+        some = [line for line in lines[:_SAMPLE] if line.strip()]
+    if some and sum(_PLOTTED.fullmatch(line) is not None for line in some) > 0.9 * len(some):
+        lines = [re.sub(r"[A-Za-z_]\w*:", "", line) for line in lines]
+    return lines
 
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:
@@ -184,10 +202,19 @@ def _separator(lines: Sequence[str]) -> str:
         full = [*full[:half], *full[half :: max(1, (len(full) - half) // half)]]
     for least in (2, 1):
         scores = {separator: _score(full, separator, least) for separator in SEPARATORS}
-        best = max(scores, key=lambda k: scores[k])
+        # Of one column of numbers, what stands above it says what parts cells.
+        best = max(scores, key=lambda k: (scores[k], sum(line.count(SEPARATORS[k]) for line in full if k != "blank")))
         if scores[best] > 0.0:
-            return best
+            return "tab" if best == "comma" and _one_column(full) else best
     return "comma"
+
+
+def _one_column(lines: Sequence[str]) -> bool:
+    """Whether numbers with decimal commas stand alone below one name: no whole number begins with 0, as decimals do."""
+    alone = [_ALONE.fullmatch(line) for line in lines]
+    first = next((k for k, found in enumerate(alone) if found), 0)
+    named = first > 0 and "," not in lines[first - 1] and sum(found is None for found in alone[first:]) < 3
+    return named and any(found is not None and found[1].startswith("0") and len(found[1]) > 1 for found in alone)
 
 
 def _score(lines: Sequence[str], separator: str, least: int) -> float:

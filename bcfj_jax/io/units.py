@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"\s*([-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|inf))\s*(.*?)\s*", re.ASCII)
 _COLUMN = re.compile(r"\s*(.*?)\s*\[\s*([^\[\]]*?)\s*\]\s*")
 _ROUND = re.compile(r"(.*?[^\s/])\s*/?\s*\(\s*([^()]*|[^()]*\([^()]*\)[^()]*?)\s*\)")
+_OTHER_BRACKETS = re.compile(r"(.*?[^\s/])\s*(?:\{\s*([^{}]*?)\s*\}|<\s*([^<>]*?)\s*>)")
+# V behind a word; behind a letter it is a direction.
+_VOLTS = re.compile(r"((?:.*[\W_])?[A-Za-z]{3,}[\W_\d]*?)_V")
+# A unit that something follows: "Force (N) Run #1".
+_INSIDE = re.compile(r"(.*?[^\s/])\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s+([^\s()\[\]][^()\[\]]*)")
 # A header whose name and unit are not parted by brackets.
 _BEHIND_SLASH = re.compile(r"(.*?\S)\s*/\s*(\S.*)")
 _LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)(\S+)")
@@ -29,7 +34,10 @@ _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.
 _PLAIN = (
     "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
+    "msec", "usec", "sec", "daN", "lbf", "lbs", "lb", "kg", "kgf", "gf", "kip", "klbf", "ft/s", "mV", "pC", "kHz", "Hz",
 )  # fmt: skip
+# Units that stand as a name of their own.
+_ALONE = ("ms", "msec", "us", "usec", "µs", "sec", "Volt", "Volts", "mV", "kN", "lbf", "Newton", "Newtons")
 _IN = re.compile(r"(?:(.*?\S)\s+)?in\s+(\S+)")
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
@@ -56,7 +64,7 @@ _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
 # Masses in which forces are stated by their weight, and its unit.
-WEIGHTS = {"kg": "kgf", "lb": "lbf", "lbs": "lbf"}
+WEIGHTS = {"kg": "kgf", "g": "gf", "lb": "lbf", "lbs": "lbf"}
 _EXAMPLES = {
     "1": 'a plain number such as 0.9 or "90 %"',
     "m": 'a length such as "1.2 mm"',
@@ -306,6 +314,14 @@ def column(header: str) -> tuple[str, str | None]:
         return plain, None
     if match := _COLUMN.fullmatch(plain):
         return match[1], match[2]
+    if plain in _ALONE:
+        return plain, plain
+    if match := _VOLTS.fullmatch(plain):
+        return match[1], "V"
+    if (match := _INSIDE.fullmatch(plain)) and match[2] not in (*_LETTERS, "") and known(match[2]):
+        return f"{match[1]} {match[3]}", match[2]
+    if (match := _OTHER_BRACKETS.fullmatch(plain)) and known(match[2] or match[3] or ""):
+        return match[1], match[2] or match[3] or ""
     if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
         return match[1], match[2]
     if (match := _IN.fullmatch(plain)) and known(match[2]):

@@ -67,7 +67,7 @@ def symbols(text: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])", "*", text)  # N.m
+    text = re.sub(r"(?<=[A-Za-z])[.-](?=[A-Za-z])", "*", text)  # N.m, N-m
     return re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text).translate(_SIGNS)
 
 

@@ -116,7 +116,8 @@ def _texts() -> list[File]:
              "Moment_X\tCOP_X", _ZERO, _ZERO, _N, _ZERO, _ZERO, by="\t")),
         File("vicon.csv", _text("Devices\n20000\n,,Plate - Force,,,Plate - Moment\nFrame,Sub Frame,Fx,Fy,Fz,Mx\n,,N,N,N,N.mm",
              [str(1 + k // 200) for k in range(500)], [str(k % 200) for k in range(500)], _ZERO, _ZERO, _N, _ZERO)),
-        File("plate_bare.csv", _text("Fx,Fy,Fz,Mx,My,Mz", _ZERO, _ZERO, _N, _ZERO, _ZERO, _ZERO), {}, "no column is a time"),
+        File("plate_bare.csv", _text("Fx,Fy,Fz,Mx,My,Mz", _ZERO, _ZERO, _N, _ZERO, _ZERO, _ZERO), {"rate": "20 kHz"},
+             '--rate "20 kHz"'),
         File("catman.asc", _text("CATMAN DATA FILE\nChannels\t2\nTime  1 - default sample rate [s]\tForce [N]", _S, _N, by="\t", comma=True)),
         File("dewesoft.txt", _text("Data file: a.dxd\nSample rate: 20000 Hz\n\nTime (s)\tForce; AI 1 (N)", _S, _N, by="\t")),
         File("dewesoft_rate.txt", _text("Data file: a.dxd\nSample rate: 20000 Hz\n\nForce (N)\tAI 2 (V)", _N, _ZERO, by="\t")),
@@ -433,7 +434,7 @@ def tried(file: File, folder: Path, said: dict[str, str]) -> tuple[str, str]:
 
     path = folder / file.name
     path.write_bytes(file.content)
-    how = Stated(sensitivity=said.get("sensitivity"), full_scale=said.get("full_scale"))
+    how = Stated(sensitivity=said.get("sensitivity"), full_scale=said.get("full_scale"), rate=said.get("rate"))
     try:
         found = init.found_in(
             path, init.Said(table=said.get("table"), stated=how, hints=Hints(said.get("time"), said.get("observe")))

@@ -86,9 +86,10 @@ def box(name: str, bounds: Iterable[str], note: str = "", more: str = "") -> Lin
 
 def read_as(found: Understood, said: Said, file: str) -> list[Line | str]:
     """Lines that say where a record is and how it is read."""
-    every = f"every {found.runs[0]} is a record" if found.runs[0] and not found.each else ""
+    every = f"every {found.runs[0]} is a record" if found.runs[0] and not (found.each or found.parts) else ""
     stated = {key: v for key, v in vars(said.stated).items() if v is not None}
     return [
+        *(f"name = {toml(part.name)}" for part in found.parts),
         Line(f"file = {toml(file)}", every),
         *([f"table = {toml(found.table)}"] if found.table else []),
         *(f"{key} = {toml(v)}" for key, v in stated.items()),

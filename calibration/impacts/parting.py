@@ -32,12 +32,21 @@ def files_of(path: Path, name: str, where: str) -> list[Path]:
 
 def runs_of(path: Path, entry: Any, where: str) -> tuple[list[Record], list[tuple[str, Record]]]:
     """The files of an entry (``problemfile``), read, and its runs with their names."""
-    how = Stated(entry.separator, entry.decimal, entry.encoding, entry.header, entry.sensitivity, entry.full_scale)
+    how = Stated(**{key: getattr(entry, key) for key in vars(Stated())})
     files = [read(file, f"{where} file", entry.table, how) for file in files_of(path, entry.file, where)]
-    runs = [run for file in files for run in split(file, entry.rows, where, entry.runs_by)]
+    runs = [run for file in files for run in split(_filled(file, entry), entry.rows, where, entry.runs_by)]
     if entry.contacts == "each":
         runs = [piece for label, run in runs for piece in _each_contact(label, run, entry, where)]
     return files, runs
+
+
+def _filled(file: Record, entry: Any) -> Record:
+    """A table without the rows below a column that is shorter than others, where neither clock nor reading holds anything."""
+    headers = [entry.time, *(header.removeprefix("-").strip() for header in entry.observe.values())]
+    try:
+        return file.held(headers)
+    except InputError:
+        return file  # What is wrong with a name is said where it is read.
 
 
 def _each_contact(label: str, part: Record, entry: Any, where: str) -> list[tuple[str, Record]]:

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.core.errors import Faults
+from bcfj_jax.core.errors import Faults, clip
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.data.record import RUN_COLUMNS, Record, run_column, split
+from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, scale_of
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
 from calibration.impacts import plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
@@ -34,8 +34,8 @@ _KINDS = ("s", "N", "m/s^2", "m/s", "m")
 _NAMES = {
     "s": TIMES,
     "N": (
-        "force", "load", "f", "fn", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
-        "prüfkraft", "effort", "forza", "loadcell", "last",
+        "force", "load", "f", "fn", "f_n", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
+        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids",
     ),
     "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
@@ -58,6 +58,9 @@ _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.vel
 _MOST_RUNS, _RUN_ROWS = 50, 20
 # Durations of a contact over those of its event (``contacts``), which leaves out a speed's ends and what follows a place's turn.
 _WHOLE = {"m/s": 1.5, "m": 4.0}
+# How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
+_LASTS = (3e-6, 0.3)
+_CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Times the noise from which on a contact is seen.
 _SEEN = 12.0
 # Readings that are a channel.
@@ -125,6 +128,7 @@ class Understood:
         speeds: of each record [m/s], by that column.
         each: whether each contact is a record, cut from its run.
         plate: of a force plate, which force is read and where it acts.
+        parts: runs that stand beside each other in columns or tables; empty for none.
     """
 
     path: Path
@@ -140,6 +144,16 @@ class Understood:
     speeds: tuple[float, ...] = ()
     each: bool = False
     plate: str = ""
+    parts: tuple[Part, ...] = ()
+
+
+class Part(NamedTuple):
+    """Of several runs beside each other: the name of one, its table, and its columns as ``Understood`` has them."""
+
+    name: str
+    table: str
+    time: str
+    columns: dict[str, str]
 
 
 class Hints(NamedTuple):
@@ -168,12 +182,14 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
-    headers = ", ".join(h for h in table.header if h)
+    headers = clip(", ".join(h for h in table.header if h), 200)
     if "s" not in found:
         if known := without_time(table, found):
             raise known
         bare = column(table.header[0])[0]
-        remedy = f'head one as "time [s]", or say which it is: --time "{bare} [us]" of init calibration'
+        remedy = (
+            f'say which it is or how often was sampled: --time "{bare} [us]" or --rate "20 kHz" of init calibration'
+        )
         faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
@@ -193,6 +209,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
+    if time and table.bare(time):
+        _seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
     rows = {**rows, **hints.rows}
     known = {column(time)[0], time, run, given[0], *found.values(), *(column(h)[0] for h in found.values()), *rows}
@@ -213,6 +231,15 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     )
 
 
+def _seconds(where: str, time: str, duration: float) -> None:
+    """Refuse a clock without a unit by which a contact is longer or shorter than impacts are, if it is in seconds."""
+    if not _LASTS[0] < duration < _LASTS[1]:
+        found = f"no unit of '{time}' is stated, and in seconds a contact would last {format_si(duration, 's', 2)}"
+        units = [u for u, size in _CLOCKS.items() if _LASTS[0] < duration * size < _LASTS[1]]
+        ways = " or ".join(f'"{time} [{u}]", {format_si(duration * _CLOCKS[u], "s", 2)}' for u in (*units, "s"))
+        raise InputError(where, found, f"say which it is: --time of init calibration is {ways}")
+
+
 def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str) -> Run:
     """A run with its contacts, by the reading of a unit; wrong samples of what pulses are blanked."""
     pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
@@ -227,13 +254,14 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
     for h in table.header:
         if (unit := column(h)[1]) in ELECTRICAL:
             return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
-    bare = [h for h in table.header if h and column(h)[1] is None and h != found.get("s")]
+    bare = [h for h in table.header if h not in ("", SWEEP) and column(h)[1] is None and h != found.get("s")]
     bare = bare[1:] if "s" not in found and bare[1:] and bare[0] == table.header[0] else bare
     other = next((h for h in bare if not _counts(table, h)), next(iter(bare), ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
     named = column(heavy or other)[0]
-    said = f', or say which it is: --observe "{named} [{WEIGHTS.get(unit, unit)}]" of init calibration' if named else ""
+    unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
+    said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
     return f'head one with its unit, as in "force [N]"{said}'
 
 
@@ -267,10 +295,11 @@ def _run_column(table: Record) -> str:
     if named := run_column(table):
         return named
     clock = _values(table, table.clock, "s") if table.clock else np.zeros(0)
+    sweep = SWEEP if SWEEP in table.header else ""
     if clock.size < 2 * _RUN_ROWS:
-        return ""
+        return sweep
     for h, cells in zip(table.header, table.columns, strict=True):
-        if not h or column(h)[1] is not None:
+        if h in ("", SWEEP) or column(h)[1] is not None:
             continue
         texts = cells.astype(str)
         changes = np.flatnonzero(texts[1:] != texts[:-1]) + 1
@@ -283,7 +312,7 @@ def _run_column(table: Record) -> str:
         apart = (steps[changes - 1] < 0) | (steps[changes - 1] > 5.0 * np.median(steps))
         if apart.all() and (np.diff(numbers) == 1.0).all() and numbers[0] in (0.0, 1.0) and lengths.min() >= _RUN_ROWS:
             return h
-    return ""
+    return sweep
 
 
 def _read(
@@ -357,9 +386,10 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
     stated = {h: u for h in numeric if (u := read_unit(table, h))}
 
-    def later(header: str) -> tuple[bool, float]:
+    def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
-        return not _named(header, unit), -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
+        size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
+        return not _named(header, unit), _name(header) not in _NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
@@ -370,6 +400,9 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     kinds = {h: u for h in bare if (u := next((u for u in _KINDS if _named(h, u)), None))}
     for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
         found.setdefault(kinds[h], h)
+    # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
+    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(_name(found["m"])) == 1:
+        del found["m"]
     return found
 
 

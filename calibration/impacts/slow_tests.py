@@ -83,7 +83,10 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
     """The problem file at ``path`` of a slow test, which names the record ``file``."""
     if found.runs[0]:
         many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
-        raise InputError(str(found.path), many, f'choose one: --rows "{found.runs[0]} = 1"')
+        way = f'--rows "{found.runs[0]} = 1"'
+        if found.parts:
+            many, way = f"{found.runs[1]} slow tests beside each other", f'--time "{found.time}" for the first'
+        raise InputError(str(found.path), many, f"choose one: {way}")
     rubbed = pulls(found.records[0], str(found.path))
     scene, free, reading = (_rubbed if rubbed else _driven)(found.records[0])
     # Its sign may be turned already, and is turned back then.

@@ -19,8 +19,8 @@ from calibration import init, problemfile
 for library in ("nptdms", "h5py", "pyuff", "ezc3d", "asammdf"):
     pytest.importorskip(library, reason="the extra io is not installed")
 FILES = instruments.files()
-# What no option can give: a plate without a clock, a force in dB, a file that states two clocks.
-NEVER = {"plate_bare.csv", "decibel.csv", "two_rates.csv"}
+# What no option can give: a force in dB, a file that states two clocks.
+NEVER = {"decibel.csv", "two_rates.csv"}
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -56,12 +56,20 @@ def test_clipped_samples_are_left_out_and_said(tmp_path):
     [
         ("2 mV/N", "V", 500.0, "N"), ("2 mV/N", "mV", 0.5, "N"), ("100 N/V", "mV", 0.1, "N"), ("4 pC/N", "pC", 0.25, "N"),
         ("100 mV/g", "V", 98.0665, "m/s^2"), ("10 mV/(m/s^2)", "mV", 0.1, "m/s^2"), ("A = 2 mV/N, B = 4 pC/N", "mV", 0.5, "N"),
+        ("2 mV/V/kN", "mV/V", 500.0, "N"), ("1 kN/(mV/V)", "mV/V", 1e3, "N"), ("16 mA/kN", "mA", 62.5, "N"),
+        ("4 pC/N, 100 mV/g", "V", 98.0665, "m/s^2"),
     ],
 )  # fmt: skip
 def test_a_sensitivity_is_volts_over_a_quantity_or_a_quantity_over_volts(text, unit, factor, si_unit):
     found = Sensitivities(text).of("A", unit)
     assert found is not None and found.si_unit == si_unit
     assert found.factor == pytest.approx(factor, rel=1e-12)
+
+
+def test_a_sensitivity_says_nothing_of_another_kind_of_sensor():
+    assert Sensitivities("4 pC/N").of("Ch 2", "V") is None
+    with pytest.raises(InputError, match="is no sensitivity of a column in mV"):
+        Sensitivities("2 mV/V/kN").of("Ch 2", "mV")
 
 
 @pytest.mark.parametrize("text", ["2 N", "mV/N", "2 mV/kg", "2 apples/N"])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import Content, Sampled, Tables, sampled
+from bcfj_jax.data.columns import Content, Sampled, Tables, sampled, wrong_length
 
 KINDS, LIBRARY = (".c3d",), "ezc3d"
 SIGNATURE = b""
@@ -61,7 +62,22 @@ def read(file: str, wanted: str) -> Content:
             for i, axis in enumerate("xyz")
         ]
         tables |= sampled("points", channels)
-    return Content(tables, note)
+    return Content(tables, "; ".join(filter(None, (note, _length(file)))))
+
+
+def _length(file: str) -> str:
+    """Whether the file is shorter or longer than its head states: frames of points and analog values, in blocks of 512 bytes."""
+    with open(file, "rb") as content:
+        head, size = content.read(512), content.seek(0, 2)
+        content.seek(512 * (head[0] - 1) + 3)
+        processor = content.read(1)
+    points, analog, first, last = struct.unpack("<4H", head[2:10])
+    scale, begin = struct.unpack("<fH", head[12:18])
+    # Words of other processors are of another order, and of long records the last frame stands elsewhere.
+    if processor != b"\x54" or last == 0xFFFF or last < first:
+        return ""
+    end = 512 * (begin - 1) + (last - first + 1) * (4 * points + analog) * (4 if scale < 0.0 else 2)
+    return wrong_length(size, end, -(-end // 512) * 512)
 
 
 def _texts(parameter: Any) -> list[str]:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import UNIT_NAMES, Column, Content, Tables, matrix, text, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Column, Columns, Content, Tables, matrix, text, with_units
 
 KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
 SIGNATURE = b""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_RATES = ("dt", "sample_interval", "sample_rate", "sampling_rate", "samplerate", "fs")
+# Attributes that make a clock, without blanks and signs, in lower case.
+_RATES = ("dt", "fs", "sampleinterval", "samplerate", "samplingrate", "samplingfrequency", "samplefrequency")
 
 
 def read(file: str, wanted: str) -> Content:
@@ -21,11 +23,14 @@ def read(file: str, wanted: str) -> Content:
     import h5py
 
     content = h5py.File(file, "r")  # Closed with the process: values are read when they are written out.
-    tables, matrices = Tables(), Tables()
+    tables, matrices, rates = Tables(), Tables(), {"": _rates(content)}
 
     def visit(name: str, thing: object) -> None:
         # MATLAB keeps the content of cells and objects in groups of these names.
-        if name.startswith("#") or not isinstance(thing, h5py.Dataset):
+        if name.startswith("#"):
+            return
+        if not isinstance(thing, h5py.Dataset):
+            rates[name] = _rates(thing)
             return
         item: Any = thing
         unit = next((item.attrs[k] for k in UNIT_NAMES if k in item.attrs), None)
@@ -37,8 +42,7 @@ def read(file: str, wanted: str) -> Content:
         if found:
             columns = tables.setdefault(parent, {})
             columns[own] = found
-            for key in (k for k in _RATES if k in item.attrs and k not in columns):
-                columns[key] = Column(None, 1, lambda value=item.attrs[key]: np.ravel(value)[:1])
+            columns.update({key: c for key, c in _rates(item).items() if key not in columns})
         elif item.ndim == 2 and item.dtype.kind in "iuf" and 1 < min(item.shape) <= 64 and item.size < 1 << 24:
             matrices.setdefault(parent, {}).update(matrix(own, item[()]))
 
@@ -46,7 +50,17 @@ def read(file: str, wanted: str) -> Content:
     for name, columns in matrices.items():
         if not any(c.size > 1 for c in tables.get(name, {}).values()):
             tables.setdefault(name, {}).update(columns)
+    for name, columns in tables.items():
+        above = [name.rsplit("/", k)[0] for k in range(name.count("/") + 1)]
+        for group in (*above, "") if any(c.size > 1 for c in columns.values()) else ():
+            columns.update({key: c for key, c in rates.get(group, {}).items() if key not in columns})
     return Content(with_units(tables))
+
+
+def _rates(thing: Any) -> Columns:
+    """The rate or step that attributes of a group or dataset state."""
+    stated = [key for key in thing.attrs if re.sub(r"[\W_]+", "", key.lower()) in _RATES]
+    return {key: Column(None, 1, lambda key=key: np.ravel(thing.attrs[key])[:1]) for key in stated}
 
 
 def _part(item: Any, field: str) -> Callable[[], Any]:

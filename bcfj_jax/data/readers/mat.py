@@ -34,8 +34,9 @@ def read(file: str, wanted: str) -> Content:
                     matrices |= matrix(name, array)
                     if found := vector(array):
                         columns[name] = found
-        if not any(c.size > 1 for c in columns.values()):
-            columns.update(matrices)
+        # Names of channels are no vector beside a matrix.
+        if not any(c.size > 1 and np.asarray(c.values()).dtype.kind in "iufb" for c in columns.values()):
+            tables[table] = {**{n: c for n, c in columns.items() if c.size == 1 or not matrices}, **matrices}
 
     visit("", loadmat(file, simplify_cells=True))
     return Content(with_units(tables))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 
-from bcfj_jax.data.columns import Columns, Content, Refused, matrix, vector
+from bcfj_jax.data.columns import Columns, Content, Refused, matrix, vector, wrong_length
 
 KINDS, LIBRARY = (".npy", ".npz"), ""
 SIGNATURE = rb"\x93NUMPY"
@@ -22,4 +24,12 @@ def read(file: str, wanted: str) -> Content:
             columns |= {key: own} if own else matrix(key, part)
     if not columns:
         raise Refused("it holds neither vectors nor a matrix of numbers", "save columns as vectors: numpy.savez")
-    return Content({"": columns})
+    return Content({"": columns}, _length(file, content) if isinstance(content, np.ndarray) else "")
+
+
+def _length(file: str, content: np.ndarray) -> str:
+    """Whether a file of one array is longer than it states; an archive has checksums."""
+    with open(file, "rb") as raw:
+        version = np.lib.format.read_magic(raw)
+        (np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0)(raw)
+        return wrong_length(os.path.getsize(file), raw.tell() + content.nbytes)

@@ -43,4 +43,6 @@ def _cell(cell: Any) -> Any:
         return cell.strip()
     if isinstance(cell, datetime.timedelta):
         return cell.total_seconds()
-    return cell.isoformat() if isinstance(cell, (datetime.date, datetime.time)) else cell
+    if isinstance(cell, datetime.date) and not isinstance(cell, datetime.datetime):
+        return f"{cell.isoformat()}T00:00:00"  # Midnight is a date alone.
+    return cell.isoformat() if isinstance(cell, (datetime.datetime, datetime.time)) else cell

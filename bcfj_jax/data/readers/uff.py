@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ _NONE = ("", "NONE", "none", "None")
 # Of ordinates by the code of what they measure, where their axis has no name.
 _MEASURED = {8: "displacement", 9: "force", 11: "velocity", 12: "acceleration", 13: "force"}
 _HISTORY = 1
+# The first line of a binary dataset, with the number of its bytes, and eleven more.
+_BINARY = re.compile(rb"(?m)^ {4}58b.{24}([ \d]{12}).*\n(?:.*\n){11}")
 
 
 def read(file: str, wanted: str) -> Content:
@@ -38,9 +41,21 @@ def read(file: str, wanted: str) -> Content:
         if not step > 0.0:
             raise Refused(f"the clock of '{_name(one)}' has a step of {step}", "export it again")
         channels.append(Sampled(_name(one), None if unit in _NONE else unit, values, float(one["abscissa_min"]), step))
+    _check_binary(file)
     left = len(sets) - len(histories)
     note = f"{left} functions that are no history over time are left out" if left else ""
     return Content(sampled("", channels), note)
+
+
+def _check_binary(file: str) -> None:
+    """Refuse a binary dataset 58 whose numbers do not end where its first line says."""
+    with open(file, "rb") as content:
+        raw = content.read()
+    for found in _BINARY.finditer(raw):
+        end = found.end() + int(found[1])
+        # A last byte that is the end of a line is none of a number, but of the line that follows.
+        if not re.match(rb"(\r?\n)? {4}-1", raw[end:]) or raw[end - 1 : end] == b"\n":
+            raise Refused(f"a binary dataset 58 states {int(found[1])} bytes of numbers and does not end there", None)
 
 
 def _name(one: Any) -> str:

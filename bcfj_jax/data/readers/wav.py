@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 
 import numpy as np
 
-from bcfj_jax.data.columns import FULL_SCALE, Content, Refused, Sampled, sampled
+from bcfj_jax.data.columns import FULL_SCALE, Content, Refused, Sampled, sampled, wrong_length
 
 KINDS, LIBRARY = (".wav", ".wave"), "scipy.io"
 SIGNATURE = rb"(?s)(RIFF|RF64|RIFX).{4}WAVE"
@@ -30,14 +31,19 @@ def read(file: str, wanted: str) -> Content:
     tall = np.atleast_2d(values.T).T
     names = ["channel"] if tall.shape[1] == 1 else [f"channel {j + 1}" for j in range(tall.shape[1])]
     channels = [Sampled(n, FULL_SCALE, tall[:, j] / size, 0.0, 1.0 / rate) for j, n in enumerate(names)]
-    return Content(sampled("", channels), _cut(file))
+    return Content(sampled("", channels), _length(file))
 
 
-def _cut(file: str) -> str:
-    """Whether the file is shorter than it states."""
+def _length(file: str) -> str:
+    """Whether the file is shorter or longer than it states, or its rate does not go with its bytes a second."""
     with open(file, "rb") as content:
-        head = content.read(8)
+        head = content.read(34)
         content.seek(0, 2)
         stated, size = int.from_bytes(head[4:8], "little") + 8, content.tell()
-    cut = head[:4] == b"RIFF" and size < stated
-    return f"the file is cut off: it lacks {stated - size} bytes" if cut else ""
+    # Of a stream that was not closed the length is not known; an odd one may be padded.
+    if head[:4] != b"RIFF" or stated >= 1 << 32:
+        return ""
+    said = wrong_length(size, stated, stated + stated % 2)
+    rate, each, frame = struct.unpack("<IIH", head[24:34])
+    wrong = head[12:16] == b"fmt " and each != rate * frame
+    return said or (f"its rate of {rate} Hz and its {each} bytes a second do not agree" if wrong else "")

@@ -1,0 +1,120 @@
+"""Runs that stand beside each other: columns of a table, or tables of a file, that hold the same readings again.
+
+    Run 1: Time (s),Run 1: Force (N),Run 2: Time (s),Run 2: Force (N)        Time (s) Run #1,Force (N) Run #1,...
+    Probe 1;;Probe 2; above Zeit;Kraft;Zeit;Kraft                            time [s],Run 1 [N],Run 2 [N]
+
+Columns with a clock of their own, but no such label, are never read by the clock of others.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from bcfj_jax import InputError
+from bcfj_jax.data.clock import is_of_day, is_time
+from bcfj_jax.data.record import Record
+from calibration.impacts.proposal import Hints, Part, Understood, understood
+
+_WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
+# Seconds since 1970 are more than any record lasts.
+_EPOCH = 1e6
+_LABEL = re.compile(rf"(?i)\b(?:(?:{_WORDS})[\s#:._-]*\d+|\d+ _ \d+)\s*:?")
+
+
+def label(name: str) -> str:
+    """The part of a name that numbers a run, "" for none: "Run 2: Force (N)" has "Run 2"."""
+    found = _LABEL.search(name)
+    return found[0].rstrip(" :") if found else ""
+
+
+def runs(table: Record, hints: Hints) -> Understood:
+    """What a table is (``understood``), of all runs that stand beside each other in it, or the one that ``hints`` name."""
+    pieces, parts = _labelled(table), True
+    if len(pieces) < 2:
+        pieces, parts = [("", piece) for piece in _clocked(table)], False
+    named = [h for h in (hints.time, hints.observe) if h is not None]
+    pieces = [(name, p) for name, p in pieces if all(_holds(p, h) for h in named)]
+    if not pieces:
+        return understood(table, hints)
+    if parts or len(pieces) == 1:
+        return joined([(name, understood(p, hints)) for name, p in pieces])
+    found, first = [], None
+    for _, piece in pieces:
+        try:
+            found.append(understood(piece, hints))
+        except InputError as error:
+            first = first or error
+    if len(found) > 1:
+        ways = ", or ".join(f'--time "{f.time}" --observe "{next(iter(f.columns.values()))}"' for f in found)
+        raise InputError(table.name, f"{len(found)} clocks have readings that hold a contact", f"say which: {ways}")
+    if not found:
+        raise first or InputError(table.name, "no column is a reading", "give a record with readings")
+    return found[0]
+
+
+def joined(each: Sequence[tuple[str, Understood]]) -> Understood:
+    """Several of the same kind as the parts of one, a record each, by their names."""
+    if len(each) == 1:
+        return each[0][1]
+    return replace(
+        each[0][1],
+        records=[replace(run, name=name) for name, one in each for run in one.records],
+        speeds=tuple(v for _, one in each for v in one.speeds),
+        runs=("beside", len(each)),
+        parts=tuple(Part(name, one.table, one.time, one.columns) for name, one in each),
+    )
+
+
+def _holds(piece: Record, header: str) -> bool:
+    try:
+        return piece.index(header, "") >= 0
+    except InputError:
+        return False
+
+
+def _part(table: Record, keep: Sequence[int]) -> Record:
+    """Some columns of a table, without the rows at the end of a shorter one."""
+    header, columns = tuple(table.header[j] for j in keep), tuple(table.columns[j] for j in keep)
+    marks = tuple(table.decimals[j] for j in keep) if table.decimals else ()
+    return replace(table, header=header, columns=columns, decimals=marks).held(header)
+
+
+def _labelled(table: Record) -> list[tuple[str, Record]]:
+    """The columns of each label, with those that have none, where all labels have the same columns."""
+    labels = [label(h) for h in table.header]
+    groups = {name: [j for j, x in enumerate(labels) if x == name] for name in dict.fromkeys(labels) if name}
+    same = {tuple(_LABEL.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
+    shared = [j for j, x in enumerate(labels) if not x]
+    return [(name, _part(table, [*shared, *group])) for name, group in groups.items()] if len(same) == 1 else []
+
+
+def _clocked(table: Record) -> list[Record]:
+    """The columns behind each of several clocks, where the first column is one and the clocks differ."""
+    days = [is_of_day(next(iter(c[:1].tolist()), "")) for c in table.columns]
+    at = [j for j, h in enumerate(table.header) if h and (days[j] or is_time(h))]
+    blocks = [list(range(a, b)) for a, b in pairwise([*at, len(table.header)]) if b > a + 1]
+    if len(blocks) < 2 or at[0] > 0:
+        return []
+    clocks = []
+    for block in blocks:
+        try:
+            clock = table.numbers(table.header[block[0]], "s", table.name, True)
+        except InputError:
+            return []
+        clocks.append(clock[np.isfinite(clock)])
+    if not all(c.size for c in clocks):
+        return []
+    # A time of day beside one since the start is the same clock; one that begins later is not.
+    first, day = clocks[0], any(days[block[0]] for block in blocks)
+
+    def same(other: np.ndarray) -> bool:
+        late = other[:1] - first[:1] if day or abs(float(other[0] - first[0])) > _EPOCH else 0.0
+        near = 1e-9 + 1e-6 * float(np.ptp(first))
+        return other.size == first.size and np.allclose(other - late, first, rtol=0.0, atol=near)
+
+    return [] if all(map(same, clocks)) else [_part(table, block) for block in blocks]

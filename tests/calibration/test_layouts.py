@@ -1,0 +1,167 @@
+"""Layouts put together by chance from what instruments write: the runs that are read are those that were written."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from bcfj_jax import InputError
+from bcfj_jax.data.columns import wrong_length
+from bcfj_jax.data.textfile import Stated
+from benchmarks.calibration import instruments
+from calibration import init, problemfile
+from calibration.impacts.proposal import Hints
+
+COUNT, STEP = 260, 5e-5
+FORCE = instruments.FORCE[60 : 60 + COUNT]
+RUNS = [FORCE, 0.8 * FORCE, 0.6 * FORCE[: COUNT - 30]]
+NAMED = {
+    "square": "{} [{}]",
+    "round": "{} ({})",
+    "slash": "{} / {}",
+    "in": "{} in {}",
+    "brace": "{} {{{}}}",
+    "row": "{}",
+}
+PREAMBLES = (
+    [], ["Model,MSO46", "Serial Number,C0123"], ["# Prüfer: Müller", "# 25.11.2026"], ["Operator: lab", "Points: 260"],
+    ["File name;drop.dat", "Recording started;25.11.2026 10:00:00", ""],
+)  # fmt: skip
+
+
+def stamps(count):
+    begin = datetime(2026, 11, 25, 23, 59, 59, 995000)
+    return [(begin + timedelta(microseconds=50 * k)).strftime("%Y-%m-%dT%H:%M:%S.%f") for k in range(count)]
+
+
+def written(rng):
+    """A file, and the options that it needs."""
+    style, (unit, scale) = (
+        str(rng.choice(list(NAMED))),
+        [("N", 1.0), ("kN", 1e-3), ("lbf", 1 / 4.4482216)][rng.integers(3)],
+    )
+    by, comma = [(",", False), (";", True), (";", False), ("\t", True), ("\t", False)][rng.integers(5)]
+    clock = str(rng.choice(["s", "ms", "us", "stamps", "rate"]))
+    runs = str(rng.choice(["one", "column", "sweeps", "again", "beside"])) if clock in ("s", "ms", "us") else "one"
+    factor = {"s": 1.0, "ms": 1e3, "us": 1e6}.get(clock, 0.0)
+
+    def cells(force):
+        digits = [f"{factor * STEP * k:.7g}" for k in range(force.size)]
+        times = stamps(force.size) if clock == "stamps" else digits
+        body = [[] if clock == "rate" else times, [f"{scale * f:.9f}" for f in force]]
+        return [
+            [c.replace(".", ",") if comma and clock != "stamps" else c for c in column] for column in body if column
+        ]
+
+    def heads(label=""):
+        units = [u for u in ({"stamps": "", "rate": None}.get(clock, clock), unit) if u is not None]
+        names = [f"{label}{n}" for n in ("Zeit", "Kraft")[-len(units) :]]
+        if style == "row":
+            return [by.join(names), by.join(f"[{u}]" if u else "" for u in units)]
+        return [by.join(NAMED[style].format(n, u) if u else n for n, u in zip(names, units, strict=True))]
+
+    def rows(columns):
+        return [by.join(row) for row in zip(*columns, strict=True)]
+
+    every = RUNS if runs != "one" else RUNS[:1]
+    lines = [*PREAMBLES[rng.integers(len(PREAMBLES))]]
+    lines += [f"Sample rate: {1 / STEP:g} Hz"] if clock == "rate" else []
+    if runs == "beside":
+        tables = [heads(f"Run {k + 1} ") for k in range(len(every))]
+        lines += [by.join(parts) for parts in zip(*tables, strict=True)]
+        columns = [c + [""] * (COUNT - len(c)) for force in every for c in cells(force)]
+        lines += rows(columns)
+    elif runs == "column":
+        head = heads()
+        lines += [by.join(("Versuch", head[0])), *(by + h for h in head[1:])]
+        lines += [by.join((str(k + 1), row)) for k, force in enumerate(every) for row in rows(cells(force))]
+    else:
+        for k, force in enumerate(every):
+            lines += ([""] if k else []) + (heads() if not k or runs == "again" else []) + rows(cells(force))
+    lines += [[], ["", f"Maximum{by}1"], ["*** end of data ***"]][rng.integers(3)] if runs in ("one", "column") else []
+    end, mark = str(rng.choice(["\n", "\r\n", "\r"])), by if rng.integers(4) == 0 and runs != "column" else ""
+    coding = str(rng.choice(["utf-8", "utf-8-sig", "cp1252", "utf-16"]))
+    return end.join(line + (mark if line else "") for line in [*lines, ""]).encode(coding), every, unit, style, runs
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_what_is_read_is_what_was_written(seed, tmp_path):
+    content, every, *how = written(np.random.default_rng([51, seed]))
+    path = tmp_path / "a.txt"
+    path.write_bytes(content)
+    found = init.found_in(path, init.Said())
+    assert len(found.records) == len(every), how
+    for one, force in zip(found.records, every, strict=True):
+        np.testing.assert_allclose(one.readings["N"], force, atol=1e-5 * FORCE.max(), err_msg=str(how))
+        np.testing.assert_allclose(one.clock - one.clock[0], STEP * np.arange(force.size), atol=1e-9, err_msg=str(how))
+    init.run(path, tmp_path / "a.toml", init.Said("", "0.8 kg"), lambda line: None)
+    raw = [r.readings["contact.normal"].raw for r in problemfile.prepared(tmp_path / "a.toml")]
+    assert [len(r) for r in raw] == [len(f) for f in every], how
+
+
+def file(tmp_path, head, *columns):
+    """A file of columns under a head."""
+    rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+TIMES = [f"{1e3 * STEP * k:.3f}" for k in range(COUNT)]
+
+
+def test_a_clock_without_a_unit_is_asked_for_where_seconds_cannot_be(tmp_path):
+    path = file(tmp_path, "time,force", TIMES, FORCE)
+    with pytest.raises(InputError, match=r'"time \[ms\]", 8.* or "time \[us\]"'):
+        init.found_in(path, init.Said())
+    found = init.found_in(path, init.Said(hints=Hints("time [ms]")))
+    assert found.records[0].clock[1] == pytest.approx(STEP)
+
+
+def test_a_reading_is_on_the_clock_before_it_and_two_clocks_are_asked_for(tmp_path):
+    late = [f"{float(t) + 7.0:.3f}" for t in TIMES]
+    slow = [t if k % 2 == 0 and k < 99 else "" for k, t in enumerate(TIMES)]
+    found = init.found_in(file(tmp_path, "ta [ms],temp [degC],tb [ms],F [N]", slow, slow, late, FORCE), init.Said())
+    assert found.time == "tb [ms]" and found.records[0].clock[0] == pytest.approx(7e-3)
+    path = file(tmp_path, "ta [ms],Fa [N],tb [ms],Fb [N]", TIMES, FORCE, late, 2.0 * FORCE)
+    with pytest.raises(InputError, match=r'2 clocks.*--time "ta \[ms\]" --observe "Fa \[N\]"'):
+        init.found_in(path, init.Said())
+    found = init.found_in(path, init.Said(hints=Hints("ta [ms]")))
+    assert found.columns == {"N": "Fa [N]"}
+
+
+def test_a_record_without_a_clock_has_the_rate_that_is_stated(tmp_path):
+    path = file(tmp_path, "Sample,Force (N)", range(COUNT), FORCE)
+    with pytest.raises(InputError, match='--rate "20 kHz"'):
+        init.found_in(path, init.Said())
+    init.run(path, tmp_path, init.Said("", "0.8 kg", stated=Stated(rate="20 kSa/s")), lambda line: None)
+    (one,) = problemfile.prepared(tmp_path / "a.toml")
+    assert np.diff(one.clock) == pytest.approx(STEP)
+    for rate, said in (("fast", "no rate"), ("20 kHz", "has a clock")):
+        path = file(tmp_path, "Force (N),t [ms]" if said != "no rate" else "Force (N),n", FORCE, TIMES)
+        with pytest.raises(InputError, match=said):
+            init.found_in(path, init.Said(stated=Stated(rate=rate)))
+
+
+@pytest.mark.parametrize(
+    ("head", "scale"), [("t_ms,force_lbf", 4.4482216), ("t_ms,load_kg", 9.80665), ("t {ms},Weight(g)", 9.80665e-3)]
+)  # fmt: skip
+def test_a_unit_behind_a_name_is_not_taken_for_newtons(head, scale, tmp_path):
+    found = init.found_in(file(tmp_path, head, TIMES, FORCE / scale), init.Said())
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, rtol=1e-6)
+
+
+def test_the_change_of_speed_of_an_acceleration_is_not_divided_by_the_mass(tmp_path):
+    path = file(tmp_path, "t [ms],a [m/s^2]", TIMES, -FORCE / 0.8)
+    init.run(path, tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda line: None)
+    text = (tmp_path / "a.toml").read_text()
+    assert "CHECK: impulse" not in text and "damping = {" in text
+
+
+@pytest.mark.parametrize(
+    ("size", "said"), [(100, ""), (112, ""), (90, "cut off: it lacks 10 bytes"), (113, "13 bytes more than it states")]
+)
+def test_a_file_of_another_length_than_it_states_is_said(size, said):
+    assert said in wrong_length(size, 100, 112) and bool(said) == bool(wrong_length(size, 100, 112))
