@@ -7,9 +7,9 @@ and with the normal force at rest N:
 
 So a stuck contact gives by T times its creep speed, below 0.1 um, and friction acts up to the law's greatest coefficient. It
 is a penalty with an allowable elastic slip, as in finite elements (Wriggers, Computational Contact Mechanics, 2006, 5.2).
-Where several contacts could share a load in many ways, this is the one of equal slip. Then
+Where several contacts could share a load in many ways, this is the one of equal slip.
 
-a law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
+A law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
 across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are
 (``Ways.level``), and at last one velocity u that does so gives all slips, where depths and u balance every force (``creep``).
 Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest. Rolling and drilling resistance and
@@ -59,8 +59,9 @@ class Ways(NamedTuple):
 TIME, _WITHOUT = 1e-6, 1e3
 # A slip [m/s] beyond every limit.
 _FAR = 1e6
-# Share of the greatest normal force from which a contact keeps its depth; of a move that stays along normals, to the 8th power.
-_BEARS, _LEVEL = 1e-9, 1e-3
+# Share of the greatest normal force from which a contact keeps its depth; of a move along normals what ``level`` leaves is the
+# fourth power of the second; the least mass is so small a share of the greatest.
+_BEARS, _LEFT, _LEAST = 1e-9, 1e-6, 1e-12
 # Steps to the velocities of creep.
 _CREEPS = 16
 
@@ -109,13 +110,13 @@ def _level(closing: list[tuple[Array, Array]], mass: Array) -> Array:
     """``Ways.level`` of normal forces (...,) and how velocities close them (..., n)."""
     if not closing:
         return jnp.eye(mass.size)
-    root = jnp.sqrt(mass)
+    root = jnp.sqrt(jnp.maximum(mass, _LEAST * jnp.max(mass)))
     rows = jnp.concatenate([jnp.reshape(rate, (-1, mass.size)) for _, rate in closing]) / root
     normal = jnp.concatenate([jnp.ravel(force) for force, _ in closing])
     sizes = jnp.sum(rows * rows, 1) * (1.0 + _BEARS * jnp.max(normal) / jnp.where(normal > 0.0, normal, 1.0))
     keeps = (normal > 0.0) & (sizes > 0.0)
     across = rows.T @ (jnp.where(keeps, 1.0 / jnp.where(keeps, sizes, 1.0), 0.0)[:, None] * rows)
-    stays = jnp.linalg.inv(jnp.eye(mass.size) + across / _LEVEL**2)
+    stays = jnp.linalg.inv(jnp.eye(mass.size) + across / _LEFT)
     return jnp.linalg.matrix_power(stays, 4) * root / root[:, None]
 
 
@@ -136,8 +137,8 @@ def added(m: Dynamics, here: Ways, held: Slips, move: Array, p: Params, bound: b
     found: Slips = {}
     new, creeping = (here.along(v / TIME) for v in (move, here.level @ move))
     for c in _contacts(m, bound):
-        read, found[c.name], kind = c.coefficients(p), [], new if c.bristles else creeping
-        for (normal, force), one, more in zip(here.faces[c.name], held[c.name], kind[c.name], strict=True):
+        read, found[c.name], moved = c.coefficients(p), [], new if c.bristles else creeping
+        for (normal, force), one, more in zip(here.faces[c.name], held[c.name], moved[c.name], strict=True):
             slip, turn = (add(x, y) for x, y in zip(one, more, strict=True))
             slip = subtract(slip, scale(dot(normal, slip), normal))
             share = _mobility(c, slip, read, bound)[1]
