@@ -299,6 +299,9 @@ def _error_tables(result: Fit) -> list[tuple[str, list[list[str]]]]:
     names = [name for name in _in_order([REFERENCE, *_shared(result)]) if name in found.names]
     own = [["", "Type A (noise)", "Type B (errors)", "combined", "coverage factor"]]
     for name in names:
+        if name not in found.uncertainties:
+            own.append([name, "held", "", "", ""])
+            continue
         *parts, factor, _ = found.uncertainties[name]
         own.append([name, *(_moved(x, result, name) for x in parts), f"{factor:.2f}"])
     rows = [["error", "up to", "by the record", *names, "uncertainty over that without it"]]

@@ -104,8 +104,9 @@ class _Search:
         # As functions of their own they are traced once, however often asked for.
         self.read, self.forces, self.ways = dict(p), jax.jit(self._forces), jax.jit(self._ways)
         here = jax.eval_shape(self.ways, self.given, p)
-        self.unknown = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), here)
-        self.held = self.unknown.along(jnp.zeros(self.count))
+        # By NumPy: what is made under a trace may not be closed over.
+        self.unknown = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), here)
+        self.held: Slips = jax.tree.map(lambda x: np.zeros(x.shape[:-1]), self.unknown.slips)
         turning = [unit_of(rate) == "rad/s" for _, rate, k in m._free for _ in range(k or 1)]
         self.turning = np.array(turning, bool)
 

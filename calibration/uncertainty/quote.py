@@ -85,7 +85,10 @@ class Uncertainty(NamedTuple):
 
 
 class Quoted(NamedTuple):
-    """What is quoted: names, how far the ends of each interval lie from the estimate, uncertainties, and every error."""
+    """What is quoted: names, how far the ends of each interval lie from the estimate, uncertainties, and every error.
+
+    What is held where it is, as an estimate at its bound, has no uncertainty.
+    """
 
     names: tuple[str, ...]
     ends: np.ndarray
@@ -126,7 +129,7 @@ def quoted(
     columns = zip(
         how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
     )
-    return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns}, known)
+    return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known)
 
 
 class _Around(NamedTuple):
