@@ -242,9 +242,11 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     for k, error in enumerate(errors):
         columns, lean = error.prior
         beside = columns - basis @ (basis.T @ columns)
-        covariance = np.linalg.inv(beside.T @ beside / found.variance + np.eye(columns.shape[1]))
+        _, seen, turn = np.linalg.svd(beside, full_matrices=False)
+        root = turn.T / np.sqrt(1.0 + seen**2 / found.variance)
+        covariance = root @ root.T
         mean, way = covariance @ (beside.T @ rest / found.variance + lean), rows @ (basis.T @ columns)
-        moves = np.abs(way @ mean) + QUANTILE * np.sqrt(np.einsum("qi,ij,qj->q", way, covariance, way))
+        moves = np.abs(way @ mean) + QUANTILE * np.linalg.norm(way @ root, axis=1)
         if np.max(moves / sizes) <= _NAMED:
             continue
         size = error.most

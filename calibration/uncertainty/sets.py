@@ -31,6 +31,8 @@ _HALF = float(np.sqrt(2.0 / np.pi)), float(np.sqrt(1.0 - 2.0 / np.pi))
 # A set with a smaller share of the largest weight is left out.
 _LEAST = 1e-6
 _ROUNDS = 4
+# Of sums of squares the share that is rounding.
+_ROUNDED = 1e-13
 
 
 class Error(NamedTuple):
@@ -257,8 +259,11 @@ def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _
     for k, b in zip(sizes, ends, strict=True):
         turn[b - k : b, b - k : b] = np.linalg.eigh(own[b - k : b, b - k : b])[1]
     cross = cross @ turn
+    own = turn.T @ own @ turn
+    # What a record shows within rounding it does not show.
+    seen = np.diag(own) > _ROUNDED * np.max(np.diag(own), initial=0.0)
     turned = _Sums(
-        turn.T @ own @ turn, turn.T @ push[:count] - cross.T @ amplitude,
+        np.where(np.outer(seen, seen), own, 0.0), np.where(seen, turn.T @ push[:count] - cross.T @ amplitude, 0.0),
         moved - moves[:, count:] @ amplitude, moves[:, :count] @ turn - moves[:, count:] @ inner @ cross / variance,
         turn.T @ lean,
     )  # fmt: skip
