@@ -215,11 +215,13 @@ def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     with np.errstate(divide="ignore"):
         room = how.z[: lowest.size] - np.where(how.log[: lowest.size], np.log(np.maximum(lowest, 0.0)), lowest)
     moves = how.slopes[: lowest.size] @ whole
-    shares = np.array([
-        sign * min(1.0, *(max(far, 0.0) / -move for far, move in zip(room, sign * moves, strict=True) if move < 0.0), 1.0)
+    ends = [
+        sign * min([1.0, *(max(far, 0.0) / -move for far, move in zip(room, sign * moves, strict=True) if move < 0.0)])
         for sign in (-1.0, 1.0)
-    ])  # fmt: skip
-    shares = shares[np.abs(shares) > _NEAR]
+    ]
+    shares = np.array([end for end in ends if abs(end) > _NEAR])
+    if not shares.size:
+        return 1.0
     expected = quantile**2 * at.spread.rise * shares**2
     steps = shares[:, None] * whole
     residuals, jacobians = evaluator(model)(best.point + steps)
