@@ -59,8 +59,8 @@ class Ways(NamedTuple):
 TIME, _WITHOUT = 1e-6, 1e3
 # A slip [m/s] beyond every limit.
 _FAR = 1e6
-# Share of the greatest normal force from which a contact keeps its depth; of a move along normals what ``level`` leaves is the
-# fourth power of the second; the least mass is so small a share of the greatest.
+# A contact keeps its depth from this share of the greatest normal force on. Of a move along a normal ``level`` leaves _LEFT^4. A
+# mass counts as this share of the greatest at least.
 _BEARS, _LEFT, _LEAST = 1e-9, 1e-6, 1e-12
 # Steps to the velocities of creep.
 _CREEPS = 16

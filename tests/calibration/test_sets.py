@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tiers
 
-from calibration.uncertainty import sets
+from calibration.uncertainty import quote, sets
 from calibration.uncertainty.sets import ACTS, QUANTILE, SCALES, Error, Linear, evaluated, mixture
 
 COUNT, COORDINATES = 60, 3
@@ -176,3 +176,12 @@ def test_quantiles_of_means_that_nothing_spreads_are_among_them():
     for q, wanted in ((0.025, 0.0), (0.975, 1e-9)):
         assert sets._quantile(np.array([0.0, 1e-9]), np.zeros(2), weights, q) == pytest.approx(wanted, abs=1e-12)
     assert sets._quantile(np.zeros(3), np.zeros(3), np.full(3, 1 / 3), 0.975) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_an_interval_to_quote_holds_its_estimate():
+    """Errors that lead away from an estimate widen its interval and do not replace it; others replace it."""
+    known = quote.Parameter(0.066, "s/m", (0.05, 0.08), True, "")
+    how = quote.Moving(("damping",), np.log([0.066]), np.eye(1), (True,), np.array([[-np.inf, np.inf]]))
+    for ends, wanted in (((0.139, 0.159), (0.05, 0.159)), ((0.06, 0.07), (0.06, 0.07))):
+        by = quote.Quoted(how.names, np.log(np.array([ends]) / 0.066), {}, [])
+        assert quote.with_errors(known, 0, how, by, False).ci95 == pytest.approx(wanted)
