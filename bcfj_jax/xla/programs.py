@@ -78,6 +78,8 @@ _asked: dict[Any, list[Any]] = {}
 _BY_HAND = 3
 _told: set[str] = set()
 _remembering = threading.Lock()
+# Python traces one program at a time: side by side, each would begin to compile only when all are traced.
+_tracing = threading.RLock()
 # Share of Linux's limit of memory maps that programs may take, and after how many compilations that is looked at again.
 _SHARE, _EVERY = 0.5, 16
 _MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
@@ -243,7 +245,7 @@ def _fetched(wanted: _Wanted) -> Callable[..., Any] | None:
     if found is None:
         return None
     fetched.append(wanted.name)
-    return _compiled(found.call, wanted)
+    return _compiled(_lowered(found.call, wanted), wanted)
 
 
 def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
@@ -251,14 +253,19 @@ def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
     path, begin = _path(wanted), time.perf_counter()
     model = f"{wanted.name} {_kind(wanted)}"
     with stage(f"compiling '{wanted.name}'", hint=_estimate(wanted.name, model)):
-        jitted = jitted or _traced(wanted)[0]
-        made = _compiled((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+        with _tracing:
+            jitted = jitted or _traced(wanted)[0]
+            lowered = _lowered((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+        made = _compiled(lowered, wanted)
     remember(model, time.perf_counter() - begin)
     return made
 
 
-def _compiled(call: Callable[..., Any], wanted: _Wanted) -> Callable[..., Any]:
-    lowered = jax.jit(call).lower(*wanted.shapes)
+def _lowered(call: Callable[..., Any], wanted: _Wanted) -> Any:
+    return jax.jit(call).lower(*wanted.shapes)
+
+
+def _compiled(lowered: Any, wanted: _Wanted) -> Callable[..., Any]:
     try:
         compiled = lowered.compile(compiler_options=dict(wanted.options))
     except jax.errors.JaxRuntimeError as error:
