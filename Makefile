@@ -20,14 +20,13 @@ demo: $(RUNTIME)
 fast: $(TOOLS)
 	$(PYTEST) -m "not full and not slow" --hypothesis-profile fast
 
-# Checks that run no test are made side by side; the installations before them are not. Assertions that show their values
-# cost each worker 7 s; only tests that fail run again with them.
-test: $(TOOLS) $(PAGES)
-	$(MAKE) --no-print-directory -j 2 --output-sync=target types docs lint
+# Types and documents are tests, too (tests/test_types_and_pages.py): a worker makes them while the other one tests.
+# Assertions that show their values cost each worker 7 s; only tests that fail run again with them.
+test: $(TOOLS) $(PAGES) lint
 	$(PYTEST) --assert=plain -m "not slow" --hypothesis-profile fast --durations 25 \
 		|| { $(PYTEST) --last-failed --last-failed-no-failures none -m "not slow" --hypothesis-profile fast; exit 1; }
 
-all-tests: $(TOOLS)
+all-tests: $(TOOLS) $(PAGES)
 	$(PYTEST)
 
 lint: $(TOOLS)

@@ -74,7 +74,7 @@ def pytest_configure(config):
 
 
 # The files that take longest go first, so that no worker is left alone with one at the end.
-LONG = ("test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py")
+LONG = ("test_types_and_pages.py", "test_docs.py", "test_tradeoff.py", "test_extremes.py", "test_memory.py")
 
 
 @pytest.hookimpl(tryfirst=True)

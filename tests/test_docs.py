@@ -177,7 +177,7 @@ def test_a_mechanism_is_short():
     [
         pytest.param(ROOT / "README.md", True, id="README.md"),
         pytest.param(MECHANISMS, False, id="mechanisms.md", marks=pytest.mark.slow),
-        pytest.param(OWN_PARTS, False, id="own_parts.md", marks=pytest.mark.full),
+        pytest.param(OWN_PARTS, False, id="own_parts.md", marks=pytest.mark.slow),
         pytest.param(OWN_PARTS, True, id="own_parts.md, its fit and its study", marks=pytest.mark.slow),
     ],
 )

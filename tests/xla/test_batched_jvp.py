@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from bcfj_jax.xla.batched_jvp import together
 
@@ -59,6 +60,7 @@ def test_batches_of_points_and_of_directions():
     assert np.allclose(outer[0](ways), outer[1](ways), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_directions_outside_a_batch_of_points_come_together():
     points = jnp.stack([A, 2 * A])
     CALLS.clear()

@@ -63,6 +63,7 @@ def few_maps(tmp_path, monkeypatch):
     return taken
 
 
+@pytest.mark.slow
 def test_the_oldest_programs_go_where_maps_become_few(few_maps):
     few_maps.write_text("one\n" * 50)
     made = [programs.program("double", double, (n,), (np.ones(2),))[0] for n in range(4)]
