@@ -267,15 +267,15 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
 def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, kept: bool) -> Parameter:
     """Estimate k with the interval to quote, where it has one.
 
-    That holds the one that it has where ``kept``, and where it would not hold the estimate: then an error seems to act that
-    moves it, or one that no prior knows.
+    That reaches to the estimate where it would not hold it: then an error seems to act that moves it, or one that no prior
+    knows. Where ``kept`` it holds the interval that the estimate has.
     """
     if p.ci95 is None:
         return p
     log, reach = how.log[k], by.reach(how.names[k])
     z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
     own = in_si(z + reach[0], z + reach[1], log, how.limits[k])
-    kept = kept or not own[0] <= p.value <= own[1]
-    ends = (min(own[0], p.ci95[0]), max(own[1], p.ci95[1])) if kept else own
-    headline = KIND if ends == own else p.headline
+    low, high = p.ci95 if kept else (p.value, p.value)
+    ends = (min(own[0], low), max(own[1], high))
+    headline = p.headline if kept and ends != own else KIND
     return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, KIND: own})
