@@ -44,7 +44,8 @@ class Parameter:
         ci95: the headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not
             determine it, or the search failed.
         identifiable: whether the data determine it to better than a factor of two.
-        at_bound: "lower", "upper" or "".
+        at_bound: "lower", "upper" or "": at which of its bounds it is; of one that the quantity has by nature, as 1 of an
+            exponent, "": an interval on one side says it.
         kind: how it was found: "fitted", or "derived" from the reference force and exponent.
         interval_kind: what the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
         intervals: 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
@@ -150,12 +151,14 @@ def estimates(at: Optimum) -> Estimates:
     """Values, intervals, identifiability and bounds of every coordinate, and the tests of the latter three."""
     model, spread, how = at.model, at.spread, moving(at)
     values, ends, parameters, tests = model.values(at.end.point).tolist(), ends_of(at), {}, []
+    least = least_of(model)
     for i, (axis, label, value) in enumerate(zip(model.coordinates, at.labels, values, strict=True)):
         z, half = how.z[i], spread.half_width(how.slopes[i])
         known = bool(half < fit_tests.widest(axis))
         # Of many decades the lowest are no thousandth of the range.
         margin = 1e-3 * (min(axis.upper - axis.lower, value) if axis.decades else axis.upper - axis.lower)
         at_bound = "lower" if z < axis.lower + margin else "upper" if z > axis.upper - margin else ""
+        at_bound = "" if at_bound == "lower" and least[i] > axis.lower - margin else at_bound
         kind = "derived" if model.referenced and i == model.pair()[0] else "fitted"
         unit = _quantity(model, axis).unit
         parameters[label] = Parameter(value, unit, ends[label] if known else None, known, at_bound, kind)
@@ -203,6 +206,13 @@ def _quantity(model: Model, axis: Coordinate) -> Quantity:
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
 
+def least_of(model: Model) -> np.ndarray:
+    """(P,) what each coordinate's quantity is at least, on the coordinate's scale."""
+    lowest = np.array([_quantity(model, axis).low for axis in model.coordinates])
+    with np.errstate(divide="ignore"):
+        return np.where([axis.log for axis in model.coordinates], np.log(np.maximum(lowest, 0.0)), lowest)
+
+
 def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     """Rise of the cost at the ends of an interval, the other parameters following, over the quadratic rise.
 
@@ -211,10 +221,8 @@ def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     assert at.spread.covariance is not None
     quantile, along, model, best = at.spread.quantile_of(slope), at.spread.covariance @ slope, at.model, at.end
     whole = quantile * along / np.sqrt(slope @ along)
-    lowest = np.array([_quantity(model, axis).low for axis in model.coordinates])
-    with np.errstate(divide="ignore"):
-        room = how.z[: lowest.size] - np.where(how.log[: lowest.size], np.log(np.maximum(lowest, 0.0)), lowest)
-    moves = how.slopes[: lowest.size] @ whole
+    least = least_of(model)
+    room, moves = how.z[: least.size] - least, how.slopes[: least.size] @ whole
     ends = [
         sign * min([1.0, *(max(far, 0.0) / -move for far, move in zip(room, sign * moves, strict=True) if move < 0.0)])
         for sign in (-1.0, 1.0)
@@ -225,13 +233,15 @@ def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     expected = quantile**2 * at.spread.rise * shares**2
     steps = shares[:, None] * whole
     residuals, jacobians = evaluator(model)(best.point + steps)
+    base, _ = straightened(model.loss, best.residuals, best.jacobian)
     if at.noise.integrator or budget(model).rough:
         # From slopes, for the integration's own error makes the cost rough: that at the optimum, which is expected, and
         # the end's, of a cost of third order. Of what the predictions change by: the residuals at the optimum are all
         # noise, and times the Jacobian's own error as large as the rise.
-        base, _ = straightened(model.loss, best.residuals, best.jacobian)
         parts = zip(residuals, jacobians, steps, expected, strict=True)
         rises = [(rise + 2.0 * float((r - base) @ (j @ s))) / 3.0 for r, j, s, rise in parts]
+    elif shares.size == 1:  # At a quantity's least the cost has a slope, which is no curvature.
+        rises = [float(np.sum(np.square(residuals[0] - base)))]
     else:
         rises = [float(np.sum(np.square(r))) - best.cost for r in residuals]
     ratios = np.array(rises) / expected

@@ -17,7 +17,7 @@ from calibration.search.descent import Evaluate
 from calibration.search.evaluate import evaluator
 from calibration.search.refinement import trust_region
 from calibration.solver_budget import budget
-from calibration.uncertainty.estimates import moving
+from calibration.uncertainty.estimates import least_of, moving
 
 # A fall of the cost, on the way outwards, by this share of the threshold is a second minimum.
 _DIP = 0.05
@@ -32,13 +32,17 @@ _BETTER = 0.01
 
 
 class Target(NamedTuple):
-    """What a profile holds: a coordinate u of the unit box, whose parameter is lower + width u, or the exponential of that."""
+    """What a profile holds: a coordinate u of the unit box, whose parameter is lower + width u, or the exponential of that.
+
+    ``ends``: whether its quantity ends at the lower bound by nature, as an exponent at 1.
+    """
 
     name: str
     index: int
     lower: float = 0.0
     width: float = 1.0
     log: bool = False
+    ends: bool = False
 
     def physical(self, u: float) -> float:
         """The parameter's value, SI."""
@@ -94,7 +98,7 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
     for name, k, one in every:
         if only is None or name in only:
             lower, width = (x[k] for x in one.box)
-            target = Target(name, k, lower, width, one.coordinates[k].log)
+            target = Target(name, k, lower, width, one.coordinates[k].log, bool(least_of(one)[k] >= lower))
             place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
             asked.append(Asked(target, rise_allowed(at.spread, slopes[name]), evaluator(one), place))
     return {p.name: p for p in profiles(asked, labels=at.labels, at_once=budget(model).apart)}
@@ -178,7 +182,8 @@ def _side(one: Asked, best: _Point, slope: float, scouts: int, sign: float) -> _
     while len(trail) < _MOST_POINTS:
         at = trail[-1]
         if sign * (limit - at.c) <= 0:
-            return _Side(trail, None, "it reaches its bound")
+            closed = one.target.ends and sign < 0
+            return _Side(trail, at.c) if closed else _Side(trail, None, "it reaches its bound")
         c = at.c + sign * step if step < sign * (limit - at.c) else limit
         try:
             found = _relaxed(one, best, c, _ahead(trail, c))

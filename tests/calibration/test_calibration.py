@@ -215,6 +215,23 @@ def test_truth_outside_the_bounds_is_never_identified():
     assert found.parameters["damping"].at_bound == "lower"
 
 
+def test_a_linear_contact_has_an_exponent_of_one_side():
+    """1 is the least that an exponent can be: half of such records have their least squares there."""
+    truth = {"stiffness": 2e6, "exponent": 1.0, "damping": 0.15}
+    force, at_least = record(**truth), 0
+    for seed in range(6):
+        found = fit(problem(experiment(force, seed), **truth), starts=4)
+        assert found.verdict == "identified", found.reasons
+        at_least += found.parameters["exponent"].value < 1.001
+        for name, true in truth.items():
+            low, high = found.parameters[name].ci95
+            # Four sigma, of which an interval of two sides is 2 * 1.96 wide.
+            assert abs(found.parameters[name].value - true) < 4 / 3.92 * (high - low)
+        low, high = found.parameters["exponent"].ci95
+        assert low == pytest.approx(1.0) and high < 1.2
+    assert 0 < at_least < 6
+
+
 def test_experiments_share_a_law_and_have_a_speed_each():
     speeds = {"a": 0.9, "b": 1.2}
     free = (*SHARED, Free("approach_speed", 0.5, 2.0, each=True))

@@ -64,6 +64,16 @@ def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
     np.testing.assert_allclose(slopes, wanted, rtol=1e-6, atol=1e-9)
 
 
+def test_a_quantitys_own_least_is_no_bound(built):
+    """An exponent of 1 has an interval on one side; a mass at a bound that the user gave is at it."""
+    found = estimates.estimates(at(built, np.array([0.4, 0.0, 0.0]), spread(1)))
+    exponent, mass = (found.parameters[name] for name in NAMES[1:])
+    assert exponent.at_bound == "" and exponent.ci95[0] == pytest.approx(1.0) == exponent.value
+    assert mass.at_bound == "lower"
+    passed = {t.name: t.passed for t in found.tests}
+    assert passed["exponent inside its bounds"] and not passed["mass inside its bounds"]
+
+
 def test_intervals_are_about_the_estimates_on_their_scales(built):
     """By a linear propagation of the covariance; the reference force at its penetration, K d^n."""
     point, known = np.array([0.4, 0.6, 0.3]), spread(1)

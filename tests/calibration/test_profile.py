@@ -133,6 +133,9 @@ def test_banana_is_one_sided():
     assert u0.shape == "one-sided" and u0.interval is None
     assert u0.ends[0] is None and u0.notes == ("below u0: it reaches its bound",)
     assert u0.ends[1] == pytest.approx(0.3 + np.sqrt(np.sqrt(THRESHOLD) / 9), abs=1e-5)
+    # A quantity that ends there by nature has an interval up to it.
+    (closed,) = found_by(analytic(curve, slope), [box(1)[0]._replace(ends=True)], best, labels=("u0", "u1"))
+    assert closed.shape == "bounded" and closed.interval == (0.0, u0.ends[1]) and not closed.notes
     # Downwards u0 follows to its bound and stays there, so that 20 (0.42 - u1) = 1.96; upwards along the banana.
     assert u1.shape == "bounded"
     assert u1.ends[0] == pytest.approx(0.42 - NORMAL / 20, abs=1e-5)
