@@ -15,7 +15,7 @@ import numpy as np
 
 from bcfj_jax.core.quantities import CATALOGUE, GRAVITY
 from calibration.diagnostics import signatures
-from calibration.diagnostics.catalogue import QUANTILE, SENSOR, SHAPES, Sensor, step_of
+from calibration.diagnostics.catalogue import ACTS, QUANTILE, SENSOR, SHAPES, Sensor, step_of
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import Scene, part, shared_and_own, weight
@@ -41,7 +41,10 @@ def every(problem: Problem, at: Optimum) -> list[Error]:
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
     # Of a rough cost a motion costs seconds, and it has no linear answer that many waves would leave standing.
     scene = signatures.scene_of(model, at.series, predictions(model, best.point), None if rough else best.point)
-    found = [*of_sensor(scene, taken, known), *of_fixed(model, best, _tolerances(problem, at), stated, at.series)]
+    sensor = of_sensor(scene, taken, known)
+    if model.data.passed:  # The stated filter is the lag that every sensor has; another acts as other errors do.
+        sensor = [e._replace(chance=min(e.chance, ACTS)) for e in sensor]
+    found = [*sensor, *of_fixed(model, best, _tolerances(problem, at), stated, at.series)]
     fixed = free | model.data.fixed.keys()
     if rough or not any(_shows(s) for s in at.series):
         return found
