@@ -430,6 +430,28 @@ def test_what_is_zero_leaves_the_program():
             assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.02), (-0.049, 0.0, 0.019), (0.05, -0.03, 0.02)])
+def test_a_centre_equally_near_to_faces_of_a_box_has_one_of_their_normals(place):
+    """In the middle of the box, on its edge or corner, and inside by as much from two faces; the rate is the normal's."""
+    case = CASES["on-face"]
+    b = lambda x: Frame((x[0], x[1], x[2]), WORLD)  # noqa: E731
+    deep = lambda x: case.gap.faces(Frame((0.0, 0.0, 0.0), WORLD), b(x), numbers(case.sizes))[0]  # noqa: E731
+    face, slope = deep(jnp.asarray(place)), jax.grad(lambda x: deep(x).depth)(jnp.asarray(place))
+    assert sorted(np.abs(face.normal)) == [0.0, 0.0, 1.0]
+    np.testing.assert_array_equal(slope, face.normal)
+
+
+def test_a_cylinder_that_nearly_stands_closes_by_its_rim():
+    """Tilted by 1e-9 about x it bears a radius beside its axis: so its depth changes with the tilt."""
+    c = numbers(CASES["cylinder"].sizes)
+
+    def depths(tilt):
+        axes = ((1.0, 0.0, 0.0), (0.0, jnp.cos(tilt), jnp.sin(tilt)), (0.0, -jnp.sin(tilt), jnp.cos(tilt)))
+        return CASES["cylinder"].gap.faces(Frame(ZERO, WORLD), Frame((0.0, 0.0, 0.03), axes), c)[0].depth
+
+    np.testing.assert_allclose(jax.jacfwd(depths)(jnp.asarray(1e-9)), R, rtol=1e-6)
+
+
 def test_two_spheres_may_be_exchanged():
     """With their radii: the same penetration and the same point in space, the opposite normal, and bristles that turn alike."""
     case = CASES["spheres"]

@@ -107,7 +107,8 @@ class CylinderOnPlane(CapsuleOnPlane):
                 self._points(a, b, c, turned(b.axes, (c["radius"] * np.cos(angle), c["radius"] * np.sin(angle), ends))),
             )
         up, along = turned(a.axes, self.axis), b.axes[2]
-        down = subtract(scale(dot(along, up), along), up)
+        # z (z . e) - e, without its cancellation where the cylinder nearly stands.
+        down = cross(along, cross(along, up))
         return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"] / length(down, ROUND), down))),)
 
     def bends(self, c: Coefficients) -> Bends:
@@ -242,13 +243,13 @@ class SphereOnBox(AbstractGap):
         place = [jnp.asarray(x) for x in seen(a.axes, add(arms, subtract(b.place, a.place)))]
         beyond = [jnp.abs(x) - c[name] for x, name in zip(place, self.needs[1:], strict=True)]
         out = [jnp.maximum(x, 0.0) for x in beyond]
-        distance, least = (
-            length((out[0], out[1], out[2]), ROUND),
-            jnp.maximum(jnp.maximum(beyond[0], beyond[1]), beyond[2]),
-        )
+        distance, (x, y, z) = length((out[0], out[1], out[2]), ROUND), beyond
+        # Of faces that are equally near, the first.
+        near = (x >= y) & (x >= z), (y > x) & (y >= z), (z > x) & (z > y)
+        least = jnp.where(near[0], x, jnp.where(near[1], y, z))
         way = [
-            jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, jnp.where(y == least, 1.0, 0.0))
-            for x, o, y in zip(place, out, beyond, strict=True)
+            jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, one)
+            for x, o, one in zip(place, out, near, strict=True)
         ]
         normal = negative(turned(a.axes, (way[0], way[1], way[2])))
         depth = c["radius"] - jnp.where(least > 0.0, distance, least)
