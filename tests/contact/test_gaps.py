@@ -286,6 +286,13 @@ def test_point_of_contact(key):
         assert np.allclose(np.linalg.norm(point, axis=-1), s["radius"], rtol=1e-14)
         inner = s["radius"] - s["clearance"]
         assert np.allclose(np.linalg.norm(lever, axis=-1), inner - depth, rtol=1e-12)
+    elif case.name == "box_on_box":
+        # Corners of b: as far from them along the normal as half of what they are apart from a.
+        corners = np.array(list(itertools.product((-1, 1), repeat=3))) * [
+            s[f"half_{k}_b"] - 4e-3 for k in ("length", "width", "height")
+        ]
+        arm = lever[0, :8] - corners @ other.T
+        assert np.allclose(arm, 0.5 * (2 * 4e-3 - depth[0, :8, None]) * normal[0, :8], atol=1e-15)
     elif case.name == "sphere_on_sphere":
         # As far inside of either sphere.
         reach = [np.linalg.norm(place + lever - centre, axis=-1) for centre in (start, place)]
@@ -358,7 +365,7 @@ def test_axial_direction_is_not_the_normal(key):
 
 
 @pytest.mark.full
-@every
+@pytest.mark.parametrize("key", [key for key in CASES if key != "boxes"])  # Its members are corners and pairs of edges.
 def test_members_side_by_side(key):
     """A body of members gives each what it has alone, each with a coefficient of its own."""
     case = CASES[key]
