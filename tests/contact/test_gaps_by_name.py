@@ -15,7 +15,7 @@ from bcfj_jax.core.vectors import seen, subtract
 
 
 def test_gaps_by_name():
-    assert len(GAPS) == 16
+    assert len(GAPS) == 17
     for name, kind in GAPS.items():
         gap = make_gap(name)
         assert type(gap) is kind and hash(gap) == hash(make_gap(name)) and gap == make_gap(name)
