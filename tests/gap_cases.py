@@ -20,6 +20,7 @@ GOTHIC = {**BALL, "contact_angle": np.radians(40.0), "conformity": 0.52}
 BOX = {"half_length": 0.05, "half_width": 0.03, "half_height": 0.02}
 CAPSULE = {"radius": R, "half_length": 0.03}
 CAPSULES = {"radius_a": 9e-3, "radius_b": R, "half_length_a": 0.05, "half_length_b": 0.03}
+BOXES = {f"{name}_{k}": (1.5 if k == "a" else 1.0) * x for k in "ab" for name, x in BOX.items()} | {"rounding": 4e-3}
 BLOCK = {"clearance": 1e-3, "half_length": 0.05, "half_width": 0.025}
 
 
@@ -99,6 +100,7 @@ CASES = {
     "on-face": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.02, 0.01, 0.027), 1e-3),
     "on-edge": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.055, 0.01, 0.024), 1e-3),
     "on-corner": Case("sphere_on_box", {}, {**BOX, "radius": R}, (0.054, 0.034, 0.024), 1e-3),
+    "boxes": Case("box_on_box", {}, BOXES, (0.01, 0.02, 0.15), 1e-2),
     "wedge": Case("sphere_on_wedge", {}, {"half_angle": 0.6, "radius": R}, (0.02, -0.02, 0.1), 1e-3),
     "wedge-edge": Case("sphere_on_wedge", {"axis": "-x"}, {"half_angle": 0.6, "radius": R}, (-7e-3, 1e-3, 0.1), 1e-3),
 }

@@ -57,7 +57,7 @@ def _reading(m: Dynamics, c: Contact, now: Instant, p: Params) -> Reading:
     drag = add(*(touch.drag for _, touch in touching))
     normal = minus(*normals) if c.gap.signed else reduce(plus, normals)
     way = touching[0][0].normal if len(touching) == 1 else unit(subtract(drag, force))
-    axial = c.gap.axial(first, second, c.coefficients(p))
+    axial = c.gap.axial_by(first, second, c.coefficients(p), way)
     along = unit(subtract(axial, scale(dot(axial, way), way)))
     across = cross(way, along)
     members = m.side_by_side(c)

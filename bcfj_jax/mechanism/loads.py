@@ -219,12 +219,13 @@ class Bush(_BetweenPoints):
 
     On the second act
 
-        F = -k r - c dr/dt,        T = -k_t a - c_t w,
+        F = -k r - c (dr/dt - w_m x r),        T = -k_t a - c_t w,
 
-    r its point's place from the first's, a the rotation vector from the first's axes to the second's, w the relative spin. Where
-    one of them is three numbers they are along the first body's axes, in which r and dr/dt then are, and the first body is
-    pushed back at the second's point, so that no moment is left over. k_t along three axes is right for turns about one axis at
-    a time, else to the second order of a; a is below half a turn.
+    r its point's place from the first's, w_m the mean of both spins, a the rotation vector from the first's axes to the
+    second's, w the relative spin. Each of k, c, k_t and c_t is one number, or three along the first body's axes. A motion of
+    the whole is not damped, and no momentum is made: the spring's part acts on both bodies at the second's point, and the
+    damper's midway between both. k_t along three axes is right for turns about one axis at a time, else to the second order of
+    a; a is below half a turn.
 
     Attributes:
         between, at: bodies and points in their axes [m].
@@ -246,11 +247,11 @@ class Bush(_BetweenPoints):
         (a, b), arm, rate = self._apart(bodies, p)
         k, c, turning, twisting = self._sizes(p)
         first, second = (bodies.parts[name] for name in self.between)
-        if isinstance(k, tuple) or isinstance(c, tuple):
-            rate = subtract(rate, cross(first.spin, arm))
-            a = add(a, seen(first.axes, arm))
-        pull = add(springs.along(k, first.axes, arm), springs.along(c, first.axes, rate))
+        rate = subtract(rate, cross(scale(0.5, add(first.spin, second.spin)), arm))
+        damper = springs.along(c, first.axes, rate)
+        pull, a = add(springs.along(k, first.axes, arm), damper), add(a, seen(first.axes, arm))
         drag = springs.along(turning, first.axes, subtract(second.spin, first.spin))
+        drag = subtract(drag, scale(0.5, cross(arm, damper)))
         if not sizes.nothing(self.turning_stiffness):
             turn = springs.turn(first.axes, second.axes)
             drag = add(drag, springs.along(twisting, first.axes, turned(first.axes, turn)))

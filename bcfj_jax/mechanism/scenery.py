@@ -214,9 +214,13 @@ def _closed(m: Dynamics, t: Array, y: Array, p: Params) -> Mapping[str, Part]:
 
     def step(_: Any, places: Array) -> Array:
         miss, slope = off(places), jax.jacfwd(off)(places)
-        square = slope @ slope.T
-        square = square + _SINGULAR * (jnp.trace(square) + 1e-300) * jnp.eye(miss.size)
-        return places - slope.T @ jnp.linalg.solve(square, miss)
+        # J' (J J' + s)^-1 = (J' J + s)^-1 J', whichever is smaller: two boxes have 480 rows.
+        wide = miss.size <= count
+        square = slope @ slope.T if wide else slope.T @ slope
+        square = square + _SINGULAR * (jnp.trace(square) + 1e-300) * jnp.eye(len(square))
+        if wide:
+            return places - slope.T @ jnp.linalg.solve(square, miss)
+        return places - jnp.linalg.solve(square, slope.T @ miss)
 
     places = jax.lax.fori_loop(0, _STEPS, step, places)
     return moving(jnp.where(jnp.all(jnp.isfinite(places)), places, y[:count]))

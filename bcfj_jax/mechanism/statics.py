@@ -174,18 +174,18 @@ class _Search:
         move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(here, held, move, p)
 
-    def creep(self, at: _At, p: Params) -> tuple[Array, Array, Array]:
-        """Places at which friction bears as it creeps, its velocities (n,), and what force they leave (n,)."""
+    def creep(self, at: _At, p: Params) -> tuple[_At, Array, Array]:
+        """Places and slips at which friction bears as it creeps, its velocities (n,), and what force they leave (n,)."""
         (places, held), here = at, self.ways(at[0], p)
 
         def there(v: Array) -> Array:
             return self.moved(places, TIME * (v - here.level @ v))
 
-        def forces(v: Array) -> Array:
-            return self.forces(there(v), stuck.given(self.scene, held, here.along(here.level @ v)), p)[0]
+        def slips(v: Array) -> Slips:
+            return stuck.given(self.scene, held, here.along(here.level @ v))
 
-        speeds, left = stuck.creep(forces, self.forces(places, held, p)[2])
-        return there(speeds), here.level @ speeds, left
+        speeds, left = stuck.creep(lambda v: self.forces(there(v), slips(v), p)[0], self.forces(places, held, p)[2])
+        return (there(speeds), slips(speeds)), here.level @ speeds, left
 
 
 class _Moved(NamedTuple):
@@ -251,12 +251,12 @@ def settled(m: Dynamics, p: Params) -> Rest:
     """The state at rest and what is known of it; the velocities that a start gives stay, those of friction's creep are added."""
     search = _Search(m, p)
     found, known, balanced = _found(search)(search.given, search.read)
-    places, speeds = found[0], m.placed_state(p)[found[0].size :]
+    (places, slips), speeds = found, m.placed_state(p)[found[0].size :]
     if search.held:
-        places, creep, left = search.creep(found, search.read)
+        (places, slips), creep, left = search.creep(found, search.read)
         speeds, balanced = speeds + creep, balanced & jnp.all(jnp.abs(left) <= _CREPT * known.sizes)
     moving = jnp.concatenate([jnp.where(balanced, places, jnp.nan), speeds])
-    return Rest(m.recalling(moving, p, stuck.bent(search.scene, found[1])), known, balanced)
+    return Rest(m.recalling(moving, p, stuck.bent(search.scene, slips)), known, balanced)
 
 
 def rest(m: Dynamics, p: Params) -> Rest:

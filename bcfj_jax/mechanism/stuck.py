@@ -12,8 +12,8 @@ Where several contacts could share a load in many ways, this is the one of equal
 A law that creeps has these forces at once, and goes on creeping. What such a law would bear while a contact goes deeper, as
 across a groove, is gone in well under a millisecond: so z is of the part of a move that leaves depths as they are
 (``Ways.level``), and at last one velocity u that does so gives all slips, where depths and u balance every force (``creep``).
-Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest. Rolling and drilling resistance and
-friction in joints act in the same way, by the turn.
+Bristles bear the whole z themselves, f = -N sigma_0 z up to break-away, and are at rest; a creep of other friction passes them by
+as a roll without slip. Rolling and drilling resistance and friction in joints act in the same way, by the turn.
 """
 
 from __future__ import annotations
@@ -184,13 +184,17 @@ def creep(forces: Callable[[Array], Array], mass: Array) -> tuple[Array, Array]:
 
 
 def given(m: Dynamics, held: Slips, creeping: Slips) -> Slips:
-    """Slips of bristles as they are held, of other friction as it creeps."""
-    rests = {c.name for c in m.bundles if c.bristles} | {load.name for load in _dry(m) if load.bristles}
-    return {name: held[name] if name in rests else creeping[name] for name in held}
+    """Slips as they creep; bristles give by the creep from where they are held, and turns alone creep where they are."""
+    found = dict(creeping)
+    for c in _contacts(m, True):
+        if c.bristles:
+            pairs = zip(held[c.name], creeping[c.name], strict=True)
+            found[c.name] = [(add(slip, more), turn) for (slip, _), (more, turn) in pairs]
+    return found | {load.name: held[load.name] + creeping[load.name] for load in _dry(m) if load.bristles}
 
 
 def bent(m: Dynamics, held: Slips) -> dict[str, Any]:
-    """Bristles [m, rad] by contact and face, and by load."""
+    """Bristles [m, rad] of slips by contact and face, and by load."""
     found: dict[str, Any] = {}
     for c in m.bundles:
         if c.bristles:

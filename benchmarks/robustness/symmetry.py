@@ -36,6 +36,7 @@ SIZES = {
     "radius": 0.05, "radius_a": 0.05, "radius_b": 0.04, "half_length": 0.004, "half_width": 0.003, "half_height": 0.002,
     "clearance": 0.01, "ball_radius": 0.008, "pitch_radius": 0.0355, "offset": 0.0045, "contact_angle": 0.7, "conformity": 0.53,
     "cam_radius": 0.03, "throw": 0.005, "half_length_a": 0.03, "half_length_b": 0.02, "half_angle": 0.6,
+    "half_width_a": 0.025, "half_height_a": 0.02, "half_width_b": 0.015, "half_height_b": 0.01, "rounding": 0.004,
 }  # fmt: skip
 SHARED = {
     "stiffness": 1e7, "exponent": 1.5, "damping": 0.05, "restitution": 0.7, "smoothing": 1e-5, "friction_static": 0.3,
@@ -78,9 +79,33 @@ GAPS: dict[str, AbstractGap] = {
     "capsule_on_capsule": gaps.CapsuleOnCapsule(),
     "sphere_on_box": gaps.SphereOnBox(),
     "sphere_on_wedge": gaps.SphereOnWedge(),
+    "box_on_box": gaps.BoxOnBox(),
 }
 # Where each member is in the mirror: corners at the back are at the front.
-FACING = {"slider_in_guide": [1, 0, 3, 2], "box_on_plane": [4, 5, 6, 7, 0, 1, 2, 3]}
+_EDGES = [0, 1, 2, 3, 6, 7, 4, 5, 10, 11, 8, 9]
+FACING = {
+    "slider_in_guide": [1, 0, 3, 2],
+    "box_on_plane": [4, 5, 6, 7, 0, 1, 2, 3],
+    "box_on_box": [
+        4,
+        5,
+        6,
+        7,
+        0,
+        1,
+        2,
+        3,
+        12,
+        13,
+        14,
+        15,
+        8,
+        9,
+        10,
+        11,
+        *(16 + 12 * i + k for i in _EDGES for k in _EDGES),
+    ],
+}
 PLANAR = ("point_on_plane", "sphere_on_sphere", "pin_in_bearing", "pin_in_slot", "slider_in_guide", "from_depth")
 
 
@@ -262,6 +287,11 @@ def apart(name: str, depth: float, turned: np.ndarray, planar: bool, rng: np.ran
     if name == "sphere_on_box":
         half = np.array([SIZES[f"half_{k}"] for k in ("length", "width", "height")])
         return half * np.sign(way) + (SIZES["radius"] - depth) * way
+    if name == "box_on_box":
+        # The lowest corner of b over a's face, a little beside its middle.
+        inner = np.array([SIZES[f"half_{k}_b"] for k in ("length", "width", "height")]) - SIZES["rounding"]
+        low = -np.sign(turned[1]) * inner
+        return np.array([0.004, SIZES["half_width_a"] + SIZES["rounding"] - depth, -0.003]) - turned @ low
     if name == "sphere_on_wedge":
         out, aside = np.sin(SIZES["half_angle"]), np.cos(SIZES["half_angle"])
         along, normal = np.array([out, -aside, 0.0]), np.array([aside, out, 0.0])

@@ -1,4 +1,4 @@
-"""The sixteen gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
+"""The gaps: first body blue, second body orange, p from marker to marker, n the way in which b moves into a."""
 
 from __future__ import annotations
 
@@ -303,7 +303,7 @@ def edges() -> None:
 
 
 def draw() -> None:
-    """All sixteen; those with edges in one."""
+    """All but two boxes; those with edges in one."""
     for one in (
         point_on_plane, sphere_on_plane, box_on_plane, sphere_on_sphere, sphere_in_socket, pin_in_bearing, pin_in_slot,
         slider_in_guide, two_sided_stop, ball_in_groove, ball_between_planes, edges,

@@ -286,6 +286,13 @@ def test_point_of_contact(key):
         assert np.allclose(np.linalg.norm(point, axis=-1), s["radius"], rtol=1e-14)
         inner = s["radius"] - s["clearance"]
         assert np.allclose(np.linalg.norm(lever, axis=-1), inner - depth, rtol=1e-12)
+    elif case.name == "box_on_box":
+        # Corners of b: as far from them along the normal as half of what they are apart from a.
+        corners = np.array(list(itertools.product((-1, 1), repeat=3))) * [
+            s[f"half_{k}_b"] - 4e-3 for k in ("length", "width", "height")
+        ]
+        arm = lever[0, :8] - corners @ other.T
+        assert np.allclose(arm, 0.5 * (2 * 4e-3 - depth[0, :8, None]) * normal[0, :8], atol=1e-15)
     elif case.name == "sphere_on_sphere":
         # As far inside of either sphere.
         reach = [np.linalg.norm(place + lever - centre, axis=-1) for centre in (start, place)]
@@ -358,7 +365,7 @@ def test_axial_direction_is_not_the_normal(key):
 
 
 @pytest.mark.full
-@every
+@pytest.mark.parametrize("key", [key for key in CASES if key != "boxes"])  # Its members are corners and pairs of edges.
 def test_members_side_by_side(key):
     """A body of members gives each what it has alone, each with a coefficient of its own."""
     case = CASES[key]
@@ -428,6 +435,28 @@ def test_what_is_zero_leaves_the_program():
         for face in CASES[key].gap.faces(a, b, numbers(CASES[key].sizes)):
             assert isinstance(face.normal[2], float) and face.normal[2] == 0.0, key
             assert isinstance(face.lever[2], float) and face.lever[2] == 0.0, key
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.02), (-0.049, 0.0, 0.019), (0.05, -0.03, 0.02)])
+def test_a_centre_equally_near_to_faces_of_a_box_has_one_of_their_normals(place):
+    """In the middle of the box, on its edge or corner, and inside by as much from two faces; the rate is the normal's."""
+    case = CASES["on-face"]
+    b = lambda x: Frame((x[0], x[1], x[2]), WORLD)  # noqa: E731
+    deep = lambda x: case.gap.faces(Frame((0.0, 0.0, 0.0), WORLD), b(x), numbers(case.sizes))[0]  # noqa: E731
+    face, slope = deep(jnp.asarray(place)), jax.grad(lambda x: deep(x).depth)(jnp.asarray(place))
+    assert sorted(np.abs(face.normal)) == [0.0, 0.0, 1.0]
+    np.testing.assert_array_equal(slope, face.normal)
+
+
+def test_a_cylinder_that_nearly_stands_closes_by_its_rim():
+    """Tilted by 1e-9 about x it bears a radius beside its axis: so its depth changes with the tilt."""
+    c = numbers(CASES["cylinder"].sizes)
+
+    def depths(tilt):
+        axes = ((1.0, 0.0, 0.0), (0.0, jnp.cos(tilt), jnp.sin(tilt)), (0.0, -jnp.sin(tilt), jnp.cos(tilt)))
+        return CASES["cylinder"].gap.faces(Frame(ZERO, WORLD), Frame((0.0, 0.0, 0.03), axes), c)[0].depth
+
+    np.testing.assert_allclose(jax.jacfwd(depths)(jnp.asarray(1e-9)), R, rtol=1e-6)
 
 
 def test_two_spheres_may_be_exchanged():

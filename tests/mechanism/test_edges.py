@@ -339,3 +339,71 @@ def test_both_ends_of_a_capsule_bear_on_a_body_with_and_without_axes(joint):
     state = made.initial_state(params).at[1].set(0.019)
     pushed = np.asarray(made.vector_field(jnp.zeros(()), state, params))
     assert pushed.max() == pytest.approx(2.0 * 1e6 * 1e-3**1.5 / 2.0, rel=1e-9)
+
+
+LARGE, SMALL = (0.08, 0.07, 0.02), (0.05, 0.03, 0.01)
+
+
+def boxes(start, ours=SMALL, theirs=LARGE, swapped=False):
+    """A free box on one that is the ground's; ``swapped``: the ground's is the second."""
+    body = Body("b", "free", mass=M, inertia=(2e-3, 3e-3, 4e-3), start=start)
+    between, halves = (("b", GROUND), (ours, theirs)) if swapped else ((GROUND, "b"), (theirs, ours))
+    made = Mechanism(
+        "boxes", [body], [Contact("c", between, gaps.BoxOnBox(), "kelvin_voigt", "coulomb")], [Gravity("-z")]
+    )
+    sides = ("half_length", "half_width", "half_height")
+    given = {
+        f"{side}_{k}": x for k, half in zip("ab", halves, strict=True) for side, x in zip(sides, half, strict=True)
+    }
+    given |= {key: x for key, x in NUMBERS.items() if key in made.quantities}
+    return made, made.parameters({**given, "rounding": 2e-3, "stiffness": 1e6})
+
+
+def borne(made, p, y=None):
+    y = made.initial_state(p) if y is None else y
+    return y, made.observe(jnp.zeros(()), y, p)["c"]
+
+
+@pytest.mark.parametrize("swapped", [False, tiers.slow(True)])
+def test_a_small_box_stands_on_four_corners(swapped):
+    """m g/4 each at the depth m g/(4 K), whichever box is the first; by its height -K each, by the other's half height K."""
+    sunk = M * G / (4.0 * 1e6)
+    made, p = boxes({"x": 0.01, "y": -0.02, "z": LARGE[2] + SMALL[2] - sunk}, swapped=swapped)
+    y, read = borne(made, p)
+    force = read.force[:, 0]
+    corners = np.flatnonzero(force)
+    assert corners.tolist() == ([8, 10, 12, 14] if swapped else [0, 2, 4, 6])
+    np.testing.assert_allclose(force[corners], M * G / 4.0, rtol=1e-9)
+    assert np.abs(made.vector_field(jnp.zeros(()), y, p)).max() < 1e-8
+    for key, way in (("b.z", -1.0), (f"half_height_{'b' if swapped else 'a'}", 1.0), ("rounding", 0.0)):
+        slope = jax.jacfwd(lambda x, k=key: borne(made, {**p, k: x})[1].force[:, 0])(jnp.asarray(p[key]))
+        np.testing.assert_allclose(slope[corners], 1e6 * way, rtol=1e-9, atol=1e-3)
+
+
+@pytest.mark.parametrize("turn", [1.0, np.pi / 2, np.pi])
+def test_boxes_that_cross_bear_on_their_edges(turn):
+    """Narrow boxes across each other, turned about z: on the crossings of their edges; flush on corners and edges besides."""
+    sunk, long = 1e-5, (0.08, 0.02, 0.02)
+    start = {"q0": np.cos(turn / 2), "q3": np.sin(turn / 2), "z": 0.04 - sunk}
+    force = borne(*boxes(start, long, long))[1].force[:, 0]
+    places = {1.0: 4, np.pi / 2: 4, np.pi: 12}[turn]
+    assert np.sum(force > 0.0) == places
+    np.testing.assert_allclose(force[force > 0.0], 1e6 * sunk, rtol=1e-5)
+    assert np.all((np.flatnonzero(force) >= 16) | (turn == np.pi))
+
+
+def test_a_box_leans_on_an_edge_and_a_rounding_too_large_is_refused():
+    """A box that is tilted across the edge of another touches where its own edges cross that: twice, along its face's normal."""
+    tilt, deep = 0.4, 1e-5
+    # Its lower face holds the edge of the base along y: rounded edges are 2 e apart along the face's normal.
+    edge = np.array([LARGE[0] - 2e-3, 0.0, LARGE[2] - 2e-3])
+    normal = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    middle = edge + (4e-3 - deep + SMALL[2] - 2e-3) * normal + 5e-3 * np.array([np.cos(tilt), 0.0, -np.sin(tilt)])
+    start = {"x": middle[0], "z": middle[2], "q0": np.cos(tilt / 2), "q2": np.sin(tilt / 2)}
+    made, p = boxes(start)
+    _, read = borne(made, p)
+    pressed = np.flatnonzero(read.force[:, 0])
+    assert len(pressed) == 2 and pressed.min() >= 16
+    np.testing.assert_allclose(read.world[pressed], np.tile(1e6 * deep * normal, (2, 1)), rtol=1e-6, atol=1e-6)
+    with pytest.raises(InputError, match=r"rounding 0.006 m is more than half of a half length of 0.01 m"):
+        made.check({**p, "rounding": jnp.asarray(6e-3)})

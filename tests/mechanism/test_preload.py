@@ -239,6 +239,37 @@ def test_bushes_by_axes():
     np.testing.assert_allclose(spun + np.cross([0.02, 0.03, -0.01], rate[6:9]), 0.0, atol=1e-12)
 
 
+def test_a_bush_damps_no_motion_of_the_whole_and_makes_no_momentum():
+    """Both bodies turn as one about the origin, far apart from where they are held: only the spring acts. Else momenta balance,
+    one number is three equal ones, and either body may be the first.
+    """
+    rng = np.random.default_rng(5)
+    places, attitudes = rng.normal(size=(2, 3)), rng.normal(size=(2, 4))
+    points = [tuple(x) for x in rng.normal(size=(2, 3)).tolist()]
+    bodies = [Body(name, "free", mass=1.0, inertia=1.0) for name in ("first", "second")]
+    spin = rng.normal(size=3)
+    rigid = np.concatenate([[*np.cross(spin, place), *spin] for place in places])
+
+    def pushed(rates, damping, three=False, swapped=False):
+        """Forces and torques about the centres, (2, 6); masses and inertias are 1."""
+        several = (lambda x: (x, x, x)) if three else float
+        way = slice(None, None, -1) if swapped else slice(None)
+        sizes = several(1e3), several(damping), several(damping), tuple(points[way]), several(7.0)
+        bush = Bush("bush", ("first", "second")[way], *sizes)
+        scene = Mechanism("bush", bodies, loads=[bush])
+        y = np.concatenate([*np.hstack([places, attitudes]), rates])
+        return np.asarray(scene.vector_field(jnp.zeros(()), y, scene.parameters()))[14:].reshape(2, 6)
+
+    np.testing.assert_allclose(pushed(rigid, 50.0), pushed(rigid, 0.0), rtol=1e-12, atol=1e-10)
+    rates = rng.normal(size=12)
+    one = pushed(rates, 50.0)
+    moments = one[:, 3:] + np.cross(places, one[:, :3])
+    assert np.abs(one).max() > 100.0
+    np.testing.assert_allclose([one[:, :3].sum(0), moments.sum(0)], 0.0, atol=1e-10)
+    for other in ({"three": True}, {"swapped": True}):
+        np.testing.assert_allclose(pushed(rates, 50.0, **other), one, rtol=1e-11, atol=1e-10)
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.9])
 def test_the_turn_between_axes_is_rodrigues(angle):
     world = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -57,6 +57,28 @@ def test_torques_and_powers(names):
     assert np.abs(scene.vector_field(t, still, p)).max() < 1e-9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", ["lugre", "coulomb"])
+def test_a_ball_at_rest_on_a_slope_creeps_as_its_resistance_does(friction):
+    """m g R sin a = N r w/sqrt(w^2 + s^2): it begins to roll at that w, bristles without slip, and nothing accelerates."""
+    tilt, lever = 0.1, 0.2 * R
+    up = (np.sin(tilt), 0.0, np.cos(tilt))
+    start = {key: R * x for key, x in zip("xz", (up[0], up[2]), strict=True)}
+    body = Body("ball", "free", mass=M, inertia=INERTIA, start=start)
+    floor = Contact("floor", (GROUND, "ball"), gaps.SphereOnPlane(up), friction=friction, rolling=True)
+    made = Mechanism("slope", [body], [floor], [Gravity("-z")], start="static")
+    given = {**NUMBERS, "rolling_length": lever, "bristle_stiffness": 1e5, "bristle_damping": 100.0}
+    p = made.parameters({key: x for key, x in given.items() if key in made.quantities})
+    y = made.initial_state(p)
+    used = R * np.tan(tilt) / lever
+    spin = S * used / np.sqrt(1.0 - used**2)
+    np.testing.assert_allclose(y[10:13], [0.0, spin, 0.0], rtol=1e-6, atol=1e-12)
+    slip = 1e-3 * np.tan(tilt) / np.sqrt(0.4**2 - np.tan(tilt) ** 2) if friction == "coulomb" else 0.0
+    down = (R * spin + slip) * np.array([up[2], 0.0, -up[0]])
+    np.testing.assert_allclose(y[7:10], down, rtol=2e-4, atol=1e-10)
+    assert np.abs(made.vector_field(jnp.zeros(()), y, p)[7:13]).max() < 1e-5 * G / R
+
+
 @pytest.mark.full
 def test_a_ball_rolls_out():
     """It rolls on with dv/dt = -N r R/(I + m R^2), that is -(5/7) g r/R, while friction keeps it from slipping."""

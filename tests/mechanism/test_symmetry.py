@@ -211,6 +211,8 @@ def touches(name, p, a, b):
         out = local - np.clip(local, -half, half)
         n = -a @ out / np.linalg.norm(out)
         return [(n, s["radius"] * n)]
+    if name == "box_on_box":
+        return list(_boxes(p, a, b))
     if name == "sphere_on_wedge":
         n = -a @ [np.sign(local[0]) * np.cos(s["half_angle"]), np.sin(s["half_angle"]), 0.0]
         return [(n, s["radius"] * n)]
@@ -232,6 +234,35 @@ def touches(name, p, a, b):
     section = section / np.linalg.norm(section)
     n = a @ (section[0] * np.array([0.0, 1.0, 0.0]) + section[1] * radial)
     return [(n, s["ball_radius"] * n)]
+
+
+def _boxes(p, a, b):
+    """Of every corner and pair of edges: nearest points by clipping, or of two segments the nearest of all that may be."""
+    inner = [
+        np.array([SIZES[f"half_{x}_{k}"] for x in ("length", "width", "height")]) - SIZES["rounding"] for k in "ab"
+    ]
+    signs = np.array(list(itertools.product((-1, 1), repeat=3)))
+    pairs = [(a @ np.clip(a.T @ (p + x), -inner[0], inner[0]), p + x) for x in signs * inner[1] @ b.T]
+    pairs += [(x, p + b @ np.clip(b.T @ (x - p), -inner[1], inner[1])) for x in signs * inner[0] @ a.T]
+
+    def edges(axes, half, place):
+        for i in range(3):
+            for k in itertools.product((1, -1), repeat=2):
+                yield place + axes @ (half * np.insert(k, i, 0)), (half[i] - SIZES["rounding"]) * axes[:, i]
+
+    for here, one in edges(a, inner[0], 0.0):
+        for there, other in edges(b, inner[1], p):
+            on = lambda x, middle, way: np.clip((x - middle) @ way / (way @ way), -1, 1)  # noqa: E731
+            both = [(on(there + t * other, here, one), t) for t in (-1, 1)] + [
+                (s, on(here + s * one, there, other)) for s in (-1, 1)
+            ]
+            s, t = np.linalg.lstsq(np.stack([one, -other], 1), there - here, rcond=None)[0]
+            both += [(s, t)] if max(abs(s), abs(t)) <= 1 else []
+            pairs.append(
+                min(((here + s * one, there + t * other) for s, t in both), key=lambda x: np.linalg.norm(x[1] - x[0]))
+            )
+    for ours, theirs in pairs:
+        yield (ours - theirs) / np.linalg.norm(ours - theirs), 0.5 * (ours + theirs) - p
 
 
 @EVERY

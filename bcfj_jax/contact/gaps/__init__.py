@@ -18,6 +18,7 @@ from bcfj_jax.contact.gaps.base import Frame as Frame
 from bcfj_jax.contact.gaps.base import FromDepth as FromDepth
 from bcfj_jax.contact.gaps.base import Look as Look
 from bcfj_jax.contact.gaps.base import from_depth as from_depth
+from bcfj_jax.contact.gaps.boxes import BoxOnBox as BoxOnBox
 from bcfj_jax.contact.gaps.edges import CapsuleOnCapsule as CapsuleOnCapsule
 from bcfj_jax.contact.gaps.edges import CapsuleOnPlane as CapsuleOnPlane
 from bcfj_jax.contact.gaps.edges import CylinderOnPlane as CylinderOnPlane
@@ -52,6 +53,7 @@ GAPS: dict[str, type[AbstractGap] | AbstractGap] = {
     "capsule_on_capsule": CapsuleOnCapsule,
     "sphere_on_box": SphereOnBox,
     "sphere_on_wedge": SphereOnWedge,
+    "box_on_box": BoxOnBox,
 }
 
 

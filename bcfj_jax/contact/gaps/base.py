@@ -172,9 +172,17 @@ class Ground(bj.gaps.AbstractGap):
         """
         return a.axes[2]
 
+    def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
+        """``axial`` where the normal is known: what would have to find it again has it from here."""
+        return self.axial(a, b, c)
+
     def misread(self, c: Mapping[str, float], deepest: float) -> str:
         """What the greatest penetration of a run [m] says against how the gap was written; "" for nothing. On the host."""
         return ""
+
+    def impossible(self, c: Mapping[str, float]) -> tuple[str, str] | None:
+        """What is wrong with sizes that do not fit each other, and a remedy; None for nothing. On the host."""
+        return None
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         """What it looks like; nothing by default. ``c`` holds numbers. On the host."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -25,10 +25,28 @@ from bcfj_jax.contact.gaps.guides import across_z, travel
 from bcfj_jax.contact.gaps.spheres import PointOnPlane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, length, negative, scale, seen, subtract, turned
+from bcfj_jax.core.vectors import (
+    ZERO,
+    Axes,
+    Number,
+    Vector,
+    add,
+    cross,
+    dot,
+    length,
+    negative,
+    scale,
+    seen,
+    subtract,
+    turned,
+)
 
 # Angle below which two capsules count as parallel [rad], squared.
 _PARALLEL = 1e-10
+
+
+# Middle from a body's marker and direction, world, and half length [m].
+Segment = tuple[Vector, Vector, Number]
 
 
 class CapsuleOnPlane(PointOnPlane):
@@ -107,7 +125,8 @@ class CylinderOnPlane(CapsuleOnPlane):
                 self._points(a, b, c, turned(b.axes, (c["radius"] * np.cos(angle), c["radius"] * np.sin(angle), ends))),
             )
         up, along = turned(a.axes, self.axis), b.axes[2]
-        down = subtract(scale(dot(along, up), along), up)
+        # z (z . e) - e, without its cancellation where the cylinder nearly stands.
+        down = cross(along, cross(along, up))
         return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"] / length(down, ROUND), down))),)
 
     def bends(self, c: Coefficients) -> Bends:
@@ -156,11 +175,11 @@ class CapsuleOnCapsule(AbstractGap):
     def members(self) -> int:
         return max(len(self.edges_a), 1) * max(len(self.edges_b), 1) if self.edges_a or self.edges_b else 0
 
-    def _segments(self, a: Frame, b: Frame, c: Coefficients) -> list[tuple[Vector, Vector, Number]]:
-        """Of both bodies the middles from the markers and the directions, world, and half lengths [m]; side by side."""
+    def _segments(self, a: Frame, b: Frame, c: Coefficients) -> list[Segment]:
+        """Those of both bodies, every one of a with every one of b, side by side."""
         ours, theirs = np.reshape(self.edges_a, (-1, 6)), np.reshape(self.edges_b, (-1, 6))
         ours, theirs = np.repeat(ours, max(len(theirs), 1), 0), np.tile(theirs, (max(len(ours), 1), 1))
-        found: list[tuple[Vector, Vector, Number]] = []
+        found: list[Segment] = []
         for k, frame, edges in (("a", a, ours), ("b", b, theirs)):
             if not len(edges):
                 found.append((ZERO, frame.axes[2], c[f"half_length_{k}"]))
@@ -171,19 +190,17 @@ class CapsuleOnCapsule(AbstractGap):
         return found
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        (here, first, ours), (there, second, theirs) = self._segments(a, b, c)
-        apart = subtract(add(there, subtract(b.place, a.place)), here)
-        dots = dot(first, second), dot(first, apart), dot(second, apart)
-        s, t, beside = _nearest(dots, cross(first, second), ours, theirs)
-        arm = scale(t, second)
-        way = subtract(add(apart, arm), scale(s, first))
-        distance = jnp.sqrt(dot(way, way) + beside + ROUND**2)
-        normal = scale(-1.0 / length(way, ROUND), way)
+        first, second = self._segments(a, b, c)
+        distance, normal, arm = between(first, second, subtract(b.place, a.place))
         middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
-        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(there, arm, scale(middle, normal))),)
+        return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        return _lying(a, self.faces(a, b, c)[0].normal) if self.members else a.axes[2]
+        return self.axial_by(a, b, c, self.faces(a, b, c)[0].normal if self.members else ZERO)
+
+    def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
+        """``axial``."""
+        return lying(a, normal) if self.members else a.axes[2]
 
     def carried(self, a: Vector, b: Vector) -> Vector:
         return scale(0.5, add(a, b))
@@ -239,23 +256,16 @@ class SphereOnBox(AbstractGap):
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         arms = self._arms(b)
-        place = [jnp.asarray(x) for x in seen(a.axes, add(arms, subtract(b.place, a.place)))]
-        beyond = [jnp.abs(x) - c[name] for x, name in zip(place, self.needs[1:], strict=True)]
-        out = [jnp.maximum(x, 0.0) for x in beyond]
-        distance, least = (
-            length((out[0], out[1], out[2]), ROUND),
-            jnp.maximum(jnp.maximum(beyond[0], beyond[1]), beyond[2]),
-        )
-        way = [
-            jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, jnp.where(y == least, 1.0, 0.0))
-            for x, o, y in zip(place, out, beyond, strict=True)
-        ]
-        normal = negative(turned(a.axes, (way[0], way[1], way[2])))
-        depth = c["radius"] - jnp.where(least > 0.0, distance, least)
-        return (Face(depth, normal, add(arms, scale(c["radius"], normal))),)
+        half = [c[name] for name in self.needs[1:]]
+        distance, out = beside_box(a.axes, half, add(arms, subtract(b.place, a.place)))
+        return (Face(c["radius"] - distance, negative(out), subtract(arms, scale(c["radius"], out))),)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        return _lying(a, self.faces(a, b, c)[0].normal)
+        return lying(a, self.faces(a, b, c)[0].normal)
+
+    def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
+        """``axial``."""
+        return lying(a, normal)
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(c["radius"], arm=float(np.max(np.linalg.norm(self.points, axis=1))) if self.points else 0.0)
@@ -307,7 +317,34 @@ class SphereOnWedge(AbstractGap):
         return (shapes.wall(lines, outward, half),), (shapes.ball(c["radius"]),)
 
 
-def _lying(a: Frame, normal: Vector) -> Vector:
+def beside_box(axes: Axes, half: Sequence[Number], place: Vector) -> tuple[Number, Vector]:
+    """Distance of places from a box of half lengths along axes about its middle [m], less than 0 inside; and the way out."""
+    local = [jnp.asarray(x) for x in seen(axes, place)]
+    beyond = [jnp.abs(x) - h for x, h in zip(local, half, strict=True)]
+    out = [jnp.maximum(x, 0.0) for x in beyond]
+    distance, (x, y, z) = length((out[0], out[1], out[2]), ROUND), beyond
+    # Of faces that are equally near, the first.
+    near = (x >= y) & (x >= z), (y > x) & (y >= z), (z > x) & (z > y)
+    least = jnp.where(near[0], x, jnp.where(near[1], y, z))
+    way = [
+        jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, one)
+        for x, o, one in zip(local, out, near, strict=True)
+    ]
+    return jnp.where(least > 0.0, distance, least), turned(axes, (way[0], way[1], way[2]))
+
+
+def between(first: Segment, second: Segment, apart: Vector) -> tuple[Number, Vector, Vector]:
+    """|r| [m] of ``CapsuleOnCapsule``, n, and the nearest point of the second from its marker, which is ``apart`` from a's."""
+    (here, one, ours), (there, other, theirs) = first, second
+    apart = subtract(add(there, apart), here)
+    dots = dot(one, other), dot(one, apart), dot(other, apart)
+    s, t, beside = _nearest(dots, cross(one, other), ours, theirs)
+    arm = scale(t, other)
+    way = subtract(add(apart, arm), scale(s, one))
+    return jnp.sqrt(dot(way, way) + beside + ROUND**2), scale(-1.0 / length(way, ROUND), way), add(there, arm)
+
+
+def lying(a: Frame, normal: Vector) -> Vector:
     """a's z axis, or its x axis where the normal is nearer than 45 degrees to z."""
     steep = jnp.square(dot(a.axes[2], normal)) > 0.5
     return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
