@@ -46,7 +46,7 @@ class BoxOnBox(AbstractGap):
             f"{side}_{k}", "m", f"half of the {side[5:]} of the {which} body's box", 0.0, np.inf, True
         )
         for k, which in (("a", "first"), ("b", "second"))
-        for side in ("half_length", "half_width", "half_height")
+        for side in _SIDES
     } | {"rounding": Quantity("rounding", "m", "radius of the corners and edges of both boxes", 0.0, np.inf, True)}
 
     @property
