@@ -17,13 +17,14 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, counted
 from bcfj_jax.data import preamble
-from bcfj_jax.data.clock import is_of_day
+from bcfj_jax.data.clock import TIMES, is_of_day, is_time
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.io.units import column, known
 
 # Rows that are looked at to find the columns of numbers.
 _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
+_AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
@@ -99,12 +100,16 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     left = left or tail
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
-    titles = _titles(names, wide)
+    about = [r for r in rows if r.line < data[0].line and r.line not in top]
+    told, said = preamble.described(about, wide) if header is None else ([], [])
+    titles = told if told and not any(column(t)[1] for t in _titles(names, wide)) else _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
+    units = units or ([Row(data[0].line, said)] if said else [])
     marks = [
         _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
     ]
+    marks = ["" if m.lower() in _AGAIN and not known(m) else m for m in marks]
     marks += [""] * (len(titles) - len(marks))
     titles = [f"{t} [{m}]" if m and column(t)[1] is None else t for t, m in zip(titles, marks, strict=False)]
     # Rows that do not fit are faults already; their cells would be named a second time.
@@ -112,7 +117,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
     fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
     columns = [[r.cells[0] for r in fitted]] if kept else []
-    named = preamble.titled([titles[j] for j in kept], facts, columns, bool(names))
+    named = preamble.in_words([titles[j] for j in kept], about)
+    named = preamble.titled(named, facts, columns, bool(names))
+    if not any(map(is_time, named)):
+        named = [t or f"column {j + 1}" for j, t in zip(kept, named, strict=True)]
     lines_named, lines_united = (tuple(r.line for r in some) for some in (names, units))
     comments = sum(r.comment and r not in names for r in rows)
     return Layout(
@@ -224,7 +232,8 @@ def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
 def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
-    return bool(given) and len(given) >= min(2, columns, len(cells)) and not any(_holds(c) for c in given)
+    beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
+    return bool(given) and len(given) >= min(1 if beside else 2, columns, len(cells)) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -234,12 +243,21 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     def text(j: int) -> bool:
         return j >= 0 and _is_text(rows[j].cells, len(numeric))
 
+    def summed(j: int) -> bool:
+        return len(rows[j].cells) == wide and _WORD.fullmatch(str(rows[j].cells[0])) is not None and not text(j)
+
+    over = next((j for j in range(k, -1, -1) if not summed(j)), -1)
+    sums = over < k and text(over) and any(is_time(str(c)) for c in rows[over].cells)
+    k = over if sums else k
     # A first row of data with a fault looks like no data; names stand above it all the same.
     while k >= 0 and not (text(k) or preamble.states(rows[k].cells)):
         k -= 1
+    listed = next((j for j in range(k, 0, -1) if text(j) and preamble.before_names(_alone(rows[j - 1].cells))), -1)
+    if k >= 0 and preamble.states(rows[k].cells) and len(rows[listed].cells) >= len(numeric) and listed > 0:
+        return [rows[listed]], [], begin, listed
     if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
-    first, united = k + 1, []
+    first, united = begin if sums else k + 1, []
     over = rows[k - 1] if text(k - 1) and not preamble.states(rows[k - 1].cells) else None
     if over is None and k and _is_units(rows[k].cells, most=True) and _names_numbers(rows[k - 1].cells, rows[k].cells):
         over = rows[k - 1]
@@ -256,6 +274,11 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         named = [above, rows[k]]
         k -= 1
     return named, united, first, k
+
+
+def _alone(cells: Sequence[Any]) -> Any:
+    given = _given(cells)
+    return given[0] if len(given) == 1 else ""
 
 
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
@@ -276,6 +299,8 @@ def _names_numbers(cells: Sequence[Any], units: Sequence[Any]) -> bool:
 def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
     """Whether all texts of a row are units, or ``most`` of them."""
     texts = [_bare(c) for c in cells if isinstance(c, str) and c.strip()]
+    # What counts rows or tells the time is named again where it has no unit.
+    texts = [t for t in texts if t.lower() not in _AGAIN or known(t)] if most else texts
     if not texts:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]

@@ -33,6 +33,8 @@ _RUN_ROWS, _ANEW = 20, 0.05
 _QUOTED = 5
 # How oscilloscopes write a sample beyond what they can show; 9.9e37 is infinity of SCPI, 9.91e37 no number.
 _OVERLOAD = 9.8e37
+# Numbers that loggers write where they have none, and how far beyond the others they are.
+_SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
 CLIPPED = ("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity")
 
 
@@ -145,6 +147,7 @@ class Record:
             infinite = np.flatnonzero(np.isinf(values))
             bad[[k for k in infinite if str(self.columns[position][k]).strip() not in CLIPPED]] = True
             values[np.abs(values) >= _OVERLOAD] = np.inf
+            values[_no_values(values)] = np.nan
         wrong = np.flatnonzero(bad if blank else bad | ~np.isfinite(values))
         if wrong.size:
             self._refuse(position, wrong, blank)
@@ -228,6 +231,16 @@ class Record:
     def where(self, keep: np.ndarray) -> Record:
         """The rows to keep, (N,) of truth values."""
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
+
+
+def _no_values(values: np.ndarray) -> np.ndarray:
+    """Which numbers (N,) stand for none: those of ``_SENTINELS`` that stand twice or more, far beyond all other numbers."""
+    marked = np.isin(np.abs(values), _SENTINELS)
+    if not marked.any():
+        return marked
+    others = np.abs(values[~marked & np.isfinite(values)])
+    marked &= np.abs(values) > _FAR * np.max(others, initial=0.0)
+    return marked if others.size and np.count_nonzero(marked) > 1 else np.zeros(values.size, dtype=bool)
 
 
 def _blank(values: np.ndarray) -> np.ndarray:

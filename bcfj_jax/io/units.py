@@ -34,7 +34,8 @@ _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.
 _PLAIN = (
     "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
-    "msec", "usec", "sec", "daN", "lbf", "lbs", "lb", "kg", "kgf", "gf", "kip", "klbf", "ft/s", "mV", "pC", "kHz", "Hz",
+    "с", "мс", "мкс", "Н", "кН", "мм", "м/с", "м/с²",  # noqa: RUF001
+    "msec", "usec", "sec", "daN", "lbf", "lbs", "lb", "kg", "kgf", "gf", "kip", "klbf", "ft/s", "mV", "pC", "kHz", "Hz", "px", "counts",
 )  # fmt: skip
 # Units that stand as a name of their own.
 _ALONE = ("ms", "msec", "us", "usec", "µs", "sec", "Volt", "Volts", "mV", "kN", "lbf", "Newton", "Newtons")
@@ -63,6 +64,8 @@ _IN_GRAVITIES = re.compile(
 _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
+# Numbers of a picture and of a converter, which a sensitivity makes a quantity.
+COUNTS = {**dict.fromkeys(("px", "pixel", "pixels"), "px"), **dict.fromkeys(("count", "counts", "digits", "LSB", "raw"), "counts")}
 # Masses in which forces are stated by their weight, and its unit.
 WEIGHTS = {"kg": "kgf", "g": "gf", "lb": "lbf", "lbs": "lbf"}
 _EXAMPLES = {
@@ -312,7 +315,8 @@ def column(header: str) -> tuple[str, str | None]:
     plain = header.strip()
     if len(plain) > LONGEST:
         return plain, None
-    if match := _COLUMN.fullmatch(plain):
+    match = _COLUMN.fullmatch(plain)
+    if match and not match[2].isdigit():  # "Y[0]" is a name.
         return match[1], match[2]
     if plain in _ALONE:
         return plain, plain
@@ -345,7 +349,7 @@ def known(text: str) -> bool:
     try:
         parse(text)
     except UnitText:
-        return False
+        return text in COUNTS
     return True
 
 

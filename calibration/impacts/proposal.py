@@ -35,11 +35,12 @@ _NAMES = {
     "s": TIMES,
     "N": (
         "force", "load", "f", "fn", "f_n", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
-        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids",
+        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids", "força", "forca", "siła", "síla",
+        "kracht", "voima", "erő", "сила", "усилие", "нагрузка", "力", "荷重", "힘",
     ),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración", "ускорение"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
-    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
+    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
 }  # fmt: skip
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
 _GIVEN = {
@@ -256,9 +257,11 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
             return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
     bare = [h for h in table.header if h not in ("", SWEEP) and column(h)[1] is None and h != found.get("s")]
     bare = bare[1:] if "s" not in found and bare[1:] and bare[0] == table.header[0] else bare
-    other = next((h for h in bare if not _counts(table, h)), next(iter(bare), ""))
+    texts = [h for h in bare if not _is_numeric(table.columns[table.header.index(h)])]
+    other = next((h for h in bare if h not in texts and not _counts(table, h)), next(iter(bare), ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
-    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
+    named = next((u for u in _READ if other and _named(other, u)), "N")
+    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else named)
     named = column(heavy or other)[0]
     unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
     said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
