@@ -57,7 +57,11 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
     except UnicodeDecodeError as error:
         first = error
     # Three letters in a row that are none of ASCII are a word in Cyrillic, or of two bytes each.
-    if (text := raw.decode("cp1251", errors="replace")) and _CYRILLIC.search(text) and not _TWICE.search(raw.decode("latin-1")):
+    if (
+        (text := raw.decode("cp1251", errors="replace"))
+        and _CYRILLIC.search(text)
+        and not _TWICE.search(raw.decode("latin-1"))
+    ):
         return text, "Windows-1251"
     text = raw.decode("cp1252", errors="replace")
     if "\ufffd" in text:

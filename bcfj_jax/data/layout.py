@@ -110,6 +110,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
     ]
     marks = ["" if m.lower() in _AGAIN and not known(m) else m for m in marks]
+    if names and not units and _is_units(names[-1].cells):
+        marks = list(titles)  # "s;N": the units are the names.
     marks += [""] * (len(titles) - len(marks))
     titles = [f"{t} [{m}]" if m and column(t)[1] is None else t for t, m in zip(titles, marks, strict=False)]
     # Rows that do not fit are faults already; their cells would be named a second time.
@@ -132,6 +134,15 @@ def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[l
     """Rows without what is no sample: names that stand again above each run, sums below, counts above; lines of the sums."""
     again = [r.cells for r in top]
     if any(r.cells in again for r in data):
+        # What stands above names that stand again is a block's own heading.
+        heads = [k for k, r in enumerate(data) if r.cells in again]
+        titled = {
+            j
+            for k in heads
+            for j in range(k - 1, max(k - _LAST_ROWS, -1), -1)
+            if not any(_is_data(data[i].cells, numeric) for i in range(j, k))
+        }
+        data = [r for k, r in enumerate(data) if k not in titled]
         data = [r for r in data if r.cells not in again and (any(map(_holds, r.cells)) or len(_given(r.cells)) > 1)]
     if not numeric or len(data) < _FEWEST:
         return data, None

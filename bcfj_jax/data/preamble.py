@@ -26,6 +26,7 @@ _DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2}
 _LISTED = re.compile(r"(?i)\W*(?:units?|einheit(?:en)?)\W*[:=\s]\s*(.*?)\W*")
 # What stands before names in their own line.
 _BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels)\s*:?")
+_SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs")
@@ -60,6 +61,8 @@ def above(rows: Iterable[Any]) -> Facts:
         if cells and is_number(cells[0]) and len(set(map(str, cells))) == 1 and before:
             found.append(("rate" if before in _SECTIONS else before.rstrip(":= "), str(cells[0])))
         before = str(cells[0]).strip().lower() if len(cells) == 1 else ""
+        if sampled := _SAMPLED.search(" ".join(map(str, cells))):
+            found.append(("rate", sampled[1]))
         found += _pairs(row.cells)
     return found
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data.clock import is_of_day, is_time, of_day
-from bcfj_jax.data.numbers import is_missing, parsed
+from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import WEIGHTS, column, scale_of
 
@@ -31,11 +31,10 @@ SWEEP = "sweep"
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
 _QUOTED = 5
-# How oscilloscopes write a sample beyond what they can show; 9.9e37 is infinity of SCPI, 9.91e37 no number.
+# A number that oscilloscopes write for such a sample: 9.9e37 is infinity of SCPI, 9.91e37 no number.
 _OVERLOAD = 9.8e37
 # Numbers that loggers write where they have none, and how far beyond the others they are.
 _SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
-CLIPPED = ("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity")
 
 
 class Channel(NamedTuple):
@@ -191,6 +190,8 @@ class Record:
         cells = self.columns[position]
         if times and cells.dtype.kind in "OUS" and (seconds := of_day(cells.tolist())) is not None:
             return seconds, np.zeros(cells.size, dtype=bool)
+        if times and cells.dtype.kind == "m":
+            return cells / np.timedelta64(1, "s"), np.isnat(cells)
         if cells.dtype.kind in "iufb":
             return cells.astype(float), np.zeros(cells.size, dtype=bool)
         if cells.dtype.kind in "OUS":

@@ -38,6 +38,9 @@ _ITEM = (
 )
 _ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?:[\s,;|]+{_ITEM})*[\s,;]*")
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
+# Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
+_JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
+_MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
@@ -168,6 +171,9 @@ def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
 
     "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50 us,F:4.3 N" and "50 us,4.3 N" as numbers.
     """
+    for pattern, right in ((_JOINED, r"\1 "), (_MARKED, "")):
+        if sum(pattern.search(line) is not None for line in lines[:_SAMPLE]) > 0.3 * len(lines[:_SAMPLE]):
+            lines = [pattern.sub(right, line) for line in lines]
     some = [line for line in lines[:_SAMPLE] if line.strip()]
     if some and sum(_STAMPED.match(line) is not None for line in some) > 0.9 * len(some):
         parts = [line.partition(" -> ") for line in lines]
@@ -283,6 +289,12 @@ def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple
         if len(line) > 1_000_000:
             raise InputError(file.at(number), f"{len(line)} characters in one line", "give a file of rows")
         cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
+        if (
+            " #" in line
+            and not comment
+            and numbers.is_number((short := _cells(line.partition(" #")[0], separator))[-1])
+        ):
+            cells = short
         if comment and cells[0] == "" and any(cells) and line.lstrip()[0] == "#":
             cells[0] = "#"  # The name of a column of numbers.
         if any(cells):

@@ -35,6 +35,7 @@ _ALIASES = {
     "Sek": "s", "sek": "s", "Sekunden": "s", "seconds": "s", "mSek": "ms", "msek": "ms", "Std": "h", "kp": "kgf",
     "Newton": "N", "Newtons": "N", "newtons": "N", "Volt": "V", "Volts": "V", "volts": "V", "Sec": "s", "Secs": "s", "msec": "ms",
     "Seconds": "s", "Second": "s", "Sekunde": "s", "Meter": "m", "usec": "us",
+    "SEC": "s", "MSEC": "ms", "USEC": "us", "LBF": "lbf", "LBS": "lb", "KGF": "kgf", "VOLTS": "V", "VOLT": "V",
     "Ohm": "ohm", "Grad": "deg", "U": "revolution", "Umdr": "revolution", "r": "revolution", "rev": "revolution",
 }  # fmt: skip
 # Units as words of other languages, in lower case, and what may stand before them.

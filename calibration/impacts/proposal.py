@@ -38,7 +38,8 @@ _NAMES = {
         "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids", "força", "forca", "siła", "síla",
         "kracht", "voima", "erő", "сила", "усилие", "нагрузка", "力", "荷重", "힘",
     ),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración", "ускорение"),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération",
+        "aceleración", "ускорение"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
 }  # fmt: skip
@@ -53,6 +54,8 @@ _GIVEN = {
 _TANGENTIAL = {
     "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
 }  # fmt: skip
+# Of several forces the sum goes with those that are named, of which the largest is read.
+_SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
 _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
@@ -392,7 +395,8 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
-        return not _named(header, unit), _name(header) not in _NAMES[unit], size
+        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", _name(header)))
+        return not (_named(header, unit) or total), _name(header) not in _NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
