@@ -29,6 +29,8 @@ _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
 _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
+# A line drawn below names.
+_RULE = re.compile(r"[-=_+]{4,}")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -72,6 +74,7 @@ class Layout:
 
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     """The table in rows, comments included. ``header``: lines of the names as stated; 0: there are none; None: to be found."""
+    rows = [r for r in rows if not all(_RULE.fullmatch(str(c)) for c in r.cells)]
     plain, facts = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
@@ -277,6 +280,10 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
             united, k = [rows[k]], k - 1
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
             return [rows[k]], [over], first, k - 1
+    # A unit alone below the names is no row of two texts.
+    lone = next((j for j in range(first, begin) if len(rows[j].cells) == wide and _is_units(rows[j].cells)), None)
+    if not united and lone is not None:
+        united, first = [rows[lone]], lone + 1
     named = [rows[k]]
     above = rows[k - 1] if text(k - 1) and len(rows[k - 1].cells) >= len(numeric) else None
     texts = _texts(rows[k].cells, wide)
@@ -294,6 +301,12 @@ def _alone(cells: Sequence[Any]) -> Any:
 
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
     """Names, and units below them, in the last comments above the data, as numpy.savetxt writes them."""
+    rows = [
+        r._replace(cells=r.cells[1:])
+        if r.comment and len(r.cells) == wide + 1 and preamble.before_names(r.cells[0])
+        else r
+        for r in rows
+    ]
     fitting = [r for r in rows if r.comment and r.line < first and len(r.cells) == wide and _is_text(r.cells)]
     fitting = [r for r in fitting if not preamble.states(r.cells)]
     if len(fitting) > 1 and _is_units(fitting[-1].cells):
@@ -328,6 +341,7 @@ def _bare(cell: str) -> str:
 
 def _texts(cells: Sequence[Any], wide: int) -> list[str]:
     texts = [" ".join(str("" if c is None else c).split()) for c in cells[:wide]]
+    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t for t in texts]
     return texts + [""] * (wide - len(texts))
 
 

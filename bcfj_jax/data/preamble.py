@@ -25,7 +25,7 @@ _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|po
 _DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2})\s*[:=.)-]+\s*([^\W\d].*?)\s*")
 _LISTED = re.compile(r"(?i)\W*(?:units?|einheit(?:en)?)\W*[:=\s]\s*(.*?)\W*")
 # What stands before names in their own line.
-_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels)\s*:?")
+_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
 _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.

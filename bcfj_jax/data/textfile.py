@@ -40,7 +40,7 @@ _ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?:[\s,;|]+{_ITE
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
 _JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
-_MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])")
+_MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])|(?<=\d)'(?=[;,\t]|$)")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.

@@ -39,7 +39,23 @@ _PLAIN = (
     "px", "counts",
 )  # fmt: skip
 # Units that stand as a name of their own.
-_ALONE = ("ms", "msec", "us", "usec", "µs", "sec", "Volt", "Volts", "mV", "kN", "lbf", "Newton", "Newtons")
+_ALONE = (
+    "ms",
+    "millis",
+    "msec",
+    "us",
+    "micros",
+    "usec",
+    "µs",
+    "sec",
+    "Volt",
+    "Volts",
+    "mV",
+    "kN",
+    "lbf",
+    "Newton",
+    "Newtons",
+)
 _IN = re.compile(r"(?:(.*?\S)\s+)?in\s+(\S+)")
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
@@ -341,7 +357,7 @@ def column(header: str) -> tuple[str, str | None]:
     for pattern in (_ROUND, _BEHIND_SLASH):
         match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
         unit = _CAPITALS.get(match[2], match[2]) if match and not match[2].isdigit() else "A"
-        if match and unit not in _LETTERS and known(unit):
+        if match and unit not in (*_LETTERS, "t") and known(unit):
             return match[1], unit
     return plain, None
 

@@ -67,6 +67,8 @@ _LASTS = (3e-6, 0.3)
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Times the noise from which on a contact is seen.
 _SEEN = 12.0
+# Whole numbers without a unit that may be counts.
+_COUNTED = 20
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -198,6 +200,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
         faults.found.append(InputError(where, f"{kinds}: {headers}", _reading_remedy(table, found)))
+    for unit in found.keys() & _READ.keys() if hints.observe is None else ():
+        with faults:
+            _physical(table, found[unit], unit)
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts]
@@ -233,6 +238,16 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
+
+
+def _physical(table: Record, header: str, unit: str) -> None:
+    """Refuse readings without a unit that are whole numbers, as a converter counts, of an unknown size."""
+    values = _values(table, header, unit)
+    values = values[np.isfinite(values)]
+    if column(header)[1] is None and len(np.unique(values)) > _COUNTED and (values == np.round(values)).all():
+        found = f"no unit of '{header}' is stated, and all its readings are whole numbers, as a converter counts"
+        ways = f'--observe "{header} [{unit}]", or --observe "{header} [counts]" --sensitivity "85 counts/{unit}"'
+        raise InputError(table.name, found, f"say what they are, with init calibration: {ways}")
 
 
 def _seconds(where: str, time: str, duration: float) -> None:
@@ -407,6 +422,9 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     kinds = {h: u for h in bare if (u := next((u for u in _KINDS if _named(h, u)), None))}
     for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
         found.setdefault(kinds[h], h)
+    for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
+        if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
+            found.setdefault(unit, h)
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
     if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(_name(found["m"])) == 1:
         del found["m"]
