@@ -17,7 +17,7 @@ from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data.clock import is_of_day, is_time, of_day
 from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
-from bcfj_jax.io.units import WEIGHTS, column, scale_of
+from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = (
@@ -106,7 +106,8 @@ class Record:
     def index(self, name: str, where: str) -> int:
         """Position of a column, by its full header, its name without the unit, or with one that the header has not."""
         bare = tuple(column(h) for h in self.header)
-        unitless = tuple(n if unit is None else None for n, unit in bare)
+        asked = column(name)[1]
+        unitless = tuple(n if unit is None or (asked and same(unit, asked)) else None for n, unit in bare)
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
             if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):

@@ -376,6 +376,13 @@ def known(text: str) -> bool:
     return True
 
 
+def same(first: str, second: str) -> bool:
+    """Whether two texts are one unit, as "millis" and "ms" are."""
+    return first == second or (
+        known(first) and known(second) and not {first, second} & COUNTS.keys() and parse(first) == parse(second)
+    )
+
+
 def engineering(values: Iterable[float], unit: str = "m") -> tuple[float, str]:
     """Scale and prefix that bring the largest magnitude to 1 .. 1000: [0.0, 4.0e-5] (seconds) -> (1e6, "u"); else (1.0, "")."""
     if unit not in _PREFIXABLE:

@@ -15,17 +15,7 @@ KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
 SIGNATURE = b""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Attributes that make a clock, without blanks and signs, in lower case.
-_RATES = (
-    "dt",
-    "fs",
-    "sampleinterval",
-    "samplerate",
-    "samplingrate",
-    "samplingfrequency",
-    "samplefrequency",
-    "xinc",
-    "xincrement",
-)
+_RATES = ("dt", "fs", "xinc", "sampleinterval", "samplerate", "samplingrate", "samplingfrequency", "samplefrequency")
 
 
 def read(file: str, wanted: str) -> Content:
