@@ -32,11 +32,11 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 _STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
 # A number with a label before it or a unit behind it, "F = 4.3 N", and a line of such.
-_ITEM = (
-    r"(?:([^\W\d][\w ./()-]*?)\s*[:=]\s*)?([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)"
-    r"(?: ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?!\w|\s*[:=]))?(?=[\s,;|]|$)"
+_ITEM = (  # Atomic, so that a line that is none is seen at once.
+    r"(?>(?:([^\W\d][\w ./()-]*?)\s*[:=]\s*)?([-+]?(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][-+]?\d+)?)"
+    r"(?: ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?!\w|\s*[:=]))?(?=[\s,;|]|$))"
 )
-_ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?:[\s,;|]+{_ITEM})*[\s,;]*")
+_ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?>[\s,;|]+{_ITEM})*[\s,;]*")
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
 _JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
