@@ -18,6 +18,7 @@ from bcfj_jax.io.units import column, scale_of
 TIMES = (
     "time", "t", "zeit", "clock", "seconds", "second", "temps", "tiempo", "messzeit", "prüfzeit", "testzeit", "versuchszeit",
     "elapsed time", "abs time", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
+    "date/time", "datetime", "tijd", "czas", "čas", "aika", "idő", "время", "时间", "時間", "시간",
 )  # fmt: skip
 STEPS = {
     "dt", "deltat", "deltax", "xinc", "xincr", "xincrement", "xdelta", "xstep", "increment", "sampleinterval", "samplinginterval",
@@ -37,7 +38,8 @@ STARTS = {
 _NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
 _OF_DAY = re.compile(
-    r"(?:\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
+    r"(?:\d+ days?|"
+    r"\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
     r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?|\d{1,3}:\d\d[.,]\d+)"
 )
 # As 20261125T100000.5Z, and minutes and seconds alone, as 00:01.5.

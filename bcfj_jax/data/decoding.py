@@ -14,6 +14,7 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16", "UTF-16"),
     (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
 )
+_PAGE = "a web page: open it in a spreadsheet and save the table as .xlsx or CSV"
 _BINARY = (
     (b"PK\x03\x04", "a zip archive, as Excel writes: name it .xlsx"),
     (b"\xd0\xcf\x11\xe0", "an old Excel file: name it .xls"),
@@ -22,9 +23,13 @@ _BINARY = (
     (b"TDSm", "a TDMS file: name it .tdms"),
     (b"MATLAB 5", "a MATLAB file: name it .mat"),
     (b"{", "JSON: write its columns as CSV, or give a reader of your own by --code FILE"),
+    (b"<html", _PAGE),
+    (b"<table", _PAGE),
+    (b"<!DOCTYPE", _PAGE),
     (b"<?xml", "XML: export it as CSV, or give a reader of your own by --code FILE"),
 )
 # Letters of two bytes in UTF-8, read as if each byte were a letter: "µ" as "Âµ", "ü" as "Ã¼".
+_CYRILLIC = re.compile("[А-я]{3}")  # noqa: RUF001
 _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
 
 
@@ -35,8 +40,9 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
     for mark, codec, name in _MARKS:
         if raw.startswith(mark):
             return _stated(raw, path, where, codec)[0], name
+    begin = raw[:64].lstrip()
     for mark, remedy in _BINARY:
-        if raw.startswith(mark):
+        if begin.startswith((mark, mark.upper())):
             raise InputError(str(path), "is no text file", f"it begins as {remedy}")
     raw = raw.rstrip(b"\0\x1a") if raw[-2:] in (b"\0\0", b"\n\x1a") else raw  # A logger's space that was not written.
     head = raw[:4096]
@@ -50,6 +56,13 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
         return raw.decode("utf-8"), "UTF-8"
     except UnicodeDecodeError as error:
         first = error
+    # Three letters in a row that are none of ASCII are a word in Cyrillic, or of two bytes each.
+    if (
+        (text := raw.decode("cp1251", errors="replace"))
+        and _CYRILLIC.search(text)
+        and not _TWICE.search(raw.decode("latin-1"))
+    ):
+        return text, "Windows-1251"
     text = raw.decode("cp1252", errors="replace")
     if "\ufffd" in text:
         text = raw.decode("latin-1")

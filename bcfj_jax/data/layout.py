@@ -17,17 +17,20 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, counted
 from bcfj_jax.data import preamble
-from bcfj_jax.data.clock import is_of_day
+from bcfj_jax.data.clock import TIMES, is_of_day, is_time
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.io.units import column, known
 
 # Rows that are looked at to find the columns of numbers.
 _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
+_AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
 _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
+# A line drawn below names.
+_RULE = re.compile(r"[-=_+]{4,}")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -71,6 +74,7 @@ class Layout:
 
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     """The table in rows, comments included. ``header``: lines of the names as stated; 0: there are none; None: to be found."""
+    rows = [r for r in rows if not all(_RULE.fullmatch(str(c)) for c in r.cells)]
     plain, facts = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
@@ -99,12 +103,18 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     left = left or tail
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
-    titles = _titles(names, wide)
+    about = [r for r in rows if r.line < data[0].line and r.line not in top]
+    told, said = preamble.described(about, wide) if header is None else ([], [])
+    titles = told if told and not any(column(t)[1] for t in _titles(names, wide)) else _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
+    units = units or ([Row(data[0].line, said)] if said else [])
     marks = [
         _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
     ]
+    marks = ["" if m.lower() in _AGAIN and not known(m) else m for m in marks]
+    if names and not units and _is_units(names[-1].cells):
+        marks = list(titles)  # "s;N": the units are the names.
     marks += [""] * (len(titles) - len(marks))
     titles = [f"{t} [{m}]" if m and column(t)[1] is None else t for t, m in zip(titles, marks, strict=False)]
     # Rows that do not fit are faults already; their cells would be named a second time.
@@ -112,7 +122,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
     fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
     columns = [[r.cells[0] for r in fitted]] if kept else []
-    named = preamble.titled([titles[j] for j in kept], facts, columns, bool(names))
+    named = preamble.in_words([titles[j] for j in kept], about)
+    named = preamble.titled(named, facts, columns, bool(names))
+    if not any(map(is_time, named)):
+        named = [t or f"column {j + 1}" for j, t in zip(kept, named, strict=True)]
     lines_named, lines_united = (tuple(r.line for r in some) for some in (names, units))
     comments = sum(r.comment and r not in names for r in rows)
     return Layout(
@@ -124,6 +137,15 @@ def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[l
     """Rows without what is no sample: names that stand again above each run, sums below, counts above; lines of the sums."""
     again = [r.cells for r in top]
     if any(r.cells in again for r in data):
+        # What stands above names that stand again is a block's own heading.
+        heads = [k for k, r in enumerate(data) if r.cells in again]
+        titled = {
+            j
+            for k in heads
+            for j in range(k - 1, max(k - _LAST_ROWS, -1), -1)
+            if not any(_is_data(data[i].cells, numeric) for i in range(j, k))
+        }
+        data = [r for k, r in enumerate(data) if k not in titled]
         data = [r for r in data if r.cells not in again and (any(map(_holds, r.cells)) or len(_given(r.cells)) > 1)]
     if not numeric or len(data) < _FEWEST:
         return data, None
@@ -224,7 +246,8 @@ def _is_data(cells: Sequence[Any], numeric: list[int]) -> bool:
 def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
-    return bool(given) and len(given) >= min(2, columns, len(cells)) and not any(_holds(c) for c in given)
+    beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
+    return bool(given) and len(given) >= min(1 if beside else 2, columns, len(cells)) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -234,12 +257,21 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     def text(j: int) -> bool:
         return j >= 0 and _is_text(rows[j].cells, len(numeric))
 
+    def summed(j: int) -> bool:
+        return len(rows[j].cells) == wide and _WORD.fullmatch(str(rows[j].cells[0])) is not None and not text(j)
+
+    over = next((j for j in range(k, -1, -1) if not summed(j)), -1)
+    sums = over < k and text(over) and any(is_time(str(c)) for c in rows[over].cells)
+    k = over if sums else k
     # A first row of data with a fault looks like no data; names stand above it all the same.
     while k >= 0 and not (text(k) or preamble.states(rows[k].cells)):
         k -= 1
+    listed = next((j for j in range(k, 0, -1) if text(j) and preamble.before_names(_alone(rows[j - 1].cells))), -1)
+    if k >= 0 and preamble.states(rows[k].cells) and len(rows[listed].cells) >= len(numeric) and listed > 0:
+        return [rows[listed]], [], begin, listed
     if k < 0 or preamble.states(rows[k].cells):
         return [], [], begin, begin
-    first, united = k + 1, []
+    first, united = begin if sums else k + 1, []
     over = rows[k - 1] if text(k - 1) and not preamble.states(rows[k - 1].cells) else None
     if over is None and k and _is_units(rows[k].cells, most=True) and _names_numbers(rows[k - 1].cells, rows[k].cells):
         over = rows[k - 1]
@@ -248,6 +280,10 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
             united, k = [rows[k]], k - 1
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
             return [rows[k]], [over], first, k - 1
+    # A unit alone below the names is no row of two texts.
+    lone = next((j for j in range(first, begin) if len(rows[j].cells) == wide and _is_units(rows[j].cells)), None)
+    if not united and lone is not None:
+        united, first = [rows[lone]], lone + 1
     named = [rows[k]]
     above = rows[k - 1] if text(k - 1) and len(rows[k - 1].cells) >= len(numeric) else None
     texts = _texts(rows[k].cells, wide)
@@ -258,8 +294,19 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     return named, united, first, k
 
 
+def _alone(cells: Sequence[Any]) -> Any:
+    given = _given(cells)
+    return given[0] if len(given) == 1 else ""
+
+
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:
     """Names, and units below them, in the last comments above the data, as numpy.savetxt writes them."""
+    rows = [
+        r._replace(cells=r.cells[1:])
+        if r.comment and len(r.cells) == wide + 1 and preamble.before_names(r.cells[0])
+        else r
+        for r in rows
+    ]
     fitting = [r for r in rows if r.comment and r.line < first and len(r.cells) == wide and _is_text(r.cells)]
     fitting = [r for r in fitting if not preamble.states(r.cells)]
     if len(fitting) > 1 and _is_units(fitting[-1].cells):
@@ -276,6 +323,8 @@ def _names_numbers(cells: Sequence[Any], units: Sequence[Any]) -> bool:
 def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
     """Whether all texts of a row are units, or ``most`` of them."""
     texts = [_bare(c) for c in cells if isinstance(c, str) and c.strip()]
+    # What counts rows or tells the time is named again where it has no unit.
+    texts = [t for t in texts if t.lower() not in _AGAIN or known(t)] if most else texts
     if not texts:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
@@ -292,6 +341,7 @@ def _bare(cell: str) -> str:
 
 def _texts(cells: Sequence[Any], wide: int) -> list[str]:
     texts = [" ".join(str("" if c is None else c).split()) for c in cells[:wide]]
+    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t for t in texts]
     return texts + [""] * (wide - len(texts))
 
 

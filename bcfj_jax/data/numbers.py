@@ -18,6 +18,11 @@ MISSING = frozenset(
     ["", "nan", "na", "n/a", "n.a.", "null", "none", "nil", "missing", "-", "--", "---", "?", "#n/a", "#na", "#nv", "#div/0!",
      "#value!", "#wert!", "1.#qnan", "-1.#ind", "1.#ind", "-1.#qnan", "-nan", "+nan", "-nan(ind)", "nan(ind)"]
 )  # fmt: skip
+# How instruments write a sample beyond what they can show.
+CLIPPED = (
+    *("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity"),
+    *("OL", "-OL", "+OL", "OVLD", "OVERLOAD", "OVERFLOW", "OVR"),
+)
 _BLANKS = "\u00a0\u202f\u2009 "
 _DIGITS = rf"(?:[1-9]\d{{0,2}}(?:(?P<mark>[.,'’{_BLANKS}])\d{{3}})(?:(?P=mark)\d{{3}})*|\d+)"  # noqa: RUF001
 _NUMBER = re.compile(rf"[-+]?(?:{_DIGITS}(?P<point>\.\d*|,\d+)?|(?P<bare>[.,]\d+))(?:[eEdD][-+]?\d+)?", re.ASCII)
@@ -28,7 +33,7 @@ _SIGNS = str.maketrans({"\u2212": "-", "\u2013": "-", "d": "e", "D": "e"})
 
 def is_missing(cell: object) -> bool:
     """Whether a cell says that there is no number."""
-    return cell is None or (isinstance(cell, str) and cell.strip().lower() in MISSING)
+    return cell is None or (isinstance(cell, str) and cell.strip(" *\t").lower() in MISSING)  # Fortran's "****".
 
 
 def is_number(cell: object) -> bool:
@@ -107,6 +112,8 @@ def _value(cell: object, decimal: str, grouped: bool) -> float | None:
     if not isinstance(cell, str) or len(cell) > 64:
         return None
     text = cell.replace("\u2212", "-")
+    if text in CLIPPED:
+        return float("-inf" if text.startswith("-") else "inf")
     if text.lstrip("+-").lower() in ("inf", "infinity", "∞"):
         return float(text.replace("∞", "inf"))
     match = _NUMBER.fullmatch(text)

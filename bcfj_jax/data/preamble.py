@@ -11,7 +11,7 @@ from typing import Any
 
 from bcfj_jax.data import clock
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.io.units import column
+from bcfj_jax.io.units import column, known
 
 Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
@@ -20,9 +20,13 @@ _UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "ver
 _SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
 _KNOWN = clock.STEPS | clock.RATES | clock.STARTS | {*_UNITS, *_SOURCES}
 # A line that says that numbers follow, and no names.
-_DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points)\s*[\]:]?\s*")
+_DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
+# "column 2: force [kN]", and "units: ms, kN".
+_DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2})\s*[:=.)-]+\s*([^\W\d].*?)\s*")
+_LISTED = re.compile(r"(?i)\W*(?:units?|einheit(?:en)?)\W*[:=\s]\s*(.*?)\W*")
 # What stands before names in their own line.
-_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels)\s*:?")
+_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
+_SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs")
@@ -54,9 +58,11 @@ def above(rows: Iterable[Any]) -> Facts:
     found, before = Facts(), ""
     for row in rows:
         cells = [c for c in row.cells if not is_missing(c)]
-        if len(cells) == 1 and is_number(cells[0]) and before:
+        if cells and is_number(cells[0]) and len(set(map(str, cells))) == 1 and before:
             found.append(("rate" if before in _SECTIONS else before.rstrip(":= "), str(cells[0])))
         before = str(cells[0]).strip().lower() if len(cells) == 1 else ""
+        if sampled := _SAMPLED.search(" ".join(map(str, cells))):
+            found.append(("rate", sampled[1]))
         found += _pairs(row.cells)
     return found
 
@@ -67,11 +73,49 @@ def states(cells: Sequence[Any]) -> bool:
     if len(given) == 1:
         key, sign, value = given[0].replace("=", ":").partition(":")
         known = bool(value.strip()) and (is_number(value) or clock.plain(key) in _KNOWN)
-        marked = len(cells) > 1 or sign != "" or given[0].startswith("[")
+        marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
+    if len(given) == 2 and given[0].endswith(":"):
+        return True
     if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
         return False
     return clock.plain(given[0]) in _UNITS or is_number(given[1]) or clock.is_of_day(given[1])
+
+
+def described(rows: Sequence[Any], wide: int) -> tuple[list[str], list[str]]:
+    """Names of all columns in lines "column 2: force [kN]", and units in a line "units: ms, kN"; none where there are none."""
+    names: dict[int, str] = {}
+    for row in rows:
+        if found := _DESCRIBED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
+            names.setdefault(int(found[1]), found[2])
+    first = min(names, default=1)
+    listed = [names.get(first + j, "") for j in range(wide)]
+    return (listed if first < 2 and all(listed) else []), _units(rows, wide)
+
+
+def _units(rows: Sequence[Any], wide: int) -> list[str]:
+    for row in rows:
+        if found := _LISTED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
+            units = [u.strip("[]() ") for u in re.split(r"[\s,;|]+", found[1])]
+            if len(units) == wide and all(map(known, units)):
+                return units
+    return []
+
+
+def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
+    """Titles with units that lines about the table state of their names: "time in ms, force: kN", "force unit: kN"."""
+    texts = [" ".join(filter(None, map(str, r.cells))) for r in rows]
+    united = list(titles)
+    for j, title in enumerate(titles):
+        if not title or column(title)[1] is not None:
+            continue
+        said = rf"(?i:(?<![^\W_]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
+        how = r"\s*(?i:is in|are in|in|units?\s*[:=]?|[:=/]\s*(?:in\b)?|(?=[\[(]))\s*[\[(]?([^\s,;)\]]+)"
+        units = {m[1].rstrip(".") for text in texts for m in re.finditer(said + how, text)}
+        units = {u for u in units if u not in "ABCDEFGHIJKLMPQRTUXYZaef" and known(u) and not is_missing(u)}
+        if len(units) == 1:
+            united[j] = f"{title} [{units.pop()}]"
+    return united
 
 
 def before_names(cell: Any) -> bool:

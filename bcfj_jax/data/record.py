@@ -15,9 +15,9 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data.clock import is_of_day, is_time, of_day
-from bcfj_jax.data.numbers import is_missing, parsed
+from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
-from bcfj_jax.io.units import WEIGHTS, column, scale_of
+from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = (
@@ -31,9 +31,10 @@ SWEEP = "sweep"
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
 _QUOTED = 5
-# How oscilloscopes write a sample beyond what they can show; 9.9e37 is infinity of SCPI, 9.91e37 no number.
+# A number that oscilloscopes write for such a sample: 9.9e37 is infinity of SCPI, 9.91e37 no number.
 _OVERLOAD = 9.8e37
-CLIPPED = ("∞", "-∞", "+∞", "Infinity", "-Infinity", "+Infinity")
+# Numbers that loggers write where they have none, and how far beyond the others they are.
+_SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
 
 
 class Channel(NamedTuple):
@@ -105,7 +106,8 @@ class Record:
     def index(self, name: str, where: str) -> int:
         """Position of a column, by its full header, its name without the unit, or with one that the header has not."""
         bare = tuple(column(h) for h in self.header)
-        unitless = tuple(n if unit is None else None for n, unit in bare)
+        asked = column(name)[1]
+        unitless = tuple(n if unit is None or (asked and same(unit, asked)) else None for n, unit in bare)
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
             if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):
@@ -145,6 +147,7 @@ class Record:
             infinite = np.flatnonzero(np.isinf(values))
             bad[[k for k in infinite if str(self.columns[position][k]).strip() not in CLIPPED]] = True
             values[np.abs(values) >= _OVERLOAD] = np.inf
+            values[_no_values(values)] = np.nan
         wrong = np.flatnonzero(bad if blank else bad | ~np.isfinite(values))
         if wrong.size:
             self._refuse(position, wrong, blank)
@@ -188,6 +191,8 @@ class Record:
         cells = self.columns[position]
         if times and cells.dtype.kind in "OUS" and (seconds := of_day(cells.tolist())) is not None:
             return seconds, np.zeros(cells.size, dtype=bool)
+        if times and cells.dtype.kind == "m":
+            return cells / np.timedelta64(1, "s"), np.isnat(cells)
         if cells.dtype.kind in "iufb":
             return cells.astype(float), np.zeros(cells.size, dtype=bool)
         if cells.dtype.kind in "OUS":
@@ -228,6 +233,16 @@ class Record:
     def where(self, keep: np.ndarray) -> Record:
         """The rows to keep, (N,) of truth values."""
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
+
+
+def _no_values(values: np.ndarray) -> np.ndarray:
+    """Which numbers (N,) stand for none: those of ``_SENTINELS`` that stand twice or more, far beyond all other numbers."""
+    marked = np.isin(np.abs(values), _SENTINELS)
+    if not marked.any():
+        return marked
+    others = np.abs(values[~marked & np.isfinite(values)])
+    marked &= np.abs(values) > _FAR * np.max(others, initial=0.0)
+    return marked if others.size and np.count_nonzero(marked) > 1 else np.zeros(values.size, dtype=bool)
 
 
 def _blank(values: np.ndarray) -> np.ndarray:

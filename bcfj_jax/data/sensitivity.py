@@ -1,4 +1,4 @@
-"""Sensors whose records are voltages, charges or shares of a full scale: "2.3 mV/N", "4 pC/N", "100 mV/g", "100 N/V".
+"""Sensors whose records are voltages, charges, counts or shares of a full scale: "2.3 mV/N", "4 pC/N", "100 mV/g", "100 N/V".
 
 Several sensors are told apart by the names of their columns: "CH1 = 2.3 mV/N, CH2 = 100 mV/g". A WAV file has a full scale, as
 in "500 N".
@@ -12,22 +12,23 @@ from typing import NamedTuple
 
 from bcfj_jax.core.errors import InputError, clip
 from bcfj_jax.data.columns import FULL_SCALE
-from bcfj_jax.io.units import GRAVITIES, scale_of
+from bcfj_jax.io.units import COUNTS, GRAVITIES, scale_of
 
 _GIVE = 'say what it stands for: --sensitivity "10 mV/N" of init calibration, or sensitivity = "10 mV/N" under [[experiment]]'
 _FULL = 'say what full scale is: --full-scale "500 N" of init calibration, or full_scale = "500 N" under [[experiment]]'
 NEEDED = {
     "": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N")),
     "mV/V": _GIVE.replace("10 mV/N", "2 mV/V/kN"), **dict.fromkeys(("mA", "A"), _GIVE.replace("10 mV/N", "16 mA/kN")),
+    **{unit: _GIVE.replace("10 mV/N", "20 px/mm" if base == "px" else "85 counts/N") for unit, base in COUNTS.items()},
 }  # fmt: skip
 # Units of columns that are no quantity of a scene, and in which a sensitivity is written.
 _BRIDGE = "mV/V"
 _VOLTS = ("V", "Volt", "Volts", "volt", "volts", "mV", "uV", "µV", "kV", "Vdc", "VDC", "mVolt", _BRIDGE)
 ELECTRICAL = {
     **dict.fromkeys(_VOLTS, "mV"), **dict.fromkeys(("pC", "nC", "C"), "pC"), **dict.fromkeys(("mA", "A"), "mA"),
-    FULL_SCALE: FULL_SCALE,
+    FULL_SCALE: FULL_SCALE, **COUNTS,
 }  # fmt: skip
-_BASES = {"mV": "V", "pC": "C", "mA": "A"}
+_BASES = {"mV": "V", "pC": "C", "mA": "A", "px": "px", "counts": "counts"}
 _ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt": "V", "mVolt": "mV"}
 # What a sensor may read, in SI.
 _READ = ("N", "m/s^2", "m/s", "m", "N m")
@@ -84,6 +85,8 @@ def _full(text: str, where: str) -> Factor:
 def _scale(unit: str, si_unit: str) -> float | None:
     """The factor to SI, with g as gravity; None for another quantity."""
     bare = unit.strip("() ")
+    if si_unit in COUNTS or bare in COUNTS:
+        return 1.0 if COUNTS.get(bare) == si_unit else None
     if si_unit == "m/s^2" and bare in GRAVITIES:
         return GRAVITIES[bare]
     if bare in GRAVITIES:
@@ -110,7 +113,7 @@ def _factor(number: float, text: str, unit: str, where: str, named: bool) -> Fac
             continue
         for si_unit in _READ:
             if (scale := _scale(other, si_unit)) is not None:
-                size = scale_of(_ALIKE.get(unit, unit), base, where)
+                size = 1.0 if base in COUNTS else scale_of(_ALIKE.get(unit, unit), base, where)
                 factor = scale / (number * volts) if inverse else number * scale / volts
                 return Factor(factor * size, si_unit, f"{number:g} {said}")
     others = {_scale(part.strip(), b) for part in (above, below) for b in _BASES.values() if b != base}

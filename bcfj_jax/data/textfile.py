@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from bcfj_jax.data.decoding import decoded
 from bcfj_jax.data.layout import File, Layout, Row, found, others
 from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.io.opening import LARGEST_TEXT, content
+from bcfj_jax.io.units import known
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
@@ -29,12 +31,22 @@ DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decima
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
 _STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
-_PLOTTED = re.compile(r"(?:[\d.: ]+[\t;,])?(?:[A-Za-z_]\w*:[-+.\d][-+.\deE]*[\t,; ]*)+")
+# A number with a label before it or a unit behind it, "F = 4.3 N", and a line of such.
+_ITEM = (  # Atomic, so that a line that is none is seen at once.
+    r"(?>(?:([^\W\d][\w ./()-]*?)\s*[:=]\s*)?([-+]?(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][-+]?\d+)?)"
+    r"(?: ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?!\w|\s*[:=]))?(?=[\s,;|]|$))"
+)
+_ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?>[\s,;|]+{_ITEM})*[\s,;]*")
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
+# Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
+_JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
+_MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])|(?<=\d)'(?=[;,\t]|$)")
 # Lines on which a separator is tried, and lines over which a quoted cell may run.
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
 _LARGE, _HEAD = 50_000, 4000
+# Characters of a line of labelled numbers, and cells of a row that is a channel.
+_LONGEST_LINE, _LEAST_WIDE = 400, 80
 
 
 @dataclass(frozen=True)
@@ -71,31 +83,33 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines = _monitored(lines)
+    lines, labels = _monitored(lines)
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:])
     file = File(str(path), "line")
 
-    def laid_out(some: list[str]) -> tuple[Layout, list[str]]:
+    def laid_out(some: list[str]) -> tuple[Layout, list[str], File]:
         rows, faults = _rows(some, first, separator, file)
-        layout = found(rows, file, stated.header)
-        marks = decimal_marks(layout, stated, file, commas_part=separator == "comma")
-        return replace(layout, faults=[*faults, *layout.faults]), marks
+        at = next((k for k, r in enumerate(rows) if labels and r.line >= labels[0].line), 0)
+        rows, its_file = _upright([*rows[:at], *labels, *rows[at:]], file)
+        layout = found(rows, its_file, stated.header)
+        marks = decimal_marks(layout, stated, its_file, commas_part=separator == "comma")
+        return replace(layout, faults=[*faults, *layout.faults]), marks, its_file
 
     large = None
     if len(lines) > _LARGE:
         with contextlib.suppress(InputError):
             large = _block(lines, separator, *laid_out(lines[:_HEAD]))
-    layout, decimals = large or laid_out(lines)
+    layout, decimals, file = large or laid_out(lines)
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
     return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
 
 
 def _block(
-    lines: list[str], separator: str, layout: Layout, decimals: list[str]
-) -> tuple[Layout, list[str]] | None:  # fmt: skip
+    lines: list[str], separator: str, layout: Layout, decimals: list[str], file: File
+) -> tuple[Layout, list[str], File] | None:
     """The layout of many lines that are all numbers, read by NumPy; None where one is not: cells are then looked at."""
     marks, data = set(decimals), lines[layout.rows[0].line - 1 :]
     if layout.faults or layout.left or len(marks) != 1:
@@ -113,7 +127,7 @@ def _block(
     except (ValueError, OverflowError):
         return None
     whole = len(values) == len(data) and layout.kept == tuple(range(values.shape[1]))
-    return (replace(layout, block=values), decimals) if whole else None
+    return (replace(layout, block=values), decimals, file) if whole else None
 
 
 def table(
@@ -152,16 +166,49 @@ def table(
     return with_sweeps(found)
 
 
-def _monitored(lines: list[str]) -> list[str]:
-    """Lines of a serial monitor as cells: "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50,F:4.3" without names."""
+def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
+    """Lines of a serial monitor as cells, with the names and units that stand in them, as rows before the first.
+
+    "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50 us,F:4.3 N" and "50 us,4.3 N" as numbers.
+    """
+    for pattern, right in ((_JOINED, r"\1 "), (_MARKED, "")):
+        if sum(pattern.search(line) is not None for line in lines[:_SAMPLE]) > 0.3 * len(lines[:_SAMPLE]):
+            lines = [pattern.sub(right, line) for line in lines]
     some = [line for line in lines[:_SAMPLE] if line.strip()]
     if some and sum(_STAMPED.match(line) is not None for line in some) > 0.9 * len(some):
         parts = [line.partition(" -> ") for line in lines]
         lines = [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
         some = [line for line in lines[:_SAMPLE] if line.strip()]
-    if some and sum(_PLOTTED.fullmatch(line) is not None for line in some) > 0.9 * len(some):
-        lines = [re.sub(r"[A-Za-z_]\w*:", "", line) for line in lines]
-    return lines
+    kinds = Counter(map(_labels, some))
+    (names, units), count = kinds.most_common(1)[0] if kinds else (((), ()), 0)
+    if not any((*names, *units)) or count < 0.8 * len(some):
+        return lines, []
+    fits = [_labels(line) == (names, units) for line in lines]
+    lines = [re.sub(_ITEM, r"\2", line) if fit else line for line, fit in zip(lines, fits, strict=True)]
+    line = fits.index(True) + 1
+    return lines, [Row(line, [*row]) for row in (names, units) if any(row)]
+
+
+def _labels(line: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Labels and units of the numbers of a line, "" for none; none of a line that holds something else."""
+    found = _ITEMS.fullmatch(line) if len(line) <= _LONGEST_LINE else None
+    if found is None:
+        return (), ()
+    stamp = found[1] or ""
+    items = [("", "", "")] * bool(stamp) + re.findall(_ITEM, line[len(stamp) :])
+    units = tuple(unit for _, _, unit in items)
+    return (tuple(name.strip() for name, *_ in items), units) if all(map(known, filter(None, units))) else ((), ())
+
+
+def _upright(rows: list[Row], file: File) -> tuple[list[Row], File]:
+    """Rows of a table whose channels stand in rows, each behind its name, as columns; others as they are."""
+    wide = max((len(r.cells) for r in rows), default=0)
+    long = [r.cells for r in rows if len(r.cells) == wide]
+    few = len(long) > 1 and wide > 4 * max(len(rows), _LEAST_WIDE // 4)
+    named = all(not numbers.is_number(cells[0]) and sum(map(numbers.is_number, cells)) > 0.9 * wide for cells in long)
+    if not (few and named):
+        return rows, file
+    return [Row(k, [*cells]) for k, cells in enumerate(zip(*long, strict=True), 1)], file._replace(counted="column")
 
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:
@@ -221,7 +268,7 @@ def _score(lines: Sequence[str], separator: str, least: int) -> float:
     """How much of the text is numbers, in lines of the most frequent number of cells with at least so many numbers."""
     shares: dict[int, float] = {}
     for line in lines:
-        if _is_comment(line, separator) or len(line) > 100_000:
+        if _is_comment(line, separator) or len(line) > 1_000_000:
             continue
         cells = _cells(line, separator)
         given = [c for c in cells if not numbers.is_missing(c)]
@@ -242,6 +289,12 @@ def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple
         if len(line) > 1_000_000:
             raise InputError(file.at(number), f"{len(line)} characters in one line", "give a file of rows")
         cells = _cells(line.lstrip().lstrip("#%/!;") if comment else line, separator)
+        if (
+            " #" in line
+            and not comment
+            and numbers.is_number((short := _cells(line.partition(" #")[0], separator))[-1])
+        ):
+            cells = short
         if comment and cells[0] == "" and any(cells) and line.lstrip()[0] == "#":
             cells[0] = "#"  # The name of a column of numbers.
         if any(cells):

@@ -34,10 +34,28 @@ _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.
 _PLAIN = (
     "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
+    "с", "мс", "мкс", "Н", "кН", "мм", "м/с", "м/с²",  # noqa: RUF001
     "msec", "usec", "sec", "daN", "lbf", "lbs", "lb", "kg", "kgf", "gf", "kip", "klbf", "ft/s", "mV", "pC", "kHz", "Hz",
+    "px", "counts",
 )  # fmt: skip
 # Units that stand as a name of their own.
-_ALONE = ("ms", "msec", "us", "usec", "µs", "sec", "Volt", "Volts", "mV", "kN", "lbf", "Newton", "Newtons")
+_ALONE = (
+    "ms",
+    "millis",
+    "msec",
+    "us",
+    "micros",
+    "usec",
+    "µs",
+    "sec",
+    "Volt",
+    "Volts",
+    "mV",
+    "kN",
+    "lbf",
+    "Newton",
+    "Newtons",
+)
 _IN = re.compile(r"(?:(.*?\S)\s+)?in\s+(\S+)")
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
@@ -45,6 +63,8 @@ _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
 _CASED = (
     "kN", "N", "mN", "MN", "ms", "s", "mm", "m", "kg", "g", "Pa", "kPa", "MPa", "GPa", "Hz", "kHz", "J", "rad/s", "rpm",
 )  # fmt: skip
+# What a header in capitals means; elsewhere case matters.
+_CAPITALS = {"KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz"}
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
@@ -63,6 +83,11 @@ _IN_GRAVITIES = re.compile(
 _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
+# Numbers of a picture and of a converter, which a sensitivity makes a quantity.
+COUNTS = {
+    **dict.fromkeys(("px", "pixel", "pixels"), "px"),
+    **dict.fromkeys(("count", "counts", "digits", "LSB"), "counts"),
+}
 # Masses in which forces are stated by their weight, and its unit.
 WEIGHTS = {"kg": "kgf", "g": "gf", "lb": "lbf", "lbs": "lbf"}
 _EXAMPLES = {
@@ -312,8 +337,9 @@ def column(header: str) -> tuple[str, str | None]:
     plain = header.strip()
     if len(plain) > LONGEST:
         return plain, None
-    if match := _COLUMN.fullmatch(plain):
-        return match[1], match[2]
+    match = _COLUMN.fullmatch(plain)
+    if match and not match[2].isdigit():  # "Y[0]" is a name.
+        return match[1], _CAPITALS.get(match[2], match[2])
     if plain in _ALONE:
         return plain, plain
     if match := _VOLTS.fullmatch(plain):
@@ -330,8 +356,9 @@ def column(header: str) -> tuple[str, str | None]:
         return match[1], match[2]
     for pattern in (_ROUND, _BEHIND_SLASH):
         match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
-        if match and match[2] not in _LETTERS and not match[2].isdigit() and known(match[2]):
-            return match[1], match[2]
+        unit = _CAPITALS.get(match[2], match[2]) if match and not match[2].isdigit() else "A"
+        if match and unit not in (*_LETTERS, "t") and known(unit):
+            return match[1], unit
     return plain, None
 
 
@@ -345,8 +372,15 @@ def known(text: str) -> bool:
     try:
         parse(text)
     except UnitText:
-        return False
+        return text in COUNTS
     return True
+
+
+def same(first: str, second: str) -> bool:
+    """Whether two texts are one unit, as "millis" and "ms" are."""
+    return first == second or (
+        known(first) and known(second) and not {first, second} & COUNTS.keys() and parse(first) == parse(second)
+    )
 
 
 def engineering(values: Iterable[float], unit: str = "m") -> tuple[float, str]:

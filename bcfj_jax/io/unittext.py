@@ -22,7 +22,7 @@ _POWER = r"[-+]?\d+(?:\.\d+)?(?:/\d+)?"
 # A factor of a product: a symbol, 1 or a group in brackets, with its power.
 _FACTOR = re.compile(
     rf"""\s*(?P<sign>[*/]?)\s*(?:
-      (?P<symbol>°[CF]?|%|‰|(?!\d)[A-Za-zµΩ_]+(?:_?\d+(?![\d.]))?(?:-\d(?!\d))?)
+      (?P<symbol>°[CF]?|%|‰|(?!\d)[A-Za-zµΩ_è]+(?:_?\d+(?![\d.]))?(?:-\d(?!\d))?)
     | 1(?![\d.])
     | \((?P<group>[^()]*)\)
     )\s*(?P<power>(?:\^|\*\*)\s*(?:\(\s*{_POWER}\s*\)|{_POWER}))?\s*""",
@@ -35,8 +35,23 @@ _ALIASES = {
     "Sek": "s", "sek": "s", "Sekunden": "s", "seconds": "s", "mSek": "ms", "msek": "ms", "Std": "h", "kp": "kgf",
     "Newton": "N", "Newtons": "N", "newtons": "N", "Volt": "V", "Volts": "V", "volts": "V", "Sec": "s", "Secs": "s", "msec": "ms",
     "Seconds": "s", "Second": "s", "Sekunde": "s", "Meter": "m", "usec": "us",
+    "SEC": "s", "MSEC": "ms", "USEC": "us", "LBF": "lbf", "LBS": "lb", "KGF": "kgf", "VOLTS": "V", "VOLT": "V",
     "Ohm": "ohm", "Grad": "deg", "U": "revolution", "Umdr": "revolution", "r": "revolution", "rev": "revolution",
 }  # fmt: skip
+# Units as words of other languages, in lower case, and what may stand before them.
+_WORDS = dict.fromkeys(
+    ("second", "seconde", "secondes", "segundo", "segundos", "secondo", "secondi", "sekunde", "sekunden", "sekunder"), "s"
+) | {
+    **dict.fromkeys(("meter", "metre", "metres", "mètre", "mètres", "metro", "metros", "metri"), "m"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+}  # fmt: skip
+_PREFIXED = re.compile(r"(milli|mili|micro|mikro|centi|zenti|kilo)?(.+)")
+_PREFIXES = {"milli": "m", "mili": "m", "micro": "µ", "mikro": "µ", "centi": "c", "zenti": "c", "kilo": "k", None: ""}
+# Units in Cyrillic letters.
+_CYRILLIC = (("сек", "s"), ("мк", "µ"), ("см", "cm"), ("Гц", "Hz"), ("кгс", "kgf"))
+_LETTERS = str.maketrans({"с": "s", "м": "m", "к": "k", "Н": "N", "г": "g", "В": "V", "М": "M"})  # noqa: RUF001
+# An inch over 96 of a style sheet: of a picture it is no length.
+_NONE = ("px",)
 
 
 class UnitText(ValueError):
@@ -67,7 +82,9 @@ def symbols(text: str) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    text = re.sub(r"(?<=[A-Za-z])[.-](?=[A-Za-z])", "*", text)  # N.m, N-m
+    for written, meant in _CYRILLIC if re.search("[\u0400-\u04ff]", text) else ():
+        text = text.replace(written, meant)
+    text = re.sub(r"(?<=[A-Za-z])[.-](?=[A-Za-z])", "*", text.rstrip(".").translate(_LETTERS))  # N.m, N-m
     return re.sub(r"[⁻⁺]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: "^" + m[0].translate(_SUPERSCRIPTS), text).translate(_SIGNS)
 
 
@@ -136,8 +153,9 @@ def _symbol(text: str) -> tuple[pint.Unit, float]:
         return registry().parse_units(torque[1]) * registry().parse_units(torque[2]), 1.0
     powered = re.fullmatch(r"(.*?[^\d_-])(-?\d)", text)
     for name, power in ((text, 1.0), (powered[1], float(powered[2])) if powered else ("", 1.0)):
-        name = _ALIASES.get(name, name)
-        if not name or len(name) > _LONGEST_SYMBOL or "-" in name:
+        prefix, word = _PREFIXED.fullmatch(name.lower()).groups() if name else (None, "")  # pyright: ignore
+        name = _PREFIXES[prefix] + _WORDS[word] if word in _WORDS else _ALIASES.get(name, name)
+        if not name or len(name) > _LONGEST_SYMBOL or "-" in name or name in _NONE:
             continue
         try:
             return registry().parse_units(name), power

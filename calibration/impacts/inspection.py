@@ -29,7 +29,10 @@ def check_clock(clock: np.ndarray, part: Record, time: str) -> None:
         k = int(late[0]) + 1
         said, remedy = f"follows {clock[k - 1]:.9g} s", "sort the rows"
         if clock[k] == clock[k - 1]:
-            said, remedy = "stands twice", "give the clock more digits, or take the repeated rows out"
+            said, remedy = (
+                "stands twice",
+                "take the repeated rows out, or another clock by time or rate (--time, --rate)",
+            )
         found = f"time {clock[k]:.9g} s {said}{others(part.lines[late + 1].tolist(), part.counted)}"
         remedy = f"times must increase: {remedy}, or split the runs with rows = {{ column = [values] }}"
         raise InputError(part.place(k, time), found, remedy)

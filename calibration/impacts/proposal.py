@@ -35,11 +35,13 @@ _NAMES = {
     "s": TIMES,
     "N": (
         "force", "load", "f", "fn", "f_n", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
-        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids",
+        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids", "força", "forca", "siła", "síla",
+        "kracht", "voima", "erő", "сила", "усилие", "нагрузка", "力", "荷重", "힘",
     ),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération", "aceleración"),
+    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération",
+        "aceleración", "ускорение"),
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
-    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg"),
+    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
 }  # fmt: skip
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
 _GIVEN = {
@@ -52,6 +54,8 @@ _GIVEN = {
 _TANGENTIAL = {
     "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
 }  # fmt: skip
+# Of several forces the sum goes with those that are named, of which the largest is read.
+_SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
 _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 _READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
@@ -63,6 +67,8 @@ _LASTS = (3e-6, 0.3)
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Times the noise from which on a contact is seen.
 _SEEN = 12.0
+# Whole numbers without a unit that may be counts.
+_COUNTED = 20
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -194,6 +200,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     if not found.keys() & _READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
         faults.found.append(InputError(where, f"{kinds}: {headers}", _reading_remedy(table, found)))
+    for unit in found.keys() & _READ.keys() if hints.observe is None else ():
+        with faults:
+            _physical(table, found[unit], unit)
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts]
@@ -231,6 +240,16 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     )
 
 
+def _physical(table: Record, header: str, unit: str) -> None:
+    """Refuse readings without a unit that are whole numbers, as a converter counts, of an unknown size."""
+    values = _values(table, header, unit)
+    values = values[np.isfinite(values)]
+    if column(header)[1] is None and len(np.unique(values)) > _COUNTED and (values == np.round(values)).all():
+        found = f"no unit of '{header}' is stated, and all its readings are whole numbers, as a converter counts"
+        ways = f'--observe "{header} [{unit}]", or --observe "{header} [counts]" --sensitivity "85 counts/{unit}"'
+        raise InputError(table.name, found, f"say what they are, with init calibration: {ways}")
+
+
 def _seconds(where: str, time: str, duration: float) -> None:
     """Refuse a clock without a unit by which a contact is longer or shorter than impacts are, if it is in seconds."""
     if not _LASTS[0] < duration < _LASTS[1]:
@@ -256,9 +275,11 @@ def _reading_remedy(table: Record, found: dict[str, str]) -> str:
             return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
     bare = [h for h in table.header if h not in ("", SWEEP) and column(h)[1] is None and h != found.get("s")]
     bare = bare[1:] if "s" not in found and bare[1:] and bare[0] == table.header[0] else bare
-    other = next((h for h in bare if not _counts(table, h)), next(iter(bare), ""))
+    texts = [h for h in bare if not _is_numeric(table.columns[table.header.index(h)])]
+    other = next((h for h in bare if h not in texts and not _counts(table, h)), next(iter(bare), ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
-    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else "N")
+    named = next((u for u in _READ if other and _named(other, u)), "N")
+    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else named)
     named = column(heavy or other)[0]
     unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
     said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
@@ -389,7 +410,8 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
-        return not _named(header, unit), _name(header) not in _NAMES[unit], size
+        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", _name(header)))
+        return not (_named(header, unit) or total), _name(header) not in _NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
@@ -400,6 +422,9 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     kinds = {h: u for h in bare if (u := next((u for u in _KINDS if _named(h, u)), None))}
     for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
         found.setdefault(kinds[h], h)
+    for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
+        if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
+            found.setdefault(unit, h)
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
     if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(_name(found["m"])) == 1:
         del found["m"]

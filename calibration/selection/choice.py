@@ -22,9 +22,12 @@ from bcfj_jax.io.journal import Chapter, Journal
 from bcfj_jax.io.units import format_si
 from bcfj_jax.xla.programs import program
 from calibration.fit import Fit, fit
-from calibration.forward.model import Model, divided, whole
+from calibration.forward.model import Model, build, divided, whole
 from calibration.noise import noise_model
 from calibration.problem import Experiment, Problem
+from calibration.search.descent import levenberg
+from calibration.search.evaluate import evaluator
+from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import briefly
 
 log = logging.getLogger("calibration")
@@ -33,6 +36,8 @@ log = logging.getLogger("calibration")
 DECISIVE = 10.0
 # Models are as cheap as the fastest up to this factor of time a prediction; the number of parameters decides then.
 AS_FAST = 3.0
+# Steps at most to the optimum of a part of the data, from that of all.
+_STEPS = 20
 
 
 class Likelihood(NamedTuple):
@@ -109,6 +114,8 @@ def choose(
         tell: as ``fit``'s, with a note of whose fit it is.
         options: of every fit, as ``fit``: seed, starts.
 
+    Where models follow the record of a tumbling body differently far, likelihoods are those of the part that all follow.
+
     Raises:
         InputError: for no model, a name given twice, or models of other data.
         AllStartsFailed: if no start of a model simulates.
@@ -126,7 +133,31 @@ def choose(
         found = fit(problem, journal=own, systematic=False, tell=told, **options)
         log.info("model '%s': %s", name, found.verdict)
         rivals.append(rival(name, problem, found))
-    return decided(rivals)
+    return decided(_over_the_same([problem for _, problem in models], rivals))
+
+
+def _over_the_same(problems: Sequence[Problem], rivals: Sequence[Rival]) -> list[Rival]:
+    """Rivals with likelihoods of the same data: where they follow a tumbling body differently far, of what all follow."""
+    ends = [tuple(max(e.times, default=0.0) for e in r.fit.optimum.experiments) for r in rivals]
+    least = tuple(map(min, zip(*ends, strict=True)))
+    return [
+        r if end == least or r.likelihood is None else replace(r, likelihood=_up_to(problem, r.fit, least))
+        for problem, r, end in zip(problems, rivals, ends, strict=True)
+    ]
+
+
+def _up_to(problem: Problem, found: Fit, ends: Sequence[float]) -> Likelihood:
+    """Likelihood of the beginning of each record, up to ``ends`` [s], at its own optimum, which is sought from the fit's."""
+    cut = problem.until(ends)
+    model = build(cut, cut.fitted)
+    point = model.point(found.optimum.model.values(np.asarray(found.optimum.end.point)))
+    noise = noise_model.Estimate({}, {}, [])
+    for _ in range(2):
+        if not noise_model.known(cut.fitted):
+            model, noise = noise_model.estimate(model, cut.fitted, point)
+        point = levenberg(evaluator(model), point[None], _STEPS, budget(model).tolerance).points[0]
+    residuals = np.asarray(evaluator(model)(point[None])[0][0])
+    return likelihood_of(cut.fitted, model, residuals, noise)
 
 
 def rival(name: str, problem: Problem, found: Fit) -> Rival:

@@ -11,13 +11,13 @@ from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 from bcfj_jax import InputError, scenes
-from calibration import Channel, Experiment, Free, Problem, load
+from calibration import Channel, Experiment, Free, Problem, fit, load
 from calibration.diagnostics.misfit_location import misses, reasons
 from calibration.diagnostics.records import Record
 from calibration.forward.model import build, residuals_and_jacobian
 from calibration.noise import noise_model
 from calibration.selection.alternatives import candidates, models
-from calibration.selection.choice import Likelihood, Rival, choose, decided, likelihood_of, table
+from calibration.selection.choice import Likelihood, Rival, _over_the_same, choose, decided, likelihood_of, rival, table
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -75,6 +75,19 @@ def test_likelihood_is_that_of_the_normal_distribution(sigma, correlation):
     n, k = 242, reported.numbers
     assert reported.bic == pytest.approx(reported.deviance + k * np.log(n))
     assert reported.aicc == pytest.approx(reported.deviance + 2 * k * n / (n - k - 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [SIGMA, None])
+def test_models_that_follow_differently_far_are_compared_over_what_all_follow(sigma):
+    whole = problem(SOFT, (record(1.5, 0.0, 0, sigma=sigma),), FREE)
+    part = whole.until([3.5e-3])
+    far, near = (rival(name, p, fit(p, starts=4, systematic=False)) for name, p in (("far", whole), ("near", part)))
+    same = _over_the_same([whole, whole], [far, near])
+    assert [r.likelihood.samples for r in (far, *same)] == [121, 71, 71]
+    assert same[1] is near
+    # The optimum of the part, whichever way it was reached.
+    assert same[0].likelihood.deviance == pytest.approx(near.likelihood.deviance, abs=0.02)
 
 
 def clean(experiment: Experiment) -> np.ndarray:

@@ -165,3 +165,68 @@ def test_the_change_of_speed_of_an_acceleration_is_not_divided_by_the_mass(tmp_p
 )
 def test_a_file_of_another_length_than_it_states_is_said(size, said):
     assert said in wrong_length(size, 100, 112) and bool(said) == bool(wrong_length(size, 100, 112))
+
+
+KN = [f"{f / 1e3:.8f}" for f in FORCE]
+DAYS = [f"0 days 00:00:00.{50 * k:06d}" for k in range(COUNT)]
+# Head, columns, what parts them, and the encoding.
+OTHERS = {
+    "numbers with labels and units": ("", [f"t={t} ms" for t in TIMES], [f"F = {f} kN" for f in KN], ", ", "utf-8"),
+    "numbers with units": ("Time;Force", [f"{t} ms" for t in TIMES], [f"{f} kN" for f in KN], ";", "utf-8"),
+    "columns in comments": ("# rig A\n# column 1: time [ms]\n# column 2: force [kN]", TIMES, KN, " ", "utf-8"),
+    "units in a comment": ("# units: ms, kN\ntime,force", TIMES, KN, ",", "utf-8"),
+    "units in a sentence": ("# time in ms; all forces are in kN\ntime,force", TIMES, KN, ",", "utf-8"),
+    "Cyrillic": ("Время, мс;Сила, кН", TIMES, KN, ";", "cp1251"),
+    "words": ("Temps;Force\nmillisecondes;kilonewtons", TIMES, KN, ";", "utf-8"),
+    "capitals": ("TIME (MS),FORCE (KN)", TIMES, KN, ",", "utf-8"),
+    "sums below names": ("Time [ms],Force [kN]\nMin,-0.1\nMax,4.2", TIMES, KN, ",", "utf-8"),
+    "a row that repeats names": ("Number,Time,CH1\nNO.,ms,kN", TIMES, KN, ",", "utf-8"),
+    "a line below names": ("Time [ms]  Force [kN]\n---------  ----------", TIMES, KN, "  ", "utf-8"),
+    "differences of time": (",Force [kN]", DAYS, KN, ",", "utf-8"),
+    "marked as texts": ("'Time [ms]','Force [kN]'", [f"'{t}'" for t in TIMES], [f"'{f}'" for f in KN], ",", "utf-8"),
+    "units as names": ("ms;kN", TIMES, KN, ";", "utf-8"),
+    "a comment behind": ("Time [ms],Force [kN]", TIMES, [*KN[:-1], f"{KN[-1]} # end"], ",", "utf-8"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_units_and_names_wherever_they_stand(name, tmp_path):
+    head, times, forces, by, encoding = OTHERS[name]
+    columns = ([str(k) for k in range(COUNT)], times, forces) if "NO." in head else (times, forces)
+    rows = [by.join(row) for row in zip(*columns, strict=True)]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join([*filter(None, [head]), *rows]) + "\n", encoding=encoding)
+    (one,) = init.found_in(path, init.Said()).records
+    assert np.diff(one.clock) == pytest.approx(STEP)
+    np.testing.assert_allclose(one.readings["N"], FORCE, atol=1e-4)
+
+
+def test_channels_in_rows_and_numbers_without_a_blank_between(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text(f"time [ms],{','.join(TIMES)}\nforce [kN],{','.join(KN)}\n")
+    np.testing.assert_allclose(init.found_in(path, init.Said()).records[0].readings["N"], FORCE, atol=1e-4)
+    rows = [f"{float(t):12.5E}{-f - 20.0:12.5E}{-float(t) - 1.0:12.5E}" for t, f in zip(TIMES, FORCE, strict=True)]
+    path.write_text("\n".join(["T(MS) F(N) X(MM)", *rows]) + "\n")
+    found = init.found_in(path, init.Said())
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE + 20.0, atol=2e-3)
+
+
+def test_what_stands_for_no_number_is_none_and_a_sum_goes_before_its_parts(tmp_path):
+    holes = [-9999.0 if k % 41 in (7, 8, 9) else f for k, f in enumerate(FORCE)]
+    read = init.found_in(file(tmp_path, "t [ms],F [N]", TIMES, holes), init.Said()).records[0].readings["N"]
+    assert np.isnan(read[7]) and np.nanmax(np.abs(read - FORCE)) < 1e-9
+    parts = (0.3 * FORCE, 0.7 * FORCE, FORCE)
+    found = init.found_in(file(tmp_path, "t [ms],Kraft 1 [N],Kraft 2 [N],Summe [N]", TIMES, *parts), init.Said())
+    assert found.columns == {"N": "Summe [N]"}
+
+
+def test_pixels_and_counts_are_no_lengths_and_no_forces(tmp_path):
+    path = file(tmp_path, "t [ms],X [px]", TIMES, np.cumsum(np.clip(10.0 - FORCE / 100.0, -10.0, 10.0)))
+    with pytest.raises(InputError, match='--sensitivity "20 px/mm"'):
+        init.found_in(path, init.Said())
+    counts = np.round(85.0 * FORCE).astype(int)
+    with pytest.raises(InputError, match="all its readings are whole numbers, as a converter counts"):
+        init.found_in(file(tmp_path, "t [ms],force", TIMES, counts), init.Said())
+    said = init.Said(stated=Stated(sensitivity="85 counts/N"), hints=Hints(observe="force [counts]"))
+    read = init.found_in(tmp_path / "a.csv", said).records[0].readings["N"]
+    np.testing.assert_allclose(read, FORCE, atol=0.01)

@@ -14,6 +14,7 @@ from calibration import command, fit, init, load
 from calibration.forward.model import build
 from calibration.impacts import tosses
 from calibration.search.horizon import stages
+from calibration.search.starts import Screen, search
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Parameter
 
@@ -143,3 +144,19 @@ def test_friction_of_a_toss_is_found_with_its_first_state_free(tmp_path):
     found = fit(load(tmp_path / "toss.toml"), starts=4)
     low, high = found.parameters["friction_dynamic"].ci95 or (np.nan, np.nan)
     assert low < FRICTION < high and high - low < 0.2 * FRICTION
+
+
+@pytest.mark.slow
+def test_a_toss_that_the_model_goes_with_is_followed_to_its_end(tmp_path):
+    init.run(write(tmp_path / "toss.csv", *toss()), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), lambda line: None)
+    problem = load(tmp_path / "toss.toml")
+    (one,) = problem.experiments
+    model = build(problem, problem.fitted)
+    truth = dict(stiffness=STIFFNESS, damping=DAMPING, friction_dynamic=FRICTION, inertia=2 / 3 * MASS * HALF**2)
+    start = np.array([truth[c.name] if c.name in truth else np.mean(one.bounds[c.name]) for c in model.coordinates])
+    near = model.point(start)
+    design = np.clip(near + 0.03 * np.random.default_rng(0).standard_normal((4, near.size)), 0.0, 1.0)
+    found = search(problem, model, Screen(design, np.arange(4.0), np.ones(near.size)), [start], 2)
+    values = dict(zip((c.name for c in found.model.coordinates), found.model.values(found.ends[0].point), strict=True))
+    assert values["friction_dynamic"] == pytest.approx(FRICTION, rel=0.05)
+    assert found.problem.experiments[0].times[-1] == pytest.approx(TIMES[-1]) and found.said == []

@@ -24,5 +24,7 @@ def named(name: str) -> ModuleType:
 
 def reader_of(kind: str, head: bytes) -> ModuleType | None:
     """The reader of a file with an extension and first bytes; None where it is none of these, as a text is."""
+    if kind == ".xls" and b"\0" not in head:
+        return None  # Many programs name a text so, that a spreadsheet opens it.
     found = next((r for r in READERS if kind in r.KINDS), None)
     return found or next((r for r in READERS if r.SIGNATURE and re.match(r.SIGNATURE, head)), None)

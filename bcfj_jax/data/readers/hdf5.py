@@ -15,7 +15,7 @@ KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
 SIGNATURE = b""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # Attributes that make a clock, without blanks and signs, in lower case.
-_RATES = ("dt", "fs", "sampleinterval", "samplerate", "samplingrate", "samplingfrequency", "samplefrequency")
+_RATES = ("dt", "fs", "xinc", "sampleinterval", "samplerate", "samplingrate", "samplingfrequency", "samplefrequency")
 
 
 def read(file: str, wanted: str) -> Content:
@@ -33,7 +33,7 @@ def read(file: str, wanted: str) -> Content:
             rates[name] = _rates(thing)
             return
         item: Any = thing
-        unit = next((item.attrs[k] for k in UNIT_NAMES if k in item.attrs), None)
+        unit = next((item.attrs[k] for k in item.attrs if k.lower() in (*UNIT_NAMES, "yunit", "yunits")), None)
         if item.dtype.names:
             tables[name] = {field: Column(None, item.size, _part(item, field)) for field in item.dtype.names}
             return
