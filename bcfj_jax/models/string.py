@@ -55,7 +55,7 @@ from bcfj_jax.models.string_bending import BENDING, Bent, bent, check_length, ri
 WHERE = "scene 'string'"
 # What a joint is told by the string, and not by the user.
 _TOLD = ("joint_angle", "load_torque", "axial_load")
-LEVELS = ("kinematic", "quasistatic")
+LEVELS = ("kinematic", "quasistatic", "dynamic")
 POISSON = 0.29  # Of steel (paper).
 DEFAULTS: dict[str, tuple[float, str]] = {
     "hole_radius": (1.0, "paper: 1 m; usual 1 to 4 m"),

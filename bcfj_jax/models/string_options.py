@@ -22,7 +22,8 @@ from bcfj_jax.models.joint.options import (
     with_keys,
 )
 from bcfj_jax.models.string import LEVELS, WHERE, StringModel
-from bcfj_jax.models.string_motion import MOTIONS, in_motion
+from bcfj_jax.models.string_dynamic import DynamicString
+from bcfj_jax.models.string_motion import MOTIONS, MovingString, in_motion
 
 # Friction laws of the bit: those of hinges.
 BITS = ("none", "coulomb", "step", "brown_mcphee", "lugre")
@@ -45,14 +46,21 @@ def _made(n: int, motion: str, bending: bool, bit: str, options: JointOptions) -
     if motion not in MOTIONS:
         raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
     if options.fidelity not in LEVELS:
-        found = f"'{options.fidelity}': joints of a string exchange no dynamics but the string's torsion"
-        remedy = f"give {' or '.join(LEVELS)}, and motion = 'torsional' for a string that twists and swings"
-        raise InputError(f"{WHERE} fidelity", found, remedy)
+        raise InputError(f"{WHERE} fidelity", f"no level {quoted(options.fidelity)}", nearest(options.fidelity, LEVELS))
+    dynamic = options.fidelity == "dynamic"
+    if dynamic and motion == "none":
+        found = "'dynamic' in a string without motion"
+        raise InputError(f"{WHERE} fidelity", found, "give motion = 'torsional', or fidelity = 'quasistatic'")
+    if dynamic and bit == "lugre":
+        found = "'lugre' beside joints in motion, where bristles of the bit have no place"
+        raise InputError(f"{WHERE} bit_friction", found, "give brown_mcphee, or fidelity = 'quasistatic'")
     usual = replace(options, drive=JointDrive(), loads=JointLoads())
     joint = JointModel(**structure(usual))
     if motion == "torsional":
         moving = JointModel(**structure(replace(options, fidelity="dynamic")))
-        return in_motion(StringModel(joint, count, bending=bending), moving, _law(bit, options))
+        made, samples = (DynamicString, 1001) if dynamic else (MovingString, 301)
+        rest = StringModel(joint, count, bending=bending, samples=samples)
+        return in_motion(rest, moving, _law(bit, options), made)
     if options != usual or bit != "none":
         found = "a drive or a load over time in a string without motion"
         raise InputError(
