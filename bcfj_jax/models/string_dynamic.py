@@ -230,6 +230,15 @@ class DynamicString(MovingString):
         """The joint's."""
         return self.joint.first_step(params, scales)
 
+    def settled_from(self, params: Params) -> float:
+        """When what rises has risen and a ball's pitch has passed."""
+        return super().settled_from(params) + float(self.joint.pitch(params))
+
+    @property
+    def settled_when(self) -> str:
+        """The joint's."""
+        return self.joint.settled_when
+
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """Of the lumps, which are the heads, and of all joints."""
         own, size = self.joint.coordinates(), self.joint.states

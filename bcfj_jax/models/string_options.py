@@ -49,7 +49,7 @@ def _made(n: int, motion: str, bending: bool, bit: str, options: JointOptions) -
         raise InputError(f"{WHERE} fidelity", f"no level {quoted(options.fidelity)}", nearest(options.fidelity, LEVELS))
     dynamic = options.fidelity == "dynamic"
     if dynamic and motion == "none":
-        found = "'dynamic' in a string without motion"
+        found = "'dynamic': joints of a string without motion exchange no dynamics"
         raise InputError(f"{WHERE} fidelity", found, "give motion = 'torsional', or fidelity = 'quasistatic'")
     if dynamic and bit == "lugre":
         found = "'lugre' beside joints in motion, where bristles of the bit have no place"
@@ -77,8 +77,9 @@ class _Options:
         n: number of joints.
         motion: one of none, torsional. none: every instant is one of equilibrium. torsional: segments and joints twist,
             and lumps between them turn with inertia; drive and loads may then be over time.
-        fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
-            quasistatic: equilibrium under the torque that passes through each, without friction.
+        fidelity: one of kinematic, quasistatic, dynamic. Of the joints. kinematic: closed-form load sharing.
+            quasistatic: equilibrium under the torque that passes through each, without friction. dynamic: all joints in full
+            motion, of a string with motion = torsional.
         bending: whether segments bend: those that do not pass straight pass bent, pressed on the wall in their middle.
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre. none: the bit's torque is what the loads say. Others: it
             is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width; of lugre
@@ -108,7 +109,7 @@ def string(
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
         bending: whether segments bend where they do not pass straight (``models.string_bending``).
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre: a friction law of the bit, in place of a torque.
-        fidelity: one of kinematic, quasistatic: of the joints' contact forces.
+        fidelity: one of kinematic, quasistatic, dynamic: of the joints (``models.string_dynamic``).
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
 
     Raises:

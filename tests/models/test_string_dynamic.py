@@ -287,20 +287,31 @@ def loaded(scene, t, held):
 
 @pytest.mark.slow
 def test_derivatives_of_forces_are_differences():
-    scene, params, _ = made(2, LEAST)
-    times = np.linspace(0.0, 0.01, 41)
-    read = lambda p: bj.force_history(scene, p, times, accuracy=1e-6)["seat_ball"]  # noqa: E731
-    for name in ("segment_modulus", "bit_torque", "wall_friction", "damping"):
-        value, step = float(params[name]), 1e-3
-        way = {key: jnp.asarray(value if key == name else 0.0) for key in params}
-        slope = np.asarray(jax.jvp(read, (params,), (way,))[1])
-        ends = [read(params | {name: jnp.asarray(value * (1.0 + s * step))}) for s in (1, -1)]
-        differences = np.asarray(ends[0] - ends[1]) / (2.0 * step)
-        assert np.abs(slope - differences).max() < 1e-2 * np.abs(differences).max(), name
+    # Friction keeps the balls' first impacts from parting neighbouring runs.
+    rough = {key: group for key, group in LEAST.items() if key != "materials"}
+    scene, params, _ = made(2, rough)
+    times, way = (
+        np.linspace(0.0, 0.01, 41),
+        {"segment_modulus": 1.0, "bit_torque": 0.5, "wall_friction": -0.7, "seat_inertia": 1.0},
+    )
+
+    @jax.jit
+    def read(share):
+        def force(share):
+            told = {name: x * (1.0 + share * way.get(name, 0.0)) for name, x in params.items()} | {
+                "load_ramp": jnp.asarray(0.005)
+            }
+            return bj.force_history(scene, told, times, accuracy=1e-5)["seat_ball"][..., 0]
+
+        return jax.jvp(force, (share,), (jnp.ones(()),))
+
+    slope, step = np.asarray(read(0.0)[1]), 1e-3
+    differences = np.asarray(read(step)[0] - read(-step)[0]) / (2.0 * step)
+    assert np.abs(slope - differences).max() < 1e-2 * np.abs(differences).max()
 
 
 def test_what_is_refused_before_the_run():
-    with pytest.raises(bj.InputError, match=r"without motion.*give motion = 'torsional'"):
+    with pytest.raises(bj.InputError, match=r"exchange no dynamics.*give motion = 'torsional'"):
         bj.scenes.string(fidelity="dynamic")
     with pytest.raises(bj.InputError, match="'lugre' beside joints in motion"):
         bj.scenes.string(motion="torsional", fidelity="dynamic", bit_friction="lugre")
