@@ -18,8 +18,8 @@ what drive and loads of a joint may be over time, falling with its speed where i
 Bodies, hinges and loads are those of every mechanism: lumps are members of one body, so that a program does not grow with them.
 
 Contact forces are those of each joint in equilibrium under T_i at the angle of the lump above it. Left out: inertia within the
-joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion. Of joints in full
-motion: ``models.string_dynamic``.
+joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion.
+Joints in full motion are those of ``models.string_dynamic``.
 """
 
 from __future__ import annotations

@@ -290,17 +290,13 @@ def test_derivatives_of_forces_are_differences():
     # Friction keeps the balls' first impacts from parting neighbouring runs.
     rough = {key: group for key, group in LEAST.items() if key != "materials"}
     scene, params, _ = made(2, rough)
-    times, way = (
-        np.linspace(0.0, 0.01, 41),
-        {"segment_modulus": 1.0, "bit_torque": 0.5, "wall_friction": -0.7, "seat_inertia": 1.0},
-    )
+    way = {"segment_modulus": 1.0, "bit_torque": 0.5, "wall_friction": -0.7, "seat_inertia": 1.0}
+    params, times = params | {"load_ramp": jnp.asarray(0.005)}, np.linspace(0.0, 0.01, 41)
 
     @jax.jit
     def read(share):
         def force(share):
-            told = {name: x * (1.0 + share * way.get(name, 0.0)) for name, x in params.items()} | {
-                "load_ramp": jnp.asarray(0.005)
-            }
+            told = {name: x * (1.0 + share * way.get(name, 0.0)) for name, x in params.items()}
             return bj.force_history(scene, told, times, accuracy=1e-5)["seat_ball"][..., 0]
 
         return jax.jvp(force, (share,), (jnp.ones(()),))
