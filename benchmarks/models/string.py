@@ -112,7 +112,7 @@ def fitted(rows: dict[str, Any]) -> dict[str, Any]:
 
 def table(found: dict[str, Any]) -> str:
     """Rows by joints, of the parts that were measured."""
-    heads = {"rest": "at rest", "motion": "in motion", "full": "joints in full motion"}
+    heads = {"rest": "at rest", "motion": "in motion", "full": "with joints in full motion"}
     columns: dict[str, Any] = {"joints": lambda n: n}
     whole = [part for part in heads if "exponent" in found.get(part, {})]
     for part in whole:
