@@ -252,10 +252,7 @@ class DynamicString(MovingString):
     def _springs(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array, Array]:
         """Of what turns each seat: elastic and damping torque, twist, speed of the drive."""
         place, rate = self.turns(y)
-        over = self._shaft.programmes
-        turn, speed = prepared["drive_speed"] * t, prepared["drive_speed"]
-        if over.drive is not None:
-            turn, speed, _ = drive_at(over, t, prepared)
+        turn, speed = self._shaft.drive(t, prepared)
         twist, closing = (_above(x[:, 1]).at[0].set(x0) - x[:, 0] for x, x0 in ((place, turn), (rate, speed)))
         return prepared["coupling"] * twist, prepared["coupling_damping"] * closing, twist, jnp.asarray(speed)
 

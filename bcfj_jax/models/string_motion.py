@@ -79,12 +79,16 @@ class Shaft(CoordinateLoad):
 
     def torques(self, t: Array, position: Array, rate: Array, p: Params) -> tuple[Array, Array, Array, Array]:
         """(n,) elastic and damping torque of every spring, its stretch; speed of the drive."""
-        turn, speed = p["drive_speed"] * t, p["drive_speed"]
-        if self.programmes.drive is not None:
-            turn, speed, _ = drive_at(self.programmes, t, p)
+        turn, speed = self.drive(t, p)
         stretch = jnp.concatenate([jnp.asarray(turn)[None], position[:-1]]) - position
         closing = jnp.concatenate([jnp.asarray(speed)[None], rate[:-1]]) - rate
         return p["coupling"] * stretch, p["coupling_damping"] * closing, stretch, jnp.asarray(speed)
+
+    def drive(self, t: Array, p: Params) -> tuple[Array, Array]:
+        """Turn and speed of the drive."""
+        if self.programmes.drive is None:
+            return p["drive_speed"] * t, p["drive_speed"]
+        return drive_at(self.programmes, t, p)[:2]
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
         """T_i - T_(i+1) on every lump."""
@@ -482,8 +486,7 @@ class MovingString(StringModel):
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """Segments at the lumps' angles, the upper connection at the drive's."""
-        over = self._shaft.programmes
-        top = params["drive_speed"] * t if over.drive is None else drive_at(over, t, params)[0]
+        top = self._shaft.drive(t, params)[0]
         turns = jnp.concatenate([jnp.asarray(top)[None], self._split(y)[0]])
         return string_drawing.scenery(params, chord(params), turns)
 

@@ -260,7 +260,7 @@ def test_torque_and_power_close_along_a_string_that_turns():
         return scene.torque(t, y, held), speed, power.axial + power.lost, stored.total, flows
 
     each = jax.jit(lambda *x: jax.lax.map(lambda x: look(*x), x, batch_size=100), compiler_options=QUICK)
-    found = each(jnp.asarray(times[late]), jnp.asarray(run.trajectory[late]))
+    found = each(jnp.asarray(times[late]), jnp.asarray(run.trajectory)[late])
     torque, speed, lost, stored, (given, taken, kept) = jax.tree.map(np.asarray, found)
     span = times[late]
     mean = lambda x: np.trapezoid(x, span, axis=0) / (span[-1] - span[0])  # noqa: E731
@@ -270,7 +270,8 @@ def test_torque_and_power_close_along_a_string_that_turns():
     assert (mean(torque) < np.asarray(statics.torque) * 1.2).all()
     # Power of the string as a whole.
     net = mean(sum(given.values())) - mean(sum(taken.values()))
-    change = (sum(kept.values())[-1] - sum(kept.values())[0]) / (span[-1] - span[0])
+    whole: Any = sum(kept.values())
+    change = (whole[-1] - whole[0]) / (span[-1] - span[0])
     assert abs(net - change) < 1e-3 * mean(given["drive"])
     # And of each joint with the torque that it hands on.
     below = np.append(torque[:, 1:], 0.0 * torque[:, :1], 1)
