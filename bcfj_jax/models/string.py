@@ -1,7 +1,8 @@
 """``string``: upper connection, n ball-cage joints and lower connection in a curved hole, in quasi-static coupling.
 
 The string is solved from bit to drive in closed form; then every joint is the scene ``joint`` without inertia under its own
-torque and axial load. Joints exchange no dynamics: what one does over a turn does not reach the next.
+torque and axial load. Joints exchange no dynamics: what one does over a turn does not reach the next (but in
+``models.string_dynamic``).
 
 Geometry (physics sheet 5.5). Segments are chords of a circle of radius R, the hole's axis, so that joints bend by
 beta = 2 asin(L/2R) each. A straight cylinder of radius d and length L passes where L <= 4 sqrt(C (R + d)), C its clearance.
@@ -55,7 +56,7 @@ from bcfj_jax.models.string_bending import BENDING, Bent, bent, check_length, ri
 WHERE = "scene 'string'"
 # What a joint is told by the string, and not by the user.
 _TOLD = ("joint_angle", "load_torque", "axial_load")
-LEVELS = ("kinematic", "quasistatic")
+LEVELS = ("kinematic", "quasistatic", "dynamic")
 POISSON = 0.29  # Of steel (paper).
 DEFAULTS: dict[str, tuple[float, str]] = {
     "hole_radius": (1.0, "paper: 1 m; usual 1 to 4 m"),
@@ -372,14 +373,15 @@ class StringModel(AbstractModel):
             lighter = weight * (has - float(idle)) / (needed - float(idle)) if needed > float(idle) else 0.0
             less = f"at most {most:.5g} N m, or " if most > 0.0 else ""
             if most <= 0.0 and lighter > 0.0:
-                steady = weight == float(params["weight_on_bit"])
-                less = f"a weight_on_bit of at most {lighter:.4g} N, or " if steady else "less weight_on_bit, or "
+                less = f"{_lighter(params, weight, lighter, 'a weight_on_bit of ')}, or "
             remedy = f"give {less}a drive_torque of {needed:.5g} N m"
             raise InputError(f"{where} bit_torque", found, remedy)
         bears = float(buckling_force(params))
         if pushed > bears:
             found = f"{weight:g} N: the highest segment bears {pushed:.4g} N and buckles at {bears:.4g} N"
-            raise InputError(f"{where} weight_on_bit", found, f"give at most {weight * bears / pushed:.4g} N")
+            raise InputError(
+                f"{where} weight_on_bit", found, f"give {_lighter(params, weight, weight * bears / pushed)}"
+            )
 
     def chain(self, params: Params) -> Chain:
         """The hole's axis from the drive (0, 0) downwards, a joint at each corner, and what each hands down."""
@@ -426,6 +428,14 @@ class StringModel(AbstractModel):
         }
         why = f"joint {most} hands down the torque of the bit and of all wall friction below it"
         return {"string": entry | {"peaks": peaks, "most_loaded": most, "why": why}}, {}
+
+
+def _lighter(params: Params, weight: float, most: float, what: str = "") -> str:
+    """What to give of a weight on the bit that may be ``most`` at its greatest [N], and is ``weight``: it may swing."""
+    swing = weight - float(params["weight_on_bit"])
+    if most > swing:
+        return f"{what}at most {most - swing:.4g} N"
+    return f"less weight_on_bit and axial_amplitude, {most:.4g} N together"
 
 
 def _check(v: dict[str, float], where: str) -> None:

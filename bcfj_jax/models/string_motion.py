@@ -19,6 +19,7 @@ Bodies, hinges and loads are those of every mechanism: lumps are members of one 
 
 Contact forces are those of each joint in equilibrium under T_i at the angle of the lump above it. Left out: inertia within the
 joints (their balls' frequencies are far above), ripple of their stiffness over a turn, axial and lateral motion.
+Joints in full motion are those of ``models.string_dynamic``.
 """
 
 from __future__ import annotations
@@ -78,12 +79,16 @@ class Shaft(CoordinateLoad):
 
     def torques(self, t: Array, position: Array, rate: Array, p: Params) -> tuple[Array, Array, Array, Array]:
         """(n,) elastic and damping torque of every spring, its stretch; speed of the drive."""
-        turn, speed = p["drive_speed"] * t, p["drive_speed"]
-        if self.programmes.drive is not None:
-            turn, speed, _ = drive_at(self.programmes, t, p)
+        turn, speed = self.drive(t, p)
         stretch = jnp.concatenate([jnp.asarray(turn)[None], position[:-1]]) - position
         closing = jnp.concatenate([jnp.asarray(speed)[None], rate[:-1]]) - rate
         return p["coupling"] * stretch, p["coupling_damping"] * closing, stretch, jnp.asarray(speed)
+
+    def drive(self, t: Array, p: Params) -> tuple[Array, Array]:
+        """Turn and speed of the drive."""
+        if self.programmes.drive is None:
+            return p["drive_speed"] * t, p["drive_speed"]
+        return drive_at(self.programmes, t, p)[:2]
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
         """T_i - T_(i+1) on every lump."""
@@ -418,12 +423,19 @@ class MovingString(StringModel):
         return speed, self.torque(t, y, prepared)[0] + rubs, rubs
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
-        """Of the lumps; of joints torque and twist; of the drive torque and speed."""
-        stretch, still = self._springs(t, y, prepared)[2], jnp.zeros((self.count, 3))
-        joint = BodyMotion(still, still, still, angle=stretch, drive=self.torque(t, y, prepared))
+        """Of the lumps; of joints torque and twist, with the segment's; of the drive torque and speed."""
+        still = jnp.zeros((self.count, 3))
+        joint = BodyMotion(still, still, still, angle=self._twist(t, y, prepared), drive=self.torque(t, y, prepared))
         speed, torque, _ = self._top(t, y, prepared)
         top = BodyMotion(still[0], still[0], still[0], drive=torque, joint={"speed": speed})
-        return self.torsion.motions(t, y, prepared) | {"joint": joint, "top": top}
+        return {"lump": self._lumps(t, y, prepared), "joint": joint, "top": top}
+
+    def _twist(self, t: Array, y: Array, prepared: Any) -> Array:
+        """(n,) from lump to lump [rad]."""
+        return self._springs(t, y, prepared)[2]
+
+    def _lumps(self, t: Array, y: Array, prepared: Any) -> BodyMotion:
+        return self.torsion.motions(t, y, prepared)["lump"]
 
     def flows(self, t: Array, y: Array, prepared: Any) -> Flows:
         """Power of the drive; what bit, wall and twisting take; kinetic and elastic energy."""
@@ -474,9 +486,8 @@ class MovingString(StringModel):
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """Segments at the lumps' angles, the upper connection at the drive's."""
-        over = self._shaft.programmes
-        top = params["drive_speed"] * t if over.drive is None else drive_at(over, t, params)[0]
-        turns = jnp.concatenate([jnp.asarray(top)[None], y[: self.count]])
+        top = self._shaft.drive(t, params)[0]
+        turns = jnp.concatenate([jnp.asarray(top)[None], self._split(y)[0]])
         return string_drawing.scenery(params, chord(params), turns)
 
     def chain(self, params: Params) -> Chain:
@@ -488,7 +499,7 @@ class MovingString(StringModel):
         """``string``: the statics of steady turning; by joint least and greatest torque; the bit's speed."""
         entry, tables = super().whole(params, run)
         states = np.asarray(run.trajectory)
-        bit = states[:, 2 * self.count - 1]
+        bit = states[:, self.coordinates()[f"lump[{self.count}]"][1]]
         torque = np.asarray(
             ask("torques", _torques, (self,), (dict(self.completed(params)), np.asarray(run.times), states))
         )
@@ -507,8 +518,10 @@ def _torques(scene: MovingString, params: Params, times: Array, states: Array) -
     return jax.vmap(lambda t, y: scene.torque(t, y, prepared))(times, states)
 
 
-def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | None = None) -> MovingString:
-    """A string that moves under drive and loads of a joint in motion, and a friction law of the bit."""
+def in_motion(
+    scene: StringModel, moving: JointModel, law: AbstractFriction | None, made: type[MovingString]
+) -> MovingString:
+    """A string that moves under drive and loads of a joint in motion, and a friction law of the bit; of the class ``made``."""
     count, over = scene.count, moving.programmes
     lumps = Body(
         "lump", "hinge", members=count, mass=lambda p: p["head_mass"], inertia=lambda p: inertias(p, count),
@@ -519,9 +532,10 @@ def in_motion(scene: StringModel, moving: JointModel, law: AbstractFriction | No
     known, flexible = dict(moving.defaults), moving.drive == "flexible"
     names = {name: known[name] for name in over.names if name != "load_ramp"}
     names |= {name: known[name] for name in ("drive_stiffness", "drive_damping") if flexible}
+    names |= {"seat_inertia": JOINT["seat_inertia"][0]} if scene.joint.in_motion and (flexible or count > 1) else {}
     names |= {name: JOINT[name][0] for name in (("stick_ratio", "stick_width") if law else ())}
     names |= {name: value for name, (value, _) in LUGRE.items() if law and law.bristles}
     tables = {"bit_torque": "load_torque", "drive_speed": "drive_speed", "weight_on_bit": "axial_load"}
     names |= {own: value for own, theirs in tables.items() for name, value in over.greatest if name == theirs}
     own: Any = {"torsion": torsion, "names": tuple(names.items()), "flexible": flexible}
-    return MovingString(scene.joint, count, bending=scene.bending, **own)
+    return made(scene.joint, count, bending=scene.bending, samples=scene.samples, **own)

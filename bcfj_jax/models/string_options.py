@@ -22,7 +22,8 @@ from bcfj_jax.models.joint.options import (
     with_keys,
 )
 from bcfj_jax.models.string import LEVELS, WHERE, StringModel
-from bcfj_jax.models.string_motion import MOTIONS, in_motion
+from bcfj_jax.models.string_dynamic import DynamicString
+from bcfj_jax.models.string_motion import MOTIONS, MovingString, in_motion
 
 # Friction laws of the bit: those of hinges.
 BITS = ("none", "coulomb", "step", "brown_mcphee", "lugre")
@@ -45,14 +46,21 @@ def _made(n: int, motion: str, bending: bool, bit: str, options: JointOptions) -
     if motion not in MOTIONS:
         raise InputError(f"{WHERE} motion", f"no motion {quoted(motion)}", nearest(str(motion), MOTIONS))
     if options.fidelity not in LEVELS:
-        found = f"'{options.fidelity}': joints of a string exchange no dynamics but the string's torsion"
-        remedy = f"give {' or '.join(LEVELS)}, and motion = 'torsional' for a string that twists and swings"
-        raise InputError(f"{WHERE} fidelity", found, remedy)
+        raise InputError(f"{WHERE} fidelity", f"no level {quoted(options.fidelity)}", nearest(options.fidelity, LEVELS))
+    dynamic = options.fidelity == "dynamic"
+    if dynamic and motion == "none":
+        found = "'dynamic': joints of a string without motion exchange no dynamics"
+        raise InputError(f"{WHERE} fidelity", found, "give motion = 'torsional', or fidelity = 'quasistatic'")
+    if dynamic and bit == "lugre":
+        found = "'lugre' beside joints in motion, where bristles of the bit have no place"
+        raise InputError(f"{WHERE} bit_friction", found, "give brown_mcphee, or fidelity = 'quasistatic'")
     usual = replace(options, drive=JointDrive(), loads=JointLoads())
     joint = JointModel(**structure(usual))
     if motion == "torsional":
         moving = JointModel(**structure(replace(options, fidelity="dynamic")))
-        return in_motion(StringModel(joint, count, bending=bending), moving, _law(bit, options))
+        made, samples = (DynamicString, 1001) if dynamic else (MovingString, 301)
+        rest = StringModel(joint, count, bending=bending, samples=samples)
+        return in_motion(rest, moving, _law(bit, options), made)
     if options != usual or bit != "none":
         found = "a drive or a load over time in a string without motion"
         raise InputError(
@@ -69,8 +77,9 @@ class _Options:
         n: number of joints.
         motion: one of none, torsional. none: every instant is one of equilibrium. torsional: segments and joints twist,
             and lumps between them turn with inertia; drive and loads may then be over time.
-        fidelity: one of kinematic, quasistatic. Of the joints' contact forces. kinematic: closed-form load sharing.
-            quasistatic: equilibrium under the torque that passes through each, without friction.
+        fidelity: one of kinematic, quasistatic, dynamic. Of the joints. kinematic: closed-form load sharing.
+            quasistatic: equilibrium under the torque that passes through each, without friction. dynamic: all joints in full
+            motion, of a string with motion = torsional.
         bending: whether segments bend: those that do not pass straight pass bent, pressed on the wall in their middle.
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre. none: the bit's torque is what the loads say. Others: it
             is friction, bit_torque where the bit is fast, stick_ratio times that at most, fading below stick_width; of lugre
@@ -100,7 +109,7 @@ def string(
         motion: one of none, torsional: whether the string twists and swings (``models.string_motion``).
         bending: whether segments bend where they do not pass straight (``models.string_bending``).
         bit_friction: one of none, coulomb, step, brown_mcphee, lugre: a friction law of the bit, in place of a torque.
-        fidelity: one of kinematic, quasistatic: of the joints' contact forces.
+        fidelity: one of kinematic, quasistatic, dynamic: of the joints (``models.string_dynamic``).
         groups: geometry, cage, materials of every joint; drive, loads of a string in motion, as ``joint``.
 
     Raises:

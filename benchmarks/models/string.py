@@ -1,10 +1,11 @@
-"""What does a string of n joints cost, at rest and in motion, and do torque and power balance along it?
+"""What does a string of n joints cost, at rest, in motion and with joints in full motion, and does it balance?
 
-    python -m benchmarks.models.string --parts motion rest balance     some five minutes each; benchmarks/results/string.json
+    python -m benchmarks.models.string --parts motion rest full balance     some five minutes each; benchmarks/results/string.json
     python -m benchmarks.models.string --parts rest --counts 20 50     in pieces: every count is kept as soon as it is there
 
 Every string runs in a process of its own that keeps no program: 0.6 s at an error of 1 %, twice. Seconds are those of the
-processor. The exponent of cost is fitted to the second runs from 5 joints on; compilation is what the first run takes more.
+processor. The exponent of cost is fitted to the second runs from 5 joints on; of joints in full motion to all as well, with that
+of the steps. Compilation is what the first run takes more.
 """
 
 from __future__ import annotations
@@ -22,19 +23,20 @@ from benchmarks.common import options, parts, publish
 COUNTS, END, SAMPLES, ERROR = (1, 2, 5, 10, 20, 50), 0.6, 61, 0.01
 # Of 50 joints the wall takes more than the usual drive has.
 GIVEN = {"drive_torque": 50e3}
-MOTIONS = {"rest": "none", "motion": "torsional"}
+MOTIONS = {"rest": ("none", "quasistatic"), "motion": ("torsional", "quasistatic"), "full": ("torsional", "dynamic")}
 
 
-def measured(count: int, motion: str) -> dict[str, Any]:
+def measured(count: int, motion: str, fidelity: str) -> dict[str, Any]:
     """Of one string: CPU seconds of the first and of a second run (in a process of its own)."""
     import bcfj_jax as bj
 
-    scene = bj.scenes.string(n=count, motion=motion)
+    scene = bj.scenes.string(n=count, motion=motion, fidelity=fidelity)
     params = scene.parameters(GIVEN)
     times = np.linspace(0.0, END, SAMPLES)
     run, first = clocked(lambda: bj.simulate(scene, params, times, accuracy=ERROR))
     again = min((clocked(lambda: bj.simulate(scene, params, times, accuracy=ERROR))[1] for _ in range(3)), key=_cpu)
-    return {"status": run.status, "first_s": _cpu(first), "again_s": _cpu(again), "wall_s": again["wall_s"]}
+    seconds = {"first_s": _cpu(first), "again_s": _cpu(again), "wall_s": again["wall_s"]}
+    return {"status": run.status, "steps": int(run.stats["accepted"] + run.stats["rejected"]), **seconds}
 
 
 def _cpu(seconds: dict[str, float]) -> float:
@@ -88,7 +90,7 @@ def of(part: str, counts: Sequence[int]) -> dict[str, Any]:
     """Rows of some counts beside those that are kept, and ``fitted`` where all are there."""
     rows = dict(harness.known("string").get(part, {}).get("rows", {})) if len(counts) < len(COUNTS) else {}
     for count in counts:
-        rows[str(count)] = processes.call(__file__, "measured", count, MOTIONS[part], variables={"BCFJ_CACHE": "off"})
+        rows[str(count)] = processes.call(__file__, "measured", count, *MOTIONS[part], variables={"BCFJ_CACHE": "off"})
         print(part, count, rows[str(count)], flush=True)
         harness.add("string", {part: {"rows": rows}})
     rows = {str(n): rows[str(n)] for n in COUNTS if str(n) in rows}
@@ -100,19 +102,25 @@ def fitted(rows: dict[str, Any]) -> dict[str, Any]:
     again = {int(n): row["again_s"] for n, row in rows.items()}
     many = [n for n in again if n >= 5]
     compiled = {int(n): row["first_s"] - row["again_s"] for n, row in rows.items()}
-    slope = float(np.polyfit(np.log(many), np.log([again[n] for n in many]), 1)[0])
-    return {"rows": rows, "exponent": slope, "compilation": compiled[max(again)] / compiled[2]}
+    slope = lambda x, counts: float(np.polyfit(np.log(counts), np.log([x[n] for n in counts]), 1)[0])  # noqa: E731
+    found = {"rows": rows, "exponent": slope(again, many), "compilation": compiled[max(again)] / compiled[2]}
+    if all("steps" in row for row in rows.values()):
+        steps = {int(n): row["steps"] for n, row in rows.items()}
+        found |= {"exponent_all": slope(again, [*again]), "exponent_steps": slope(steps, [*steps])}
+    return found
 
 
 def table(found: dict[str, Any]) -> str:
     """Rows by joints, of the parts that were measured."""
-    heads = {"rest": "at rest", "motion": "in motion"}
+    heads = {"rest": "at rest", "motion": "in motion", "full": "with joints in full motion"}
     columns: dict[str, Any] = {"joints": lambda n: n}
     whole = [part for part in heads if "exponent" in found.get(part, {})]
     for part in whole:
         rows = found[part]["rows"]
         columns[f"{heads[part]}: first run, compiling [s]"] = lambda n, rows=rows: f"{rows[n]['first_s']:.1f}"
         columns[f"{heads[part]}: again [s]"] = lambda n, rows=rows: f"{rows[n]['again_s']:.2f}"
+        if part == "full":
+            columns["steps"] = lambda n, rows=rows: str(rows[n]["steps"])
     for key in ("torque", "power"):
         columns[f"{key} off balance"] = lambda n, key=key: f"{found['balance'][n][key]:.1e}"
     said = [_said(found[part], heads[part]) for part in whole]
@@ -121,8 +129,11 @@ def table(found: dict[str, Any]) -> str:
 
 def _said(part: dict[str, Any], where: str) -> str:
     most = list(part["rows"])[-1]
+    steps = ""
+    if "exponent_all" in part:
+        steps = f" (from 1 on {part['exponent_all']:.2f}, of which steps {part['exponent_steps']:.2f})"
     return (
-        f"Exponent of cost from 5 joints on {where}: {part['exponent']:.2f}; compilation at {most} joints over that at 2: "
+        f"Exponent of cost from 5 joints on {where}: {part['exponent']:.2f}{steps}; compilation at {most} joints over that at 2: "
         f"{part['compilation']:.2f}."
     )
 

@@ -176,8 +176,17 @@ def test_a_weight_over_time_rubs_at_the_wall_as_one_of_that_size():
     scene = moving(4, rock=swings)[0]
     with pytest.raises(bj.InputError, match="weight_on_bit"):
         scene.check(scene.parameters(axial_amplitude=1e9, wall_friction=0.0))
-    with pytest.raises(bj.InputError, match="give less weight_on_bit, or a drive_torque"):
+    with pytest.raises(bj.InputError, match=r"less weight_on_bit and axial_amplitude, .*, or a drive_torque"):
         scene.check(scene.parameters(axial_amplitude=1e7))
+    # The number that it tells is the steady part of what just passes, at the top of the swing.
+    for given in ({"wall_friction": 0.0}, {"drive_torque": 9000.0, "segment_modulus": 1e15}):
+        many = given | {"axial_amplitude": 1e5, "weight_on_bit": 1e9}
+        with pytest.raises(bj.InputError) as refused:
+            scene.check(scene.parameters(many))
+        number = float(str(refused.value).split("at most ")[1].split()[0])
+        scene.check(scene.parameters(many | {"weight_on_bit": 0.999 * number}))
+        with pytest.raises(bj.InputError):
+            scene.check(scene.parameters(many | {"weight_on_bit": 1.001 * number}))
 
 
 STICKY = {

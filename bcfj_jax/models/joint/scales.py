@@ -16,7 +16,7 @@ from bcfj_jax.xla.programs import ask
 # Load of a ball that nothing loads [N].
 LEAST = 1e-2
 # How much finer than others the prescribed turn and speed of a seat are integrated.
-_TOLD = 1e-4
+TOLD = 1e-4
 
 
 def scales(scene: Joint, params: Params, end: ArrayLike = jnp.inf) -> Array:
@@ -53,7 +53,7 @@ def scales(scene: Joint, params: Params, end: ArrayLike = jnp.inf) -> Array:
             turning[piece] = True
     coupling = jnp.where(turning, 1.0 / p["pitch_radius"], 1.0)
     # A prescribed seat must turn as it is told: what steps across a kink of its speed err by stays for ever.
-    coupling = coupling.at[-1].multiply(_TOLD) if scene.driven else coupling
+    coupling = coupling.at[-1].multiply(TOLD) if scene.driven else coupling
     ball = jnp.ones((scene.balls, scene.twist)).at[:, 3:].set(1.0 / p["ball_radius"])
     parts = [jnp.full(3 * scene.balls, place), place * coupling, speed * ball.ravel(), speed * coupling]
     if scene.bristles:
