@@ -40,22 +40,8 @@ _PLAIN = (
 )  # fmt: skip
 # Units that stand as a name of their own.
 _ALONE = (
-    "ms",
-    "millis",
-    "msec",
-    "us",
-    "micros",
-    "usec",
-    "µs",
-    "sec",
-    "Volt",
-    "Volts",
-    "mV",
-    "kN",
-    "lbf",
-    "Newton",
-    "Newtons",
-)
+    "ms", "millis", "msec", "us", "micros", "usec", "µs", "sec", "Volt", "Volts", "mV", "kN", "lbf", "Newton", "Newtons",
+)  # fmt: skip
 _IN = re.compile(r"(?:(.*?\S)\s+)?in\s+(\S+)")
 _RATE = re.compile(r"(?:[munkµ]?m|cm|km|rad|deg|°|k?N)\s*/\s*(?:s|h|min|s\^?2|s²)")
 _COMMAS = re.compile(r"\s*([-+]?\d[\d.]*,[\d.,]*\d)(?![\d.,])(.*)", re.DOTALL)
