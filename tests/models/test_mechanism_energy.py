@@ -95,8 +95,11 @@ def pushes(scene, params, t, now, rates, spin):
             (first, second), (a, b) = load.between, load.at
             arm, rate = point(second, b) - point(first, a), speed(second, b) - speed(first, a)
             if isinstance(load, Bush):
-                pull = -load.stiffness * arm - load.damping * rate
-                drag = -load.turning_damping * spin(now[second][0], rates[second][0])
+                # The first is the ground: half of the second's spin, and midway between both points.
+                turning = spin(now[second][0], rates[second][0])
+                damper = -load.damping * (rate - 0.5 * jnp.cross(turning, arm))
+                pull = damper - load.stiffness * arm
+                drag = -load.turning_damping * turning - 0.5 * jnp.cross(arm, damper)
             else:
                 length = jnp.linalg.norm(arm)
                 stretched = load.stiffness * (length - load.free_length) + load.damping * (arm @ rate) / length
