@@ -1,6 +1,6 @@
 """What does a string of n joints cost, at rest, in motion and with joints in full motion, and does it balance?
 
-    python -m benchmarks.models.string --parts motion rest full balance     some five minutes each; benchmarks/results/string.json
+    python -m benchmarks.models.string --parts motion rest full balance accuracy     some five minutes each; results/string.json
     python -m benchmarks.models.string --parts rest --counts 20 50     in pieces: every count is kept as soon as it is there
 
 Every string runs in a process of its own that keeps no program: 0.6 s at an error of 1 %, twice. Seconds are those of the
@@ -86,6 +86,24 @@ def balance() -> dict[str, Any]:
     return rows
 
 
+def accuracy() -> dict[str, Any]:
+    """By number of joints in full motion, the forces of the worst joint off those at a tenth of the error: rms over the peak."""
+    import bcfj_jax as bj
+
+    times, rows = np.linspace(0.0, END, 10 * SAMPLES), {}
+    for count in (1, 10, 50):
+        scene = bj.scenes.string(n=count, motion="torsional", fidelity="dynamic")
+        coarse, fine = (bj.simulate(scene, scene.parameters(GIVEN), times, accuracy=e) for e in (ERROR, 0.1 * ERROR))
+        off = 0.0
+        for name, force in fine.force.items():
+            if top := float(np.abs(force[..., 0]).max()):
+                apart = np.sqrt(np.mean((coarse.force[name] - force)[..., 0] ** 2, axis=0))
+                off = max(off, float(apart.max()) / top)
+        rows[str(count)] = off
+        print(count, off, flush=True)
+    return rows
+
+
 def of(part: str, counts: Sequence[int]) -> dict[str, Any]:
     """Rows of some counts beside those that are kept, and ``fitted`` where all are there."""
     rows = dict(harness.known("string").get(part, {}).get("rows", {})) if len(counts) < len(COUNTS) else {}
@@ -124,6 +142,11 @@ def table(found: dict[str, Any]) -> str:
     for key in ("torque", "power"):
         columns[f"{key} off balance"] = lambda n, key=key: f"{found['balance'][n][key]:.1e}"
     said = [_said(found[part], heads[part]) for part in whole]
+    if off := found.get("accuracy"):
+        worst = ", ".join(f"{100 * x:.2g} % at {n}" for n, x in off.items())
+        said.append(
+            f"Forces of the worst joint in full motion off those at a tenth of the error, rms over the peak: {worst}."
+        )
     return "\n\n".join([harness.table(columns, map(str, COUNTS)), " ".join(said)])
 
 
@@ -140,7 +163,7 @@ def _said(part: dict[str, Any], where: str) -> str:
 
 def main() -> None:
     """The parts chosen, and the table."""
-    todo: dict[str, Any] = {"balance": balance}
+    todo: dict[str, Any] = {"balance": balance, "accuracy": accuracy}
     todo |= {part: lambda part=part: of(part, asked.counts) for part in MOTIONS}
     asked = options(__doc__, parts=list(todo), counts=list(COUNTS))
     parts("string", todo, asked.parts)
