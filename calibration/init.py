@@ -41,7 +41,8 @@ _SAID = {
 SCENES, _ALIGN = tuple(_SAID), "onset"
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
-# Restitution from the impulse above which no damping is searched, whatever so many deviations of its noise leave open.
+# Restitution from the impulse above which no damping is searched, whatever so many deviations of its noise leave open; one that
+# they let be above is searched from no damping on.
 _ELASTIC, _SURE = 0.98, 2.0
 # Shares of its noise in an impulse from which on a record may show no contact.
 _UNHEARD = 0.2
@@ -216,6 +217,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         ratio = s.impulse / ((known.mass if "N" in found.columns else 1.0) * known.speed)
     doubt = _SURE * s.doubt * ratio
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
+    lossless = kind == "impact" and ratio + doubt > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
     own = known if mass is None else known._replace(mass=mass)
@@ -258,7 +260,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
             )
         ),
         "[free]",
-        *_free(s, known, kind, found, elastic),
+        *_free(s, known, kind, found, None if elastic else lossless),
     ]
     return joined(lines), [e.key for e in entries if e.value is None]
 
@@ -464,8 +466,11 @@ def _window(s: Sizes, kind: str) -> list[Line]:
     return [Line(f'align = "{_ALIGN}"', "time 0 where the record first rises"), Line(f"window = {ends}", note)]
 
 
-def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) -> list[Line]:
-    """What is searched, with bounds that follow from the impulse, the duration and the peak."""
+def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool | None) -> list[Line]:
+    """What is searched, with bounds that follow from the impulse, the duration and the peak.
+
+    ``lossless``: whether the impulse leaves open that nothing is lost; None where no damping is searched.
+    """
     m, v, force = _middle(known.mass), _middle(known.speed), "N" in found.columns
     open_scale = m is None or known.speed == _ANY_SPEED
     speeds: tuple[float, float] = known.speed if isinstance(known.speed, tuple) else (v, v) if v else _ANY_SPEED
@@ -491,9 +496,12 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, elastic: bool) 
         bounds = f"{max(1.0 - 2.0 * (1.0 - least), 0.05):.3g}", f"{1.0 - 0.5 * (1.0 - most):.3g}"
         note = f"{least:.3g} to {most:.3g} by the flights, whatever the speed: law of Flores"
         lines.append(box("restitution", bounds, note))
-    elif not elastic:
+    elif lossless is not None:
         bounds = f"{_LOSS[0] / max(speeds):.2g}", f"{_LOSS[1] / min(speeds):.2g}"
-        lines.append(box("damping", bounds, "s/m; 0.01 to 5 over the speed"))
+        note = "s/m; 0.01 to 5 over the speed"
+        if lossless:
+            bounds, note = ("0.0", bounds[1]), "s/m; to 5 over the speed, from 0: the impulse lets nothing be lost"
+        lines.append(box("damping", bounds, note, ', scale = "linear"' if lossless else ""))
     if isinstance(known.mass, tuple):
         lines.append(box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
     if known.by_column:

@@ -401,6 +401,16 @@ def test_a_hit_that_loses_nothing_is_still_one(here):
     assert "damping" not in written("hit.csv", "--mass", "0.8 kg", "--speed", "1.2 m/s")["free"]
 
 
+def test_a_hit_that_may_lose_nothing_has_a_damping_from_none_on(here):
+    """So its interval has one side, and is no estimate at a bound; one that loses is searched on the scale of a logarithm."""
+    for loss, least in ((0.0, 0.0), (0.3, 0.01 / 1.2)):
+        table("hit.csv", {"time [s]": CLOCK, "force [N]": loud(0.1, 0, loss)})
+        damping = written("hit.csv", "--mass", "0.8 kg", "--speed", "1.2 m/s")["free"]["damping"]
+        assert damping["lower"] == pytest.approx(least, rel=0.05)
+        assert damping.get("scale", "log") == ("linear" if least == 0.0 else "log")
+        Path("hit.toml").unlink()
+
+
 @pytest.mark.parametrize("header", ["force [N]", "acceleration [g]"])
 def test_a_record_of_noise_alone_is_refused_or_said_to_show_no_contact(header, here):
     for seed in range(10):
