@@ -41,8 +41,8 @@ _SAID = {
 SCENES, _ALIGN = tuple(_SAID), "onset"
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
-# Restitution from the impulse above which no damping is searched, whatever so many deviations of its noise leave open; one that
-# they let be above is searched from no damping on.
+# Restitution from the impulse above which nothing is lost: no damping is searched where it is above by so many deviations of its
+# noise, and damping from 0 on where these leave open that it is.
 _ELASTIC, _SURE = 0.98, 2.0
 # Shares of its noise in an impulse from which on a record may show no contact.
 _UNHEARD = 0.2
@@ -500,7 +500,7 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
         bounds = f"{_LOSS[0] / max(speeds):.2g}", f"{_LOSS[1] / min(speeds):.2g}"
         note = "s/m; 0.01 to 5 over the speed"
         if lossless:
-            bounds, note = ("0.0", bounds[1]), "s/m; to 5 over the speed, from 0: the impulse lets nothing be lost"
+            bounds, note = ("0.0", bounds[1]), "s/m; 0 to 5 over the speed: the impulse leaves open whether any is lost"
         lines.append(box("damping", bounds, note, ', scale = "linear"' if lossless else ""))
     if isinstance(known.mass, tuple):
         lines.append(box("mass", (f'"{x:.3g} kg"' for x in known.mass), "from the impulse and the speed"))
