@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.errors import InputError
@@ -99,6 +100,18 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
             use_code(file)
 
 
+class _Command(typer.core.TyperCommand):
+    """A verb that refuses an option given twice, of which the last would hold without a word."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        *_, order = self.make_parser(ctx).parse_args(args=list(args))
+        for option in order:
+            if order.count(option) > 1 and not option.multiple and not option.is_flag:
+                joined = ", and separate its values by commas" if "by commas" in (option.help or "") else ""
+                ctx.fail(f"{option.opts[0]} is given {order.count(option)} times: give it once{joined}")
+        return super().parse_args(ctx, args)
+
+
 Changed = Callable[[Mapping[str, Any], Sequence[Any]], contextlib.AbstractContextManager[None]]
 
 
@@ -145,7 +158,7 @@ def verb(
         wrapped.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         wrapped.__annotations__ = {p.name: p.annotation for p in parameters}
         shown = "\n\n".join([f"Example: {line}" for line in example.splitlines()] + [EPILOG])
-        return to.command(name, epilog=shown)(wrapped)
+        return to.command(name, cls=_Command, epilog=shown)(wrapped)
 
     return added
 

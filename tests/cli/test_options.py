@@ -245,6 +245,20 @@ def test_the_page_of_commands_names_every_verb_and_option():
                 assert f"`{option}" in page, (name, option)
 
 
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        ("sensitivity impact --wrt stiffness --wrt damping", "separate its values by commas"),
+        ("simulate impact --end 1 --end 2", "give it once"),
+        ("study run s.toml --out a --out b", "give it once"),
+        ("simulate impact -q -q --set stiffness=1e9 --set damping=0 --dry-run", None),
+    ],
+)
+def test_an_option_given_twice_is_refused(words, remedy):
+    found = bcfj(*words.split())
+    assert (found.exit_code, remedy is None or remedy in found.output) == (0 if remedy is None else 2, True)
+
+
 def test_doctor_finds_faults(monkeypatch, tmp_path):
     kept = tmp_path / "programs"
     kept.mkdir(mode=0o700)
