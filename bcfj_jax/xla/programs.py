@@ -14,6 +14,7 @@ none left. ``make_room`` drops the oldest programs before.
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import dataclasses
 import enum
 import functools
@@ -80,6 +81,7 @@ _told: set[str] = set()
 _remembering = threading.Lock()
 # Python traces one program at a time: side by side, each would begin to compile only when all are traced.
 _tracing = threading.RLock()
+_within: contextvars.ContextVar[bool] = contextvars.ContextVar("whether this thread is tracing", default=False)
 # Share of Linux's limit of memory maps that programs may take, and after how many compilations that is looked at again.
 _SHARE, _EVERY = 0.5, 16
 _MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
@@ -115,8 +117,7 @@ def program(
     begin = time.perf_counter()
     make_room()
     wanted = _wanted(name, function, static, arguments)._replace(options=dict(options or {}))
-    # Another thread may be making it.
-    with _locks.setdefault(wanted.key, threading.Lock()), jax.disable_jit(False):
+    with _making(wanted), jax.disable_jit(False):
         found = _loaded.get(wanted.key) or _fetched(wanted) or _made(wanted)
         _loaded[wanted.key] = found
     return found, time.perf_counter() - begin
@@ -133,7 +134,7 @@ def ask(name: str, function: Callable[..., Any], static: tuple[Any, ...], argume
     wanted = _wanted(name, function, static, arguments)
     if (known := _loaded.get(wanted.key)) is not None:
         return known(*arguments)
-    with _locks.setdefault(wanted.key, threading.Lock()), jax.disable_jit(False):
+    with _making(wanted), jax.disable_jit(False):
         return _answered(wanted, arguments)
 
 
@@ -222,6 +223,11 @@ def _wanted(name: str, function: Callable[..., Any], static: tuple[Any, ...], ar
     return _Wanted(name, function, static, tree, shapes)
 
 
+def _making(wanted: _Wanted) -> contextlib.AbstractContextManager[Any]:
+    """Wait for another thread that makes the program; not within a trace, for whose end that thread may wait."""
+    return contextlib.nullcontext() if _within.get() else _locks.setdefault(wanted.key, threading.Lock())
+
+
 def _dtype(x: Any) -> np.dtype:
     return np.dtype(np.float64) if isinstance(x, float) else np.asarray(x).dtype if np.isscalar(x) else x.dtype
 
@@ -254,8 +260,12 @@ def _made(wanted: _Wanted, jitted: Any = None) -> Callable[..., Any]:
     model = f"{wanted.name} {_kind(wanted)}"
     with stage(f"compiling '{wanted.name}'", hint=_estimate(wanted.name, model)):
         with _tracing:
-            jitted = jitted or _traced(wanted)[0]
-            lowered = _lowered((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+            token = _within.set(True)
+            try:
+                jitted = jitted or _traced(wanted)[0]
+                lowered = _lowered((_export(path, jitted, wanted.shapes) if path else None) or jitted, wanted)
+            finally:
+                _within.reset(token)
         made = _compiled(lowered, wanted)
     remember(model, time.perf_counter() - begin)
     return made

@@ -6,6 +6,7 @@ import json
 import re
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -72,6 +73,33 @@ def test_a_program_asked_for_twice_at_once_is_made_once():
     first, second = threads.together(once, once)
     assert first is second
     assert programs.traced.count("test: made once") == before + 1
+
+
+def test_a_program_within_a_trace_does_not_wait_for_one_that_waits_for_the_trace():
+    inside = threading.Event()
+
+    def inner(x):
+        return 2.0 * x
+
+    def asked():
+        return programs.program("test: asked for within", inner, (), (np.ones(3),))[0]
+
+    def outer(x):
+        inside.set()
+        # The other thread holds the inner program, and waits until this one has traced.
+        time.sleep(0.1)
+        return x + asked()(np.ones(3))
+
+    def other():
+        inside.wait(5.0)
+        return asked()(np.ones(3))
+
+    pool = ThreadPoolExecutor(2)
+    whole = pool.submit(lambda: programs.program("test: outer", outer, (), (np.ones(3),))[0](np.ones(3)))
+    second = pool.submit(other)
+    assert np.array_equal(whole.result(30.0), np.full(3, 3.0))
+    assert np.array_equal(second.result(30.0), np.full(3, 2.0))
+    pool.shutdown()
 
 
 def test_a_line_is_said_only_of_what_takes_long(monkeypatch):
