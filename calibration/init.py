@@ -20,7 +20,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
-from bcfj_jax.io.outputs import create
+from bcfj_jax.io.outputs import create, placed
 from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
 from calibration.impacts import beside, slow_tests, tosses
@@ -134,7 +134,7 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
 def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
     """Where the problem file goes, and the record as seen from there."""
     name = f"{re.sub('[*?]+', '', record.stem).strip(' _-') or 'records'}.toml"
-    path = out if out and out.suffix == ".toml" else (out or Path(".")) / name
+    path = placed(out, name)
     return path, Path(os.path.relpath(record, path.parent)).as_posix()
 
 

@@ -128,10 +128,10 @@ def init(
         found = f"{record} after the scene '{what}'"
         raise InputError("init", found, "give one scene, or: bcfj init calibration RECORD")
     ready(None)
-    from bcfj_jax.io.outputs import create
+    from bcfj_jax.io.outputs import create, placed
     from bcfj_jax.io.scenetemplate import template
 
-    path = (out or Path(".")) / f"{what}.toml"
+    path = placed(out, f"{what}.toml")
     create(path, template(what))
     typer.echo(f"wrote {path}")
     return DONE
@@ -205,17 +205,17 @@ def export(
         str, typer.Option(help='Effective mass of the drop, where the scene does not say it: "2 kg".')
     ] = "",
     speed: Annotated[str, typer.Option(help='Speed of the drop, likewise: "1.5 m/s".')] = "",
-    out: Annotated[Path | None, typer.Option(help="Folder for the file, by default this one.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the file, or the file itself; by default here.")] = None,
     code: Code = None,
 ) -> int:
     """Write a contact in another simulator's terms: a file that runs there, what is lost, the drop with either law."""
     ready(code, what)
     from bcfj_jax.analysis import export as leaving
-    from bcfj_jax.io.outputs import create
+    from bcfj_jax.io.outputs import create, placed
     from bcfj_jax.io.report import text
 
     found = leaving.export(leaving.source(what, contact, mass, speed), to)
-    path = (out or Path(".")) / found.name
+    path = placed(out, found.name)
     create(path, found.text)
     shown = leaving.tables(found)
     typer.echo("\n\n".join(text(rows) for rows in shown))

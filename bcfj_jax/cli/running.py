@@ -52,7 +52,9 @@ def animate(
     scene: Scene,
     to: Annotated[str, typer.Option(help="html (interactive, one file, opens offline), gltf, mp4 or gif.")] = "html",
     code: Code = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the file, by default this one.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the file, or the file itself; by default here.")
+    ] = None,
     dry_run: Dry = False,
 ) -> int:
     """Run a scene and write it in motion: SCENE.html, .glb, .mp4 or .gif. No file is replaced."""

@@ -66,6 +66,11 @@ def write_text(path: Path, text: str, place: Callable[[str, Path], None] = os.re
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
+def placed(out: Path | None, name: str) -> Path:
+    """The file that ``--out`` asks for: ``out`` itself where it ends as ``name`` does, else ``name`` in that folder, or here."""
+    return out if out and out.suffix == Path(name).suffix else (out or Path(".")) / name
+
+
 def create(path: Path, text: str) -> None:
     """A UTF-8 file that was not there, whole: of two processes that ask at once, one gets it, the other is refused."""
     check_folder(path.parent, [path.name])

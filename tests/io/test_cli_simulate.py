@@ -194,6 +194,9 @@ def test_init_writes_a_file_that_runs_and_never_overwrites(here):
     assert "already holds impact.toml" in done.stderr
     assert bcfj("init", "bounce", "--out", "deep/er").exit_code == 0
     assert load("deep/er/bounce.toml").resolved == load("bounce").resolved
+    # What ends as the file does is the file.
+    assert bcfj("init", "bounce", "--out", "mine.toml").exit_code == 0
+    assert load("mine.toml").resolved == load("bounce").resolved
     done = bcfj("init", "impakt")
     assert done.exit_code == 2
     assert "did you mean 'impact'?" in done.stderr

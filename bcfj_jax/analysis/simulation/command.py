@@ -11,7 +11,7 @@ from bcfj_jax.analysis.simulation import results
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.folder import LEAST_FREE
-from bcfj_jax.io.outputs import Claim, open_folder
+from bcfj_jax.io.outputs import Claim, open_folder, placed
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.xla.programs import keep_asked
@@ -30,7 +30,7 @@ def movies(words: Sequence[str]) -> tuple[str, ...]:
 def movie(what: str, word: str, out: Path | None) -> Path:
     """The file that ``animated`` writes: the scene's name, by the format; refused where it is there already."""
     (name,) = movies([word])
-    path = (out or Path(".")) / f"{Path(what).stem}{Path(name).suffix}"
+    path = placed(out, f"{Path(what).stem}{Path(name).suffix}")
     if path.exists():
         raise InputError(f"animate {path}", "is there already", "give another folder by --out, or take it away")
     return path
