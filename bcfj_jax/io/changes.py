@@ -79,6 +79,9 @@ def changing(
     ``tables``: of a file of this kind, which may be ``inside`` another table. An error that a change is to blame for names it.
     """
     placed = [_placed(change, tables) for change in changes]
+    for k, change in enumerate(placed):
+        if change.words in [other.words for other in placed[:k]]:
+            raise InputError(change.text[:200], f"{'.'.join(change.words)} is set twice", "set it once")
     where = str(Path(what))
     before = _changed.get(where, ())
     _changed[where] = (*before, *(c._replace(words=(inside, *c.words)) if inside else c for c in placed))

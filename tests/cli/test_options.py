@@ -251,6 +251,8 @@ def test_the_page_of_commands_names_every_verb_and_option():
         ("sensitivity impact --wrt stiffness --wrt damping", "separate its values by commas"),
         ("simulate impact --end 1 --end 2", "give it once"),
         ("study run s.toml --out a --out b", "give it once"),
+        ("simulate impact --set mass=1 --set parameters.mass=2 --dry-run", "parameters.mass is set twice"),
+        ("simulate impact --set time.end=1 --end 2 --dry-run", "time.end is set twice"),
         ("simulate impact -q -q --set stiffness=1e9 --set damping=0 --dry-run", None),
     ],
 )
