@@ -22,7 +22,7 @@ _BINARY = (
     (b"PAR1", "a Parquet file: name it .parquet"),
     (b"TDSm", "a TDMS file: name it .tdms"),
     (b"MATLAB 5", "a MATLAB file: name it .mat"),
-    (b"{", "JSON: write its columns as CSV, or give a reader of your own by --code FILE"),
+    (b"{", "JSON: name it .json"),
     (b"<html", _PAGE),
     (b"<table", _PAGE),
     (b"<!DOCTYPE", _PAGE),
@@ -41,8 +41,9 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
         if raw.startswith(mark):
             return _stated(raw, path, where, codec)[0], name
     begin = raw[:64].lstrip()
+    lines = raw.count(b"\n{") > 8  # A log of objects, one a line, is a text.
     for mark, remedy in _BINARY:
-        if begin.startswith((mark, mark.upper())):
+        if begin.startswith((mark, mark.upper())) and not (mark == b"{" and lines):
             raise InputError(str(path), "is no text file", f"it begins as {remedy}")
     raw = raw.rstrip(b"\0\x1a") if raw[-2:] in (b"\0\0", b"\n\x1a") else raw  # A logger's space that was not written.
     head = raw[:4096]

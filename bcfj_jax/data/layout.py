@@ -27,6 +27,8 @@ _SAMPLE = 600
 _AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
+# A column that holds something in fewer of the rows does not tell which are data: settings may stand above it.
+_SPARSE = 0.02
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
 _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
 # A line drawn below names.
@@ -78,7 +80,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     plain, facts = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
-    begin = next((k for k, r in enumerate(plain) if wide and _is_data(r.cells, numeric)), None)
+    titled = _titled(plain, numeric)
+    begin = next((k for k, r in enumerate(plain) if wide and k >= titled and _is_data(r.cells, numeric)), None)
     if begin is None:
         raise _nothing(plain, file)
     begin, end = _largest(plain, begin, numeric) if stated is None else (begin, len(plain))
@@ -91,6 +94,7 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
     else:
         names, units, begin, above = _above(plain, begin, numeric, wide)
+        begin = max(begin, titled)
         if not names:
             names, units = _commented(rows, plain[begin].line, wide)
     data = plain[begin:]
@@ -131,6 +135,15 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     return Layout(
         tuple(named), fitted, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
     )  # fmt: skip
+
+
+def _titled(rows: Sequence[Row], numeric: list[int]) -> int:
+    """How many rows at the top stand behind a title, in a first column that holds none of the data: names, units, lengths."""
+    if not numeric or numeric[0] == 0 or len(rows) < _FEWEST:
+        return 0
+    blank = [is_missing(r.cells[0]) for r in rows]
+    count = blank.index(True) if True in blank else 0
+    return count if 0 < count < len(rows) // 2 and all(blank[count:]) else 0
 
 
 def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[list[Row], tuple[int, int] | None]:
@@ -232,7 +245,7 @@ def _shape(rows: Sequence[Row]) -> tuple[int, list[int]]:
     numeric = []
     for j in range(wide):
         given = sum(not is_missing(cells[j]) for cells, _ in chosen)
-        if given and sum(flags[j] for _, flags in chosen) >= 0.5 * given:
+        if given > _SPARSE * len(chosen) and sum(flags[j] for _, flags in chosen) >= 0.5 * given:
             numeric.append(j)
     return wide, numeric
 
@@ -247,7 +260,7 @@ def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
     beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
-    return bool(given) and len(given) >= min(1 if beside else 2, columns, len(cells)) and not any(map(_holds, given))
+    return bool(given) and len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -336,12 +349,13 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
 
 def _bare(cell: str) -> str:
     text = cell.strip()
+    text = text[3:].strip() if text[:3].lower() == "in " else text
     return text[1:-1].strip() if text[:1] + text[-1:] in ("[]", "()") else text
 
 
 def _texts(cells: Sequence[Any], wide: int) -> list[str]:
     texts = [" ".join(str("" if c is None else c).split()) for c in cells[:wide]]
-    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t for t in texts]
+    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t.rstrip(" ;:,") for t in texts]
     return texts + [""] * (wide - len(texts))
 
 

@@ -18,7 +18,6 @@ Facts = list[tuple[str, str]]
 _LAST, _FEWEST = 40, 30
 _UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units")
 _SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
-_KNOWN = clock.STEPS | clock.RATES | clock.STARTS | {*_UNITS, *_SOURCES}
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
 # "column 2: force [kN]", and "units: ms, kN".
@@ -72,7 +71,7 @@ def states(cells: Sequence[Any]) -> bool:
     given = [str(c).strip() for c in cells if not is_missing(c)]
     if len(given) == 1:
         key, sign, value = given[0].replace("=", ":").partition(":")
-        known = bool(value.strip()) and (is_number(value) or clock.plain(key) in _KNOWN)
+        known = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
     if len(given) == 2 and given[0].endswith(":"):
@@ -126,7 +125,7 @@ def before_names(cell: Any) -> bool:
 def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
     """Names without cells such as "tInc = 5e-05", and these."""
     found = [(c, m) for c in cells if isinstance(c, str) and (m := _INLINE.fullmatch(c))]
-    found = [(c, m) for c, m in found if clock.plain(m[1]) in _KNOWN]
+    found = [(c, m) for c, m in found if _is_known(m[1])]
     said = {c for c, _ in found}
     return ["" if c in said else c for c in cells], [(m[1], m[2]) for _, m in found]
 
@@ -146,9 +145,14 @@ def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
 
 def increments(names: Sequence[str], below: Sequence[Any]) -> Facts:
     """A start and a step in the row below the names, under names of their own."""
-    known = clock.STEPS | clock.STARTS
-    found = [(n, str(c)) for n, c in zip(names, below, strict=False) if clock.plain(str(n)) in known and is_number(c)]
-    return found if any(clock.plain(n) in clock.STEPS for n, _ in found) else []
+    found = [(n, str(c)) for n, c in zip(names, below, strict=False) if is_number(c)]
+    found = [(n, c) for n, c in found if clock.is_step(str(n)) or clock.plain(str(n)) in clock.STARTS]
+    return found if any(clock.is_step(n) for n, _ in found) else []
+
+
+def _is_known(key: str) -> bool:
+    """Whether a name is that of a setting that is used."""
+    return clock.is_step(key) or clock.is_rate(key) or clock.plain(key) in {*clock.STARTS, *_UNITS, *_SOURCES}
 
 
 def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], named: bool) -> list[str]:

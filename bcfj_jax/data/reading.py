@@ -145,11 +145,20 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     alone = [(name, c) for name, c in found.items() if c.size == 1 < longest]
     found = {name: c for name, c in found.items() if c.size > 1 or longest == 1}
     found, said = _with_clock(found, alone, str(path))
+    timed = [{n: c for n, c in found.items() if c.size == size} for size in {c.size for c in found.values()}]
+    timed = [part for part in timed if len(part) > 1 and any(clock.is_time(_header(n, c)) for n, c in part.items())]
+    if len(timed) == 1 and len(timed[0]) < len(found):
+        left = ", ".join(f"'{n}' {c.size}" for n, c in found.items() if n not in timed[0])
+        found, said = (
+            timed[0],
+            "; ".join(filter(None, (said, f"columns of another length than its clock left out: {clip(left)}"))),
+        )
     if len({c.size for c in found.values()}) > 1:
         sizes = ", ".join(f"'{name}' {c.size}" for name, c in list(found.items())[:8])
         place = f"{path}: {wanted}" if wanted else str(path)
         remedy = "put columns sampled together into a group of their own"
         raise InputError(place, f"its columns have different lengths: {sizes}", remedy)
+    longest = max(c.size for c in found.values())
     if longest == 0:
         raise InputError(str(path), "has no rows", "give a file with data")
     header = [f"{n} [{c.unit}]" if c.unit and column(n)[1] is None else n for n, c in found.items()]
