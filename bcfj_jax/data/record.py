@@ -69,6 +69,7 @@ class Record:
     faults: tuple[InputError, ...] = ()  # of rows that do not fit, to be said together with those of the columns
     found: str = ""  # how the file is written, in words
     reader: str = "text"  # what read it
+    sensor: str = ""  # a sensitivity that the file states somewhere, for a question
     sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
     @property

@@ -39,6 +39,7 @@ _POINTED = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
 # The name before a number, and the unit behind one.
 _BEFORE = re.compile(r"([^\W\d][\w ./()²^-]*?)[\"'\s\]]*[:=][\"'\s\[(]*$")
 _BEHIND = re.compile(r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])")
+_SENSOR = re.compile(r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA)/(?:kN|N|g|lbf|\(?m/s[\^]?[2²]\)?)(?!\w)")
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
 _JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
@@ -106,7 +107,9 @@ def read(path: Path, where: str, stated: Stated) -> Record:
             large = _block(lines, separator, *laid_out(lines[:_HEAD]))
     layout, decimals, file = large or laid_out(lines)
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
-    return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
+    made = table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
+    sensors = set(_SENSOR.findall("\n".join(lines[: layout.rows[0].line])))
+    return replace(made, sensor=sensors.pop()) if len(sensors) == 1 else made
 
 
 def _block(
@@ -190,13 +193,17 @@ def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
         return lines, []
     signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:-1]]
     usual = next(filter(None, signs), "\t")
+    # One sign between all numbers, as "&" or "->", parts names, too.
+    parting = {text.strip() for text in kind[1:-1]}
+    sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
     made, first = [], 0
     for k, line in enumerate(lines, 1):
         fits = len(line) <= _LONGEST_LINE and parts(line) == kind
         first = first or k * fits
         cells = _TOKEN.findall(re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line) if fits else []
+        own = [a + b for a, b in zip(cells, [*(s or usual for s in signs), ""], strict=True)] if fits else []
         made.append(
-            "".join(a + b for a, b in zip(cells, [*(s or usual for s in signs), ""], strict=True)) if fits else line
+            "".join(own) if fits else line.replace(sign, usual).replace(kind[-1].strip() or "\0", "") if sign else line
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
     units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
