@@ -148,6 +148,20 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
     return even, said
 
 
+def since_1970(times: np.ndarray) -> float:
+    """The unit [s] of times (N,) of which none is stated, where these are of this century since 1970 by one alone; else 1."""
+    seen = times[np.isfinite(times)]
+    for unit in (1e-3, 1e-6, 1e-9):
+        if (
+            seen.size > 1
+            and unit * seen.min() > 1e9
+            and unit * seen.max() < 4e9
+            and unit * np.median(np.diff(seen)) < 1.0
+        ):
+            return unit
+    return 1.0
+
+
 def _day(text: str) -> float:
     """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
     for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%b-%Y"):

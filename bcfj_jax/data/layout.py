@@ -342,8 +342,8 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    # "t (ms)" is a name with its unit.
-    count = sum(known(t) and not re.search(r"\w\s*[(\[]", t) for t in texts)
+    # "t (ms)" and "t / ms" are names with their units.
+    count = sum(known(t) and not re.search(r"\w\s*[(\[]|\w\s+/\s+\w", t) for t in texts)
     return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 

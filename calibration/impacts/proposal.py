@@ -27,7 +27,7 @@ from calibration.impacts.flights import Loss, loss
 from calibration.impacts.headers import KINDS, NAMES, READ, is_numeric, name_of, named, read_unit, rises, values_of
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import refuse_motion, without_time
-from calibration.impacts.questions import clock_remedy, physical, reading_remedy, seconds
+from calibration.impacts.questions import clock_remedy, one_of, physical, reading_remedy, seconds
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
@@ -178,6 +178,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     for unit in found.keys() & READ.keys() if hints.observe is None else ():
         with faults:
             physical(table, found[unit], unit)
+            if not run and not _SUMS & set(re.split(r"[\W\d_]+", name_of(found[unit]))):
+                one_of(table, found[unit], unit)
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts]

@@ -15,6 +15,8 @@ from calibration.impacts.headers import READ, counts, is_numeric, named, rises, 
 
 # How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
 _LASTS = (3e-6, 0.3)
+# Peaks over the usual reading, and over that of the largest, from which on columns hold a contact each.
+_STANDS_OUT, _AS_MUCH = 12.0, 0.2
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Whole numbers without a unit that may be counts.
 _COUNTED = 20
@@ -64,7 +66,8 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
             return f"'{h}' is in {unit}: {needed.replace('10 mV/N', table.sensor) if table.sensor else needed}"
     other = pulsing(table, found.get("s", ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
-    kind = next((u for u in READ if other and named(other, u)), "")
+    # A letter alone may be of anything.
+    kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
     unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else kind or "N")
     said = column(heavy or other)[0]
     unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
@@ -84,3 +87,17 @@ def pulsing(table: Record, clock: str) -> str:
     bare = [h for h in table.header if h not in ("", SWEEP, clock) and column(h)[1] is None and not rises(table, h)]
     bare = [h for h in bare if is_numeric(table.columns[table.header.index(h)])]
     return max(bare, key=stands_out, default="")
+
+
+def one_of(table: Record, header: str, unit: str) -> None:
+    """Refuse a force or acceleration beside which others stand that are named as it is but for a number, and pulse as much."""
+    same = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
+    sizes = {h: np.abs(v - np.nanmedian(v)) for h in same if np.isfinite(v := values_of(table, h, unit)).any()}
+    peaks = {h: float(np.nanmax(v)) for h, v in sizes.items() if np.nanmax(v) > _STANDS_OUT * np.nanmedian(v)}
+    several = [h for h in peaks if peaks[h] > _AS_MUCH * max(peaks.values())]
+    if unit in ("N", "m/s^2") and len(several) > 1:
+        which = ", ".join(f"'{h}'" for h in several)
+        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{several[0]}"'
+        raise InputError(
+            table.name, f"{len(several)} columns hold a contact each: {which}", f"say what they are: {ways}"
+        )
