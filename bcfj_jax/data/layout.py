@@ -77,10 +77,9 @@ class Layout:
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     """The table in rows, comments included. ``header``: lines of the names as stated; 0: there are none; None: to be found."""
     rows = [r for r in rows if not all(_RULE.fullmatch(str(c)) for c in r.cells)]
-    plain, facts = preamble.beside([r for r in rows if not r.comment])
+    plain, facts, titled = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
-    titled = _titled(plain, numeric)
     begin = next((k for k, r in enumerate(plain) if wide and k >= titled and _is_data(r.cells, numeric)), None)
     if begin is None:
         raise _nothing(plain, file)
@@ -135,15 +134,6 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     return Layout(
         tuple(named), fitted, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
     )  # fmt: skip
-
-
-def _titled(rows: Sequence[Row], numeric: list[int]) -> int:
-    """How many rows at the top stand behind a title, in a first column that holds none of the data: names, units, lengths."""
-    if not numeric or numeric[0] == 0 or len(rows) < _FEWEST:
-        return 0
-    blank = [is_missing(r.cells[0]) for r in rows]
-    count = blank.index(True) if True in blank else 0
-    return count if 0 < count < len(rows) // 2 and all(blank[count:]) else 0
 
 
 def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[list[Row], tuple[int, int] | None]:

@@ -32,24 +32,20 @@ _SECTIONS = ("devices", "trajectories", "model outputs")
 _VALUE = re.compile(r"\s*(.*?[^\s:=\d])\s*[:=]?\s+([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*[\w/%]*)\s*")
 
 
-def beside(rows: Sequence[Any]) -> tuple[list[Any], Facts]:
-    """Rows without the columns left of a table that hold names and values of its settings, and these."""
-    if len(rows) < _FEWEST:
-        return list(rows), []
+def beside(rows: Sequence[Any]) -> tuple[list[Any], Facts, int]:
+    """Rows without the columns left of a table that hold settings, these settings, and how many rows stand above the table.
+
+    Settings stand beside the table (Tektronix), or above it as titles of rows (Yokogawa, DIAdem).
+    """
     last, j = min(_LAST, len(rows) // 2), 0
     while all(j >= len(r.cells) or is_missing(r.cells[j]) for r in rows[last:]) and j < 8:
         j += 1
-    top = rows[:last]
-    texts = sum(any(not is_missing(c) and not is_number(c) for c in r.cells[:j]) for r in top)
-    if not j or texts < 2:
-        return list(rows), []
-    if not all(sum(map(is_number, r.cells[j:])) >= 1 for r in top):
-        # Settings above a table whose first cells are blank (Yokogawa).
-        k = 1 + max(k for k in range(last) if any(not is_missing(c) for c in top[k].cells[:j]))
-        below = [r._replace(cells=r.cells[j:]) for r in rows[k:]]
-        return [*rows[:k], *below] if states(top[k - 1].cells) else list(rows), []
-    found = [pair for r in top for pair in _pairs(r.cells[:j])]
-    return [r._replace(cells=r.cells[j:]) for r in rows], found
+    titled = [k for k, r in enumerate(rows[:last]) if any(not is_missing(c) and not is_number(c) for c in r.cells[:j])]
+    if len(rows) < _FEWEST or len(titled) < 2:
+        return list(rows), [], 0
+    within = all(sum(map(is_number, r.cells[j:])) >= 1 for r in rows[:last])
+    found = [pair for r in rows[:last] for pair in _pairs(r.cells[:j] if within else r.cells)]
+    return [r._replace(cells=r.cells[j:]) for r in rows], found, 0 if within else titled[-1] + 1
 
 
 def above(rows: Iterable[Any]) -> Facts:

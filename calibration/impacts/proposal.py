@@ -24,10 +24,24 @@ from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
-from calibration.impacts.headers import KINDS, NAMES, READ, is_numeric, name_of, named, read_unit, rises, values_of
+from calibration.impacts.headers import (
+    KINDS,
+    NAMES,
+    READ,
+    clock_remedy,
+    is_numeric,
+    name_of,
+    named,
+    one_of,
+    physical,
+    read_unit,
+    reading_remedy,
+    rises,
+    seconds,
+    values_of,
+)  # fmt: skip
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import refuse_motion, without_time
-from calibration.impacts.questions import clock_remedy, one_of, physical, reading_remedy, seconds
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
