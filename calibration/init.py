@@ -162,7 +162,7 @@ def found_in(record: Path, said: Said) -> Understood:
         try:
             found.append(seen(record, name))
         except InputError as error:
-            refused.append(f"'{name}': {error.found}")
+            refused.append(f"'{name}': {error.found}; {error.remedy}")
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
     if len(found) == 1 or (len(kinds) == 1 and all(beside.label(f.table) for f in found)):
         return beside.joined([(f.table, f) for f in found])

@@ -163,6 +163,9 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
     if not named and source and len(titles) == (1 if timed is None else 2):
         titles = [*titles[:-1], source]
     bare = [j for j, t in enumerate(titles) if j != timed and t and column(t)[1] is None]
+    bare = [j for j in bare if j or not _steps(columns[0], 1.0)]  # What counts the samples has no unit.
+    if any(column(t)[1] == unit for t in titles):
+        unit = ""
     if unit and (timed is not None or even) and len(bare) == 1:
         titles = [f"{t} [{unit}]" if j in bare else t for j, t in enumerate(titles)]
     return titles

@@ -33,8 +33,8 @@ _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "coun
 READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 # How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
 _LASTS = (3e-6, 0.3)
-# Peaks over the usual reading, and over that of the largest, from which on columns hold a contact each.
-_STANDS_OUT, _AS_MUCH = 12.0, 0.2
+# A peak over the usual reading that is a hit's, and the share of it by which another hit differs.
+_STANDS_OUT, _AS_MUCH = 12.0, 0.04
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Whole numbers without a unit that may be counts.
 _COUNTED = 20
@@ -121,10 +121,16 @@ def seconds(where: str, time: str, duration: float) -> None:
         raise InputError(where, found, f"say which it is: --time of init calibration is {ways}")
 
 
+def clock_of(table: Record, found: dict[str, str]) -> str:
+    """A column without a unit that may be the clock since it increases, and neither counts nor is a reading; "" for none."""
+    bare = [h for h in table.header if column(h)[1] is None and h not in found.values()]
+    return next((h for h in bare if rises(table, h) and not counts(table, h)), "")
+
+
 def clock_remedy(table: Record, found: dict[str, str]) -> str:
     """How to say which column is the clock, in units in which a contact is neither too short nor too long; or a rate."""
     rate = '--rate "20 kHz" of init calibration says how often was sampled'
-    h = next((h for h in table.header if column(h)[1] is None and rises(table, h) and not counts(table, h)), "")
+    h = clock_of(table, found)
     pulses = next((found[u] for u in READ if u in found), "") or pulsing(table, h)
     if not h:
         return rate
@@ -170,14 +176,25 @@ def pulsing(table: Record, clock: str) -> str:
 
 
 def one_of(table: Record, header: str, unit: str) -> None:
-    """Refuse a force or acceleration beside which others stand that are named as it is but for a number, and pulse as much."""
-    same = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
-    sizes = {h: np.abs(v - np.nanmedian(v)) for h in same if np.isfinite(v := values_of(table, h, unit)).any()}
-    peaks = {h: float(np.nanmax(v)) for h, v in sizes.items() if np.nanmax(v) > _STANDS_OUT * np.nanmedian(v)}
-    several = [h for h in peaks if peaks[h] > _AS_MUCH * max(peaks.values())]
-    if unit in ("N", "m/s^2") and len(several) > 1:
-        which = ", ".join(f"'{h}'" for h in several)
-        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{several[0]}"'
-        raise InputError(
-            table.name, f"{len(several)} columns hold a contact each: {which}", f"say what they are: {ways}"
-        )
+    """Refuse a force or acceleration beside which others, named as it is but for a number, show hits of another course.
+
+    Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read.
+    """
+    alike = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
+    read = {h: _unit_pulse(v) for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
+    hits = [h for h, v in read.items() if _STANDS_OUT * np.median(np.abs(v)) < 1.0]
+    own = read.get(header, np.zeros(1))
+    apart = [h for h in hits if np.abs(read[h] - (read[h] @ own) / (own @ own) * own).max() > _AS_MUCH]
+    if unit in ("N", "m/s^2") and header in hits and apart:
+        which = ", ".join(f"'{h}'" for h in hits)
+        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
+        raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
+
+
+def _unit_pulse(values: np.ndarray) -> np.ndarray:
+    """Readings (N,) less their median, over the largest of them; 0 where nothing was read."""
+    seen = np.where(np.isfinite(values), values, np.nan) / max(
+        float(np.nanmax(np.abs(values[np.isfinite(values)]))), 1e-300
+    )
+    away = np.nan_to_num(seen - np.nanmedian(seen))
+    return away / max(float(np.abs(away).max()), 1e-300)

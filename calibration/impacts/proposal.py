@@ -28,6 +28,7 @@ from calibration.impacts.headers import (
     KINDS,
     NAMES,
     READ,
+    clock_of,
     clock_remedy,
     is_numeric,
     name_of,
@@ -183,7 +184,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
     headers = clip(", ".join(h for h in table.header if h), 200)
     if "s" not in found:
-        if known := without_time(table, found):
+        if known := without_time(table, found, clock_of(table, found)):
             raise known
         faults.found.append(InputError(where, f"no column is a time: {headers}", clock_remedy(table, found)))
     if not found.keys() & READ.keys():

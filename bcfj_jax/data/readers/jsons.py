@@ -24,6 +24,14 @@ def _columns(content: Any) -> Any:
     if isinstance(content, dict):
         return {str(key): _columns(value) for key, value in content.items()}
     if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
-        keys = dict.fromkeys(key for row in content for key in row)
-        return {str(key): _columns([row.get(key) for row in content]) for key in keys}
+        rows = [_flat(row) for row in content]
+        return {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
     return content
+
+
+def _flat(row: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """The values of objects within objects by their path."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        found |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {f"{above}{key}": value}
+    return found
