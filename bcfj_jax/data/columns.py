@@ -76,7 +76,7 @@ def _part(values: np.ndarray, j: int) -> Callable[[], Any]:
 def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
     """Vectors, single values and matrices that stand together as one table.
 
-    Beside vectors of numbers a matrix counts if it is as long; texts as many as its columns are the names of these.
+    Beside vectors of numbers a matrix counts if it is as long at least; texts as many as its columns are the names of these.
     """
     few = {n: np.asarray(c.values()) for n, c in columns.items() if 1 < c.size <= 64}
     texts = {n: v for n, v in few.items() if v.dtype.kind in "OUS"}
@@ -85,7 +85,7 @@ def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
     for name, values in matrices.items():
         names = next((n for n, v in texts.items() if v.size == min(values.shape)), "")
         found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else ())
-        if found and longest in (0, max(values.shape)):
+        if found and longest <= max(values.shape):
             made |= found
             columns = {n: c for n, c in columns.items() if n != names}
     return {**{n: c for n, c in columns.items() if not made or n not in texts or c.size == longest}, **made}

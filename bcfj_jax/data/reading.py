@@ -177,7 +177,7 @@ def _with_clock(found: Columns, alone: list[tuple[str, Column]], where: str) -> 
     even = clock.stated(facts, where)
     if even is None:
         return found, ""
-    size, (start, step) = next(iter(found.values())).size, even
+    size, (start, step) = max(c.size for c in found.values()), even
     times = Column("s", size, lambda: start + step * np.arange(size))
     return {"time": times, **found}, f"its clock is every {step:.6g} s, as it states"
 

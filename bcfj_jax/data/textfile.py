@@ -188,7 +188,7 @@ def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
         return tuple(re.sub(r" +", " ", text) for text in _TOKEN.split(line))
 
     kinds = Counter(map(parts, some))
-    kind, count = kinds.most_common(1)[0] if kinds else ((), 0)
+    kind, count = kinds.most_common(1)[0] if kinds else (("",), 0)
     if count < _MOSTLY * len(some) or not _is_about(kind):
         return lines, []
     signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:-1]]
@@ -206,6 +206,7 @@ def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
             "".join(own) if fits else line.replace(sign, usual).replace(kind[-1].strip() or "\0", "") if sign else line
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
+    names = [name or f"column {k}" for k, name in enumerate(names, 1)] if any(names) else []
     units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
     units = units if all(map(known, filter(None, units))) else []
     return made, [Row(first, [*row]) for row in (names, units) if any(row)]

@@ -13,6 +13,7 @@ from bcfj_jax.data.record import SWEEP, Record
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
 from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
 from calibration.impacts.events import contacts
+from calibration.noise.scatter import scatter
 
 # Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
 KINDS = ("s", "N", "m/s^2", "m/s", "m")
@@ -33,7 +34,7 @@ _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "coun
 READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 # How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
 _LASTS = (3e-6, 0.3)
-# A peak over the usual reading that is a hit's, and the share of it by which another hit differs.
+# A range over the noise that is a hit's, and the share by which another hit differs.
 _STANDS_OUT, _AS_MUCH = 12.0, 0.04
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Whole numbers without a unit that may be counts.
@@ -163,12 +164,12 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
 
 
 def pulsing(table: Record, clock: str) -> str:
-    """The column of numbers without a unit that stands out most from its own median; "" for none."""
+    """The column of numbers without a unit that stands out most from its noise; "" for none."""
 
     def stands_out(header: str) -> float:
         values = values_of(table, header, "1")
-        away = np.abs(values - np.nanmedian(values)) if np.isfinite(values).any() else np.zeros(1)
-        return float(np.nanmax(away) / max(np.nanmedian(away), 1e-3 * np.nanmax(away), 1e-300))
+        values = values[np.isfinite(values)] / max(float(np.abs(values[np.isfinite(values)]).max(initial=0.0)), 1e-300)
+        return float(np.ptp(values) / max(scatter(values), 1e-3 * np.ptp(values), 1e-300)) if values.size else 0.0
 
     bare = [h for h in table.header if h not in ("", SWEEP, clock) and column(h)[1] is None and not rises(table, h)]
     bare = [h for h in bare if is_numeric(table.columns[table.header.index(h)])]
@@ -182,10 +183,12 @@ def one_of(table: Record, header: str, unit: str) -> None:
     """
     alike = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
     read = {h: _unit_pulse(v) for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
-    hits = [h for h, v in read.items() if _STANDS_OUT * np.median(np.abs(v)) < 1.0]
-    own = read.get(header, np.zeros(1))
-    apart = [h for h in hits if np.abs(read[h] - (read[h] @ own) / (own @ own) * own).max() > _AS_MUCH]
-    if unit in ("N", "m/s^2") and header in hits and apart:
+    hits = [h for h, v in read.items() if np.ptp(v) > _STANDS_OUT * scatter(v)]
+    if unit not in ("N", "m/s^2") or header not in hits:
+        return
+    own = read[header]
+    apart = [h for h in hits if np.abs(read[h] - np.polyval(np.polyfit(own, read[h], 1), own)).max() > _AS_MUCH]
+    if apart:
         which = ", ".join(f"'{h}'" for h in hits)
         ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")

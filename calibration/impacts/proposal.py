@@ -21,26 +21,9 @@ from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
 from bcfj_jax.io.units import GRAVITIES, column
-from calibration.impacts import plates
+from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
-from calibration.impacts.headers import (
-    KINDS,
-    NAMES,
-    READ,
-    clock_of,
-    clock_remedy,
-    is_numeric,
-    name_of,
-    named,
-    one_of,
-    physical,
-    read_unit,
-    reading_remedy,
-    rises,
-    seconds,
-    values_of,
-)  # fmt: skip
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import refuse_motion, without_time
 from calibration.noise.scatter import scatter
@@ -182,28 +165,28 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
-    headers = clip(", ".join(h for h in table.header if h), 200)
+    every = clip(", ".join(h for h in table.header if h), 200)
     if "s" not in found:
-        if known := without_time(table, found, clock_of(table, found)):
+        if known := without_time(table, found, headers.clock_of(table, found)):
             raise known
-        faults.found.append(InputError(where, f"no column is a time: {headers}", clock_remedy(table, found)))
-    if not found.keys() & READ.keys():
+        faults.found.append(InputError(where, f"no column is a time: {every}", headers.clock_remedy(table, found)))
+    if not found.keys() & headers.READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
-        faults.found.append(InputError(where, f"{kinds}: {headers}", reading_remedy(table, found)))
-    for unit in found.keys() & READ.keys() if hints.observe is None else ():
+        faults.found.append(InputError(where, f"{kinds}: {every}", headers.reading_remedy(table, found)))
+    for unit in found.keys() & headers.READ.keys() if hints.observe is None else ():
         with faults:
-            physical(table, found[unit], unit)
-            if not run and not _SUMS & set(re.split(r"[\W\d_]+", name_of(found[unit]))):
-                one_of(table, found[unit], unit)
+            headers.physical(table, found[unit], unit)
+            if not run and not _SUMS & set(re.split(r"[\W\d_]+", headers.name_of(found[unit]))):
+                headers.one_of(table, found[unit], unit)
     time = found.pop("s", "")
-    found = {u: found[u] for u in ("N", "tangential", *READ) if u in found}
+    found = {u: found[u] for u in ("N", "tangential", *headers.READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts]
     faults.refuse(where)
     found = {u: h for u, h in found.items() if max(np.isfinite(r[u]).sum() for _, r in raw) >= _FEWEST}
     if not found:
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
-    unit = next(u for u in READ if u in found)
+    unit = next(u for u in headers.READ if u in found)
     records = []
     for (label, _), (clock, readings) in zip(parts, raw, strict=True):
         records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
@@ -211,7 +194,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
     if time and table.bare(time):
-        seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
+        headers.seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
     rows = {**rows, **hints.rows}
     known = {column(time)[0], time, run, given[0], *found.values(), *(column(h)[0] for h in found.values()), *rows}
@@ -237,7 +220,7 @@ def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: s
     pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
     for u, sign in pulses.items():
         readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
-    kind = "contact.normal" if unit in pulses else READ[unit]
+    kind = "contact.normal" if unit in pulses else headers.READ[unit]
     return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
 
 
@@ -250,12 +233,13 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         header = table.header[table.index(hints.observe, "--observe")]
         said = header if column(header)[1] is not None else hints.observe
         # Who names a column in g as a reading means gravities: a mass is none.
-        gravities = column(said)[1] in GRAVITIES and not named(said, "N")
-        unit = "m/s^2" if gravities else read_unit(table, said) or next((u for u in READ if named(said, u)), None)
-        if unit not in READ:
+        gravities = column(said)[1] in GRAVITIES and not headers.named(said, "N")
+        stated = headers.read_unit(table, said) or next((u for u in headers.READ if headers.named(said, u)), None)
+        unit = "m/s^2" if gravities else stated
+        if unit not in headers.READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
-        for u in READ:
+        for u in headers.READ:
             found.pop(u, None)
         found[unit] = said
 
@@ -264,7 +248,7 @@ def _run_column(table: Record) -> str:
     """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
     if named := run_column(table):
         return named
-    clock = values_of(table, table.clock, "s") if table.clock else np.zeros(0)
+    clock = headers.values_of(table, table.clock, "s") if table.clock else np.zeros(0)
     sweep = SWEEP if SWEEP in table.header else ""
     if clock.size < 2 * _RUN_ROWS:
         return sweep
@@ -273,7 +257,7 @@ def _run_column(table: Record) -> str:
             continue
         texts = cells.astype(str)
         changes = np.flatnonzero(texts[1:] != texts[:-1]) + 1
-        if not 1 <= changes.size < _MOST_RUNS or not is_numeric(cells):
+        if not 1 <= changes.size < _MOST_RUNS or not headers.is_numeric(cells):
             continue
         numbers = table.numbers(h, "1", table.name, True)[np.r_[0, changes]]
         lengths = np.diff(np.r_[0, changes, texts.size])
@@ -304,11 +288,11 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
     """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
-            if not header or name_of(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
+            if not header or headers.name_of(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
                 continue
-            if column(header)[1] is not None and read_unit(table, header) != unit:
+            if column(header)[1] is not None and headers.read_unit(table, header) != unit:
                 continue
-            values = np.array([next(iter(values_of(part, header, unit)), np.nan) for part in parts])
+            values = np.array([next(iter(headers.values_of(part, header, unit)), np.nan) for part in parts])
             if ((values > 0.0) & (values < np.inf)).all():
                 speeds = values if unit == "m/s" else np.sqrt(2.0 * GRAVITY * values)
                 return (header, unit), tuple(speeds.tolist())
@@ -323,7 +307,7 @@ def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     if timed.all():
         return {}, table
     for h, cells in zip(table.header, table.columns, strict=True):
-        if h and not is_numeric(cells):
+        if h and not headers.is_numeric(cells):
             texts = np.array([str(c) for c in cells])
             whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
             if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
@@ -338,39 +322,39 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     changes most is taken: a hit is on one axis.
     """
     found: dict[str, str] = {}
-    numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and is_numeric(c)]
+    numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and headers.is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
-    stated = {h: u for h in numeric if (u := read_unit(table, h))}
+    stated = {h: u for h in numeric if (u := headers.read_unit(table, h))}
 
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
-        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", name_of(header)))
-        return not (named(header, unit) or total), name_of(header) not in NAMES[unit], size
+        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", headers.name_of(header)))
+        return not (headers.named(header, unit) or total), headers.name_of(header) not in headers.NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", name_of(h))) else unit
+        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
         found.setdefault(unit, h)
     bare = [h for h in numeric if h not in stated and column(h)[1] is None]
-    kinds = {h: u for h in bare if (u := next((u for u in KINDS if named(h, u)), None))}
+    kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}
     # A clock that is named by one of its words alone, as "MocapTime", increases.
-    kinds = {h: u for h, u in kinds.items() if u != "s" or name_of(h) in TIMES or rises(table, h)}
+    kinds = {h: u for h, u in kinds.items() if u != "s" or headers.name_of(h) in TIMES or headers.rises(table, h)}
     for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
         found.setdefault(kinds[h], h)
     for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
         if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
             found.setdefault(unit, h)
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
-    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(name_of(found["m"])) == 1:
+    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(headers.name_of(found["m"])) == 1:
         del found["m"]
     return found
 
 
 def _range(table: Record, header: str, unit: str) -> float:
-    values = values_of(table, header, unit)
+    values = headers.values_of(table, header, unit)
     return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
 
 
@@ -381,7 +365,7 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     seen: dict[str, set[str]] = {}
     for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    named = any(name_of(header) in names for names in _GIVEN.values())
+    named = any(headers.name_of(header) in names for names in _GIVEN.values())
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
@@ -437,7 +421,7 @@ class Sizes(NamedTuple):
 def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
-    whole = _WHOLE.get(next(u for u in READ if u in found.columns), 1.0)
+    whole = _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events

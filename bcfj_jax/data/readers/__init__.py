@@ -12,9 +12,9 @@ from __future__ import annotations
 import re
 from types import ModuleType
 
-from bcfj_jax.data.readers import c3d, hdf5, jsons, lvm, mat, mdf, npy, parquet, sheets, tdms, uff, wav
+from bcfj_jax.data.readers import c3d, hdf5, lvm, mat, mdf, npy, parquet, sheets, tdms, uff, wav
 
-READERS: tuple[ModuleType, ...] = (tdms, mat, hdf5, parquet, sheets, lvm, uff, mdf, c3d, wav, npy, jsons)
+READERS: tuple[ModuleType, ...] = (tdms, mat, hdf5, parquet, sheets, lvm, uff, mdf, c3d, wav, npy)
 
 
 def named(name: str) -> ModuleType:

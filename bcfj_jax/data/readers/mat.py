@@ -1,8 +1,9 @@
-"""MATLAB up to version 7.2 by SciPy, 7.3 as HDF5: the vectors of a file by the path of the struct that holds them."""
+"""MATLAB up to version 7.2 by SciPy, 7.3 as HDF5, and JSON: the vectors of a file by the path of the struct that holds them."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,13 +12,17 @@ import numpy as np
 from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
-KINDS, LIBRARY = (".mat",), "h5py"
+KINDS, LIBRARY = (".mat", ".json"), "h5py"
 SIGNATURE = b""
 _VALUES = ("values", "value", "data", "samples")
 
 
 def read(file: str, wanted: str) -> Content:
     """The columns of each struct by its path."""
+    if file.lower().endswith(".json"):
+        with open(file, encoding="utf-8-sig") as content:
+            found = _columns(json.load(content))
+        return Content(tables_of(found if isinstance(found, dict) else {"column": found}))
     from scipy.io import loadmat
 
     return hdf5.read(file, wanted) if hdf5.is_hdf5(file) else Content(tables_of(loadmat(file, simplify_cells=True)))
@@ -53,3 +58,21 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     visit("", content)
     return with_units(tables)
+
+
+def _columns(content: Any) -> Any:
+    """Content whose lists of objects are objects of lists."""
+    if isinstance(content, dict):
+        return {str(key): _columns(value) for key, value in content.items()}
+    if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
+        rows = [_flat(row) for row in content]
+        return {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
+    return content
+
+
+def _flat(row: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """The values of objects within objects by their path."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        found |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {f"{above}{key}": value}
+    return found
