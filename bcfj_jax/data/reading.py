@@ -122,7 +122,13 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
         sheets = {name: sheets[name] for name in filled} or sheets
     name = next(iter(sheets))
     file = File(f"{path}: {name}", "row")
-    layout = found(sheets[name], file, stated.header)
+    rows = sheets[name]
+    if not any(numbers.is_number(cell) for row in rows for cell in row.cells):  # "12.4 ms" is a text of a number.
+        lines, labels = textfile.numbered(["\t".join(map(str, row.cells)) for row in rows])
+        rows = [row._replace(cells=line.split("\t")) for row, line in zip(rows, lines, strict=True)]
+        at = labels[0].line - 1 if labels else 0
+        rows[at:at] = labels
+    layout = found(rows, file, stated.header)
     marks = textfile.decimal_marks(layout, stated, file)
     return replace(textfile.table(path, layout, marks, file, f"sheet '{name}'", name), reader="sheets")
 

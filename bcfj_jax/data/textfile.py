@@ -86,7 +86,7 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines, labels = _monitored(lines)
+    lines, labels = numbered(lines)
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
@@ -171,7 +171,7 @@ def table(
     return with_sweeps(found)
 
 
-def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
+def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     """Lines that are one text about numbers, as logs and serial monitors write them, as the numbers; and rows of names and units.
 
     "12:30:01.123 -> 4.3,5.2", "t:50 us,F:4.3 N", "I (20) rig: F=4.3" and '{"t": 50, "F": 4.3}' as numbers, where no separator

@@ -182,7 +182,9 @@ def one_of(table: Record, header: str, unit: str) -> None:
     Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read.
     """
     alike = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
-    read = {h: _unit_pulse(v) for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
+    values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
+    sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
+    read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}
     hits = [h for h, v in read.items() if np.ptp(v) > _STANDS_OUT * scatter(v)]
     if unit not in ("N", "m/s^2") or header not in hits:
         return
