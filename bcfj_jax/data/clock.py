@@ -31,22 +31,12 @@ _OF_SAMPLES = re.compile(
     r"サンプル|サンプリング|采样|дискретиз"
 )
 _OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")
-_RATES = ("fs", "rate", "frequency", "sps", "fps", "sr", "samplespersecond", "samplespersec")
-_STEPS = (
-    "dt",
-    "increment",
-    "interval",
-    "tinc",
-    "tinterval",
-    "hresolution",
-    "clock",
-    "delta",
-    "samplinginc",
-    "schrittweite",
-)
+_RATES = ("fs", "rate", "frequency", "sps", "fps", "samplespersecond", "samplespersec")
+_STEPS = ("dt", "increment", "interval", "tinc", "tinterval", "hresolution", "clock", "samplinginc", "schrittweite")
 # Frequencies of something else, and lengths of records.
 _OTHERS = re.compile(
-    r"filter|cut|tiefpass|lowpass|alias|trigger|grenz|eigen|natural|resonan|nyquist|band|baud|bit|number|count|length|(?:record|mess|acqui|data|captur|log)\w*period"
+    r"filter|cut|tiefpass|lowpass|alias|trigger|grenz|eigen|natural|resonan|nyquist|band|baud|bit|number|count|length|"
+    r"calibrat|generat|integrat|accelerat|operat|(?:record|mess|acqui|data|captur|log)\w*period"
 )
 STARTS = {
     "x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst", "xorg", "hoffset",
@@ -152,12 +142,8 @@ def since_1970(times: np.ndarray) -> float:
     """The unit [s] of times (N,) of which none is stated, where these are of this century since 1970 by one alone; else 1."""
     seen = times[np.isfinite(times)]
     for unit in (1e-3, 1e-6, 1e-9):
-        if (
-            seen.size > 1
-            and unit * seen.min() > 1e9
-            and unit * seen.max() < 4e9
-            and unit * np.median(np.diff(seen)) < 1.0
-        ):
+        of_this_century = seen.size > 1 and unit * seen.min() > 1e9 and unit * seen.max() < 4e9
+        if of_this_century and unit * np.median(np.diff(seen)) < 1.0:
             return unit
     return 1.0
 

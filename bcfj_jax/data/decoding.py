@@ -59,7 +59,7 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
         return raw.decode("utf-8"), "UTF-8"
     except UnicodeDecodeError as error:
         first = error
-    # A page of codes is known by the words of measuring that it makes; one of Cyrillic by any word.
+    # A page of codes is known by the words of measuring that it makes; Cyrillic, the last, by any word.
     for codec, name in _PAGES:
         text = raw.decode(codec, errors="replace")
         if _WORDS.search(text) and text.count("\ufffd") < 3:

@@ -184,6 +184,8 @@ def _with_clock(found: Columns, alone: list[tuple[str, Column]], where: str) -> 
     if even is None:
         return found, ""
     size, (start, step) = max(c.size for c in found.values()), even
+    if any(_FEW < c.size < size for c in found.values()):
+        return found, ""  # Of which of these it is the clock is not said.
     times = Column("s", size, lambda: start + step * np.arange(size))
     return {"time": times, **found}, f"its clock is every {step:.6g} s, as it states"
 
@@ -192,4 +194,6 @@ def _header(name: str, column: Column) -> str:
     return name if column.unit is None else f"{name} [{column.unit}]"
 
 
+# A vector of fewer numbers than these is none of samples, as speeds of runs.
+_FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

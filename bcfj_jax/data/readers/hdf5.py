@@ -58,12 +58,8 @@ def read(file: str, wanted: str) -> Content:
 def _said(thing: Any) -> Columns:
     """What attributes of a group or dataset state: single values, and lists of texts, as names of columns are."""
     stated = {key: np.asarray(thing.attrs[key]) for key in thing.attrs if key.lower() not in UNIT_NAMES}
-    stated = {
-        key: np.ravel(v)
-        for key, v in stated.items()
-        if v.dtype.kind in "iufOUS" and (v.size == 1 or v.dtype.kind in "OUS")
-    }
-    return {key: Column(None, v.size, lambda v=v: v) for key, v in stated.items() if v.size <= 64}
+    kept = {key: np.ravel(v) for key, v in stated.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS")}
+    return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
 
 
 def _part(item: Any, field: str) -> Callable[[], Any]:
