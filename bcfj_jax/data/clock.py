@@ -1,6 +1,6 @@
 """The clock of a record: a column of times, or the step or rate that a file states beside its channels.
 
-What instruments call these is told by words: names without blanks, signs and units, in lower case (``plain``).
+What instruments call these is recognised by words: names without blanks, signs and units, in lower case (``plain``).
 """
 
 from __future__ import annotations
