@@ -162,7 +162,7 @@ def found_in(record: Path, said: Said) -> Understood:
         try:
             found.append(seen(record, name))
         except InputError as error:
-            refused.append(f"'{name}': {error.found}")
+            refused.append(f"'{name}': {error.found}; {error.remedy}")
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
     if len(found) == 1 or (len(kinds) == 1 and all(beside.label(f.table) for f in found)):
         return beside.joined([(f.table, f) for f in found])
@@ -446,8 +446,9 @@ def _other(found: Understood, kind: str) -> list[str]:
     said = [f"It could observe more: {', '.join(more)}"] if more else []
     bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
     said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
-    heavy = {u: h for h in found.columns.values() if (u := column(h.removeprefix("-"))[1]) in WEIGHTS}
-    said += [f"CHECK: {h} is taken as the weight of so many {u}" for u, h in heavy.items()]
+    heavy = found.columns.get("N", "")
+    unit = column(heavy.removeprefix("-"))[1]
+    said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
     said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 

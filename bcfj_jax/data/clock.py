@@ -1,12 +1,13 @@
 """The clock of a record: a column of times, or the step or rate that a file states beside its channels.
 
-What instruments call these is in ``STEPS``, ``RATES`` and ``STARTS``: names without blanks, signs and units, in lower case.
+What instruments call these is recognised by words: names without blanks, signs and units, in lower case (``plain``).
 """
 
 from __future__ import annotations
 
 import contextlib
 import re
+import unicodedata
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 
@@ -20,24 +21,30 @@ TIMES = (
     "elapsed time", "abs time", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
     "date/time", "datetime", "tijd", "czas", "čas", "aika", "idő", "время", "时间", "時間", "시간",
 )  # fmt: skip
-STEPS = {
-    "dt", "deltat", "deltax", "xinc", "xincr", "xincrement", "xdelta", "xstep", "increment", "sampleinterval", "samplinginterval",
-    "sampleperiod", "samplingperiod", "horizontalinterval", "horizinterval", "timeinterval", "timestep", "timeincrement",
-    "tinterval", "interval", "scaninterval", "abtastintervall", "abtastzeit", "abtastperiode", "schrittweite", "messintervall",
-    "intervalledechantillonnage", "horizontalresolution", "samplinginc", "tinc", "hresolution", "clock",
-}  # fmt: skip
-RATES = {
-    "fs", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "samplefreq", "samplingfreq", "scanrate",
-    "frequency", "acquisitionrate", "datarate", "framerate", "capturerate", "abtastrate", "abtastfrequenz", "messrate",
-    "samplespersecond", "analograte", "analogrecordingrate", "frequencedechantillonnage", "loggingrate",
-}  # fmt: skip
+# A rate is named by one of these words alone, or by one behind or before a word for samples; so is a step.
+_RATE = re.compile(r"rate|fre[qc]|fps|hz$|takt|cadence|周波数|频率|率|частот")
+_STEP = re.compile(
+    r"interval|period|increment|incr?$|step|delta|^dt$|resolution|schritt|abtastzeit|pas$|周期|间隔|間隔|период|шаг"
+)
+_OF_SAMPLES = re.compile(
+    r"sampl|scan|acqui|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
+    r"サンプル|サンプリング|采样|дискретиз"
+)
+_OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")
+_RATES = ("fs", "rate", "frequency", "sps", "fps", "samplespersecond", "samplespersec")
+_STEPS = ("dt", "increment", "interval", "tinc", "tinterval", "hresolution", "clock", "samplinginc", "schrittweite")
+# Frequencies of something else, and lengths of records.
+_OTHERS = re.compile(
+    r"filter|cut|tiefpass|lowpass|alias|trigger|grenz|eigen|natural|resonan|nyquist|band|baud|bit|number|count|length|"
+    r"calibrat|generat|integrat|accelerat|operat|(?:record|mess|acqui|data|captur|log)\w*period"
+)
 STARTS = {
     "x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst", "xorg", "hoffset",
     "timeoffirstsample",
 }  # fmt: skip
 _NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
-_OF_DAY = re.compile(
+OF_DAY = (
     r"(?:\d+ days?|"
     r"\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
     r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?|\d{1,3}:\d\d[.,]\d+)"
@@ -48,12 +55,28 @@ _MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
 # Fewest times of a clock that can be taken as even, and of its steps the share that are 0: a row that stands twice is a fault.
 # Of numbers with some digits one unit is up to ten of another.
 _FEW, _TWICE, _LARGEST = 16, 0.25, 10.1
-_SAMPLES_A_SECOND = re.compile(r"([kKM]?)(?i:(?:sa?|samples|sps|scans)(?:/s|/sec|/second)?|samples per second)")
+_SAMPLES_A_SECOND = re.compile(
+    r"([kKM]?)(?i:(?:sa?|samples|sps|scans|fps|frames)(?:/s|/sec|/second)?|(?:samples|frames) per second)"
+)
 
 
 def plain(key: str) -> str:
-    """A name without its unit, blanks and signs, in lower case."""
-    return re.sub(r"[\W_]+", "", column(key)[0].lower())
+    """A name without its unit, blanks, signs and accents, in lower case."""
+    bare = unicodedata.normalize("NFKD", re.sub(r"[\W_]+", "", column(key)[0].casefold()))
+    return unicodedata.normalize("NFC", "".join(c for c in bare if not "\u0300" <= c <= "\u036f"))
+
+
+def is_rate(key: str) -> bool:
+    """Whether a name is one of a rate of samples."""
+    name = plain(key)
+    return name in _RATES or bool(_RATE.search(name) and _OF_SAMPLES.search(name) and not _OTHERS.search(name))
+
+
+def is_step(key: str) -> bool:
+    """Whether a name is one of the time between samples."""
+    name = plain(key)
+    of_samples = _STEP.search(name) and _OF_SAMPLES.search(name) and not _RATE.search(name)
+    return name in _STEPS or bool((of_samples or _OF_TIMES.search(name)) and not _OTHERS.search(name))
 
 
 def is_time(header: str) -> bool:
@@ -68,7 +91,7 @@ def is_time(header: str) -> bool:
 
 def is_of_day(cell: object) -> bool:
     """Whether a cell is a time of day, or a date and a time."""
-    return isinstance(cell, str) and (":" in cell or "T" in cell) and _OF_DAY.fullmatch(_extended(cell)) is not None
+    return isinstance(cell, str) and (":" in cell or "T" in cell) and re.fullmatch(OF_DAY, _extended(cell)) is not None
 
 
 def _extended(cell: object) -> str:
@@ -115,6 +138,16 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
     return even, said
 
 
+def since_1970(times: np.ndarray) -> float:
+    """The unit [s] of times (N,) of which none is stated, where these are of this century since 1970 by one alone; else 1."""
+    seen = times[np.isfinite(times)]
+    for unit in (1e-3, 1e-6, 1e-9):
+        of_this_century = seen.size > 1 and unit * seen.min() > 1e9 and unit * seen.max() < 4e9
+        if of_this_century and unit * np.median(np.diff(seen)) < 1.0:
+            return unit
+    return 1.0
+
+
 def _day(text: str) -> float:
     """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
     for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%b-%Y"):
@@ -129,9 +162,9 @@ def stated(facts: Iterable[tuple[str, str]], where: str) -> tuple[float, float] 
     start = 0.0
     for key, value in facts:
         name, unit = plain(key), column(key)[1]
-        if name in STEPS and (step := _number(value, unit, "s")):
+        if is_step(key) and (step := _number(value, unit, "s")):
             steps[key] = step
-        elif name in RATES and (rate := _number(value, unit, "Hz")):
+        elif is_rate(key) and (rate := _number(value, unit, "Hz")):
             steps[key] = 1.0 / rate
         elif name in STARTS:
             start = _number(value, unit, "s") or start

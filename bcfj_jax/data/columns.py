@@ -60,16 +60,35 @@ def vector(values: np.ndarray, unit: object = None) -> Column | None:
     return Column(text(unit), values.size, lambda: values)
 
 
-def matrix(name: str, values: np.ndarray) -> Columns:
-    """The columns of a matrix (N, m) or (m, N) of numbers, with m the smaller; none of anything else."""
+def matrix(name: str, values: np.ndarray, names: Sequence[str] = ()) -> Columns:
+    """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names; none of anything else."""
     if values.ndim != 2 or values.dtype.kind not in "iuf" or min(values.shape) < 2 or min(values.shape) > 64:
         return {}
     tall = values if values.shape[0] >= values.shape[1] else values.T
-    return {f"{name} {j + 1}": Column(None, len(tall), _part(tall, j)) for j in range(tall.shape[1])}
+    named = names if len(set(names)) == tall.shape[1] else [f"{name} {j + 1}" for j in range(tall.shape[1])]
+    return {named[j]: Column(None, len(tall), _part(tall, j)) for j in range(tall.shape[1])}
 
 
 def _part(values: np.ndarray, j: int) -> Callable[[], Any]:
     return lambda: values[:, j]
+
+
+def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
+    """Vectors, single values and matrices that stand together as one table.
+
+    Beside vectors of numbers a matrix counts if it is as long at least; texts as many as its columns are the names of these.
+    """
+    few = {n: np.asarray(c.values()) for n, c in columns.items() if 1 < c.size <= 64}
+    texts = {n: v for n, v in few.items() if v.dtype.kind in "OUS"}
+    longest = max((c.size for n, c in columns.items() if c.size > 1 and n not in texts), default=0)
+    made: Columns = {}
+    for name, values in matrices.items():
+        names = next((n for n, v in texts.items() if v.size == min(values.shape)), "")
+        found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else ())
+        if found and longest <= max(values.shape):
+            made |= found
+            columns = {n: c for n, c in columns.items() if n != names}
+    return {**{n: c for n, c in columns.items() if not made or n not in texts or c.size == longest}, **made}
 
 
 def text(value: object) -> str | None:

@@ -22,13 +22,15 @@ _BINARY = (
     (b"PAR1", "a Parquet file: name it .parquet"),
     (b"TDSm", "a TDMS file: name it .tdms"),
     (b"MATLAB 5", "a MATLAB file: name it .mat"),
-    (b"{", "JSON: write its columns as CSV, or give a reader of your own by --code FILE"),
+    (b"{", "JSON: name it .json"),
     (b"<html", _PAGE),
     (b"<table", _PAGE),
     (b"<!DOCTYPE", _PAGE),
     (b"<?xml", "XML: export it as CSV, or give a reader of your own by --code FILE"),
 )
 # Letters of two bytes in UTF-8, read as if each byte were a letter: "µ" as "Âµ", "ü" as "Ã¼".
+_PAGES = (("cp932", "Shift-JIS"), ("gb18030", "GB 18030"), ("cp949", "Korean"), ("cp1251", "Windows-1251"))
+_WORDS = re.compile("時間|荷重|変位|加速度|サンプ|測定|时间|位移|采样|频率|시간|하중|변위|가속도")
 _CYRILLIC = re.compile("[А-я]{3}")  # noqa: RUF001
 _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
 
@@ -41,8 +43,9 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
         if raw.startswith(mark):
             return _stated(raw, path, where, codec)[0], name
     begin = raw[:64].lstrip()
+    lines = raw.count(b"\n{") > 8  # A log of objects, one a line, is a text.
     for mark, remedy in _BINARY:
-        if begin.startswith((mark, mark.upper())):
+        if begin.startswith((mark, mark.upper())) and not (mark == b"{" and lines):
             raise InputError(str(path), "is no text file", f"it begins as {remedy}")
     raw = raw.rstrip(b"\0\x1a") if raw[-2:] in (b"\0\0", b"\n\x1a") else raw  # A logger's space that was not written.
     head = raw[:4096]
@@ -56,12 +59,12 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
         return raw.decode("utf-8"), "UTF-8"
     except UnicodeDecodeError as error:
         first = error
-    # Three letters in a row that are none of ASCII are a word in Cyrillic, or of two bytes each.
-    if (
-        (text := raw.decode("cp1251", errors="replace"))
-        and _CYRILLIC.search(text)
-        and not _TWICE.search(raw.decode("latin-1"))
-    ):
+    # A page of codes is known by the words of measuring that it makes; Cyrillic, the last, by any word.
+    for codec, name in _PAGES:
+        text = raw.decode(codec, errors="replace")
+        if _WORDS.search(text) and text.count("\ufffd") < 3:
+            return text, name
+    if _CYRILLIC.search(text) and not _TWICE.search(raw.decode("latin-1")):
         return text, "Windows-1251"
     text = raw.decode("cp1252", errors="replace")
     if "\ufffd" in text:

@@ -27,6 +27,8 @@ _SAMPLE = 600
 _AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
 _UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
 _QUOTED_ROWS = 5
+# A column that holds something in fewer of the rows does not tell which are data: settings may stand above it.
+_SPARSE = 0.02
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
 _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
 # A line drawn below names.
@@ -75,10 +77,10 @@ class Layout:
 def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     """The table in rows, comments included. ``header``: lines of the names as stated; 0: there are none; None: to be found."""
     rows = [r for r in rows if not all(_RULE.fullmatch(str(c)) for c in r.cells)]
-    plain, facts = preamble.beside([r for r in rows if not r.comment])
+    plain, facts, titled = preamble.beside([r for r in rows if not r.comment])
     wide, numeric = _shape(plain)
     stated = _stated(rows, header, file)
-    begin = next((k for k, r in enumerate(plain) if wide and _is_data(r.cells, numeric)), None)
+    begin = next((k for k, r in enumerate(plain) if wide and k >= titled and _is_data(r.cells, numeric)), None)
     if begin is None:
         raise _nothing(plain, file)
     begin, end = _largest(plain, begin, numeric) if stated is None else (begin, len(plain))
@@ -91,6 +93,7 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
     else:
         names, units, begin, above = _above(plain, begin, numeric, wide)
+        begin = max(begin, titled)
         if not names:
             names, units = _commented(rows, plain[begin].line, wide)
     data = plain[begin:]
@@ -232,7 +235,7 @@ def _shape(rows: Sequence[Row]) -> tuple[int, list[int]]:
     numeric = []
     for j in range(wide):
         given = sum(not is_missing(cells[j]) for cells, _ in chosen)
-        if given and sum(flags[j] for _, flags in chosen) >= 0.5 * given:
+        if given > _SPARSE * len(chosen) and sum(flags[j] for _, flags in chosen) >= 0.5 * given:
             numeric.append(j)
     return wide, numeric
 
@@ -247,7 +250,7 @@ def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
     beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
-    return bool(given) and len(given) >= min(1 if beside else 2, columns, len(cells)) and not any(map(_holds, given))
+    return bool(given) and len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -329,19 +332,20 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    # "t (ms)" is a name with its unit.
-    count = sum(known(t) and not re.search(r"\w\s*[(\[]", t) for t in texts)
+    # "t (ms)" and "t / ms" are names with their units.
+    count = sum(known(t) and not re.search(r"\w\s*[(\[]|\w\s+/\s+\w", t) for t in texts)
     return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 
 def _bare(cell: str) -> str:
     text = cell.strip()
+    text = text[3:].strip() if text[:3].lower() == "in " else text
     return text[1:-1].strip() if text[:1] + text[-1:] in ("[]", "()") else text
 
 
 def _texts(cells: Sequence[Any], wide: int) -> list[str]:
     texts = [" ".join(str("" if c is None else c).split()) for c in cells[:wide]]
-    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t for t in texts]
+    texts = [t[1:-1] if len(t) > 2 and t[0] == t[-1] == "'" else t.rstrip(" ;:,") for t in texts]
     return texts + [""] * (wide - len(texts))
 
 

@@ -18,7 +18,6 @@ Facts = list[tuple[str, str]]
 _LAST, _FEWEST = 40, 30
 _UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units")
 _SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
-_KNOWN = clock.STEPS | clock.RATES | clock.STARTS | {*_UNITS, *_SOURCES}
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
 # "column 2: force [kN]", and "units: ms, kN".
@@ -33,24 +32,20 @@ _SECTIONS = ("devices", "trajectories", "model outputs")
 _VALUE = re.compile(r"\s*(.*?[^\s:=\d])\s*[:=]?\s+([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*[\w/%]*)\s*")
 
 
-def beside(rows: Sequence[Any]) -> tuple[list[Any], Facts]:
-    """Rows without the columns left of a table that hold names and values of its settings, and these."""
-    if len(rows) < _FEWEST:
-        return list(rows), []
+def beside(rows: Sequence[Any]) -> tuple[list[Any], Facts, int]:
+    """Rows without the columns left of a table that hold settings, these settings, and how many rows stand above the table.
+
+    Settings stand beside the table (Tektronix), or above it as titles of rows (Yokogawa, DIAdem).
+    """
     last, j = min(_LAST, len(rows) // 2), 0
     while all(j >= len(r.cells) or is_missing(r.cells[j]) for r in rows[last:]) and j < 8:
         j += 1
-    top = rows[:last]
-    texts = sum(any(not is_missing(c) and not is_number(c) for c in r.cells[:j]) for r in top)
-    if not j or texts < 2:
-        return list(rows), []
-    if not all(sum(map(is_number, r.cells[j:])) >= 1 for r in top):
-        # Settings above a table whose first cells are blank (Yokogawa).
-        k = 1 + max(k for k in range(last) if any(not is_missing(c) for c in top[k].cells[:j]))
-        below = [r._replace(cells=r.cells[j:]) for r in rows[k:]]
-        return [*rows[:k], *below] if states(top[k - 1].cells) else list(rows), []
-    found = [pair for r in top for pair in _pairs(r.cells[:j])]
-    return [r._replace(cells=r.cells[j:]) for r in rows], found
+    titled = [k for k, r in enumerate(rows[:last]) if any(not is_missing(c) and not is_number(c) for c in r.cells[:j])]
+    if len(rows) < _FEWEST or len(titled) < 2:
+        return list(rows), [], 0
+    within = all(sum(map(is_number, r.cells[j:])) >= 1 for r in rows[:last])
+    found = [pair for r in rows[:last] for pair in _pairs(r.cells[:j] if within else r.cells)]
+    return [r._replace(cells=r.cells[j:]) for r in rows], found, 0 if within else titled[-1] + 1
 
 
 def above(rows: Iterable[Any]) -> Facts:
@@ -72,7 +67,7 @@ def states(cells: Sequence[Any]) -> bool:
     given = [str(c).strip() for c in cells if not is_missing(c)]
     if len(given) == 1:
         key, sign, value = given[0].replace("=", ":").partition(":")
-        known = bool(value.strip()) and (is_number(value) or clock.plain(key) in _KNOWN)
+        known = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
     if len(given) == 2 and given[0].endswith(":"):
@@ -126,7 +121,7 @@ def before_names(cell: Any) -> bool:
 def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
     """Names without cells such as "tInc = 5e-05", and these."""
     found = [(c, m) for c in cells if isinstance(c, str) and (m := _INLINE.fullmatch(c))]
-    found = [(c, m) for c, m in found if clock.plain(m[1]) in _KNOWN]
+    found = [(c, m) for c, m in found if _is_known(m[1])]
     said = {c for c, _ in found}
     return ["" if c in said else c for c in cells], [(m[1], m[2]) for _, m in found]
 
@@ -146,9 +141,14 @@ def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
 
 def increments(names: Sequence[str], below: Sequence[Any]) -> Facts:
     """A start and a step in the row below the names, under names of their own."""
-    known = clock.STEPS | clock.STARTS
-    found = [(n, str(c)) for n, c in zip(names, below, strict=False) if clock.plain(str(n)) in known and is_number(c)]
-    return found if any(clock.plain(n) in clock.STEPS for n, _ in found) else []
+    found = [(n, str(c)) for n, c in zip(names, below, strict=False) if is_number(c)]
+    found = [(n, c) for n, c in found if clock.is_step(str(n)) or clock.plain(str(n)) in clock.STARTS]
+    return found if any(clock.is_step(n) for n, _ in found) else []
+
+
+def _is_known(key: str) -> bool:
+    """Whether a name is that of a setting that is used."""
+    return clock.is_step(key) or clock.is_rate(key) or clock.plain(key) in {*clock.STARTS, *_UNITS, *_SOURCES}
 
 
 def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], named: bool) -> list[str]:
@@ -163,6 +163,9 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
     if not named and source and len(titles) == (1 if timed is None else 2):
         titles = [*titles[:-1], source]
     bare = [j for j, t in enumerate(titles) if j != timed and t and column(t)[1] is None]
+    bare = [j for j in bare if j or not _steps(columns[0], 1.0)]  # What counts the samples has no unit.
+    if any(column(t)[1] == unit for t in titles):
+        unit = ""
     if unit and (timed is not None or even) and len(bare) == 1:
         titles = [f"{t} [{unit}]" if j in bare else t for j, t in enumerate(titles)]
     return titles

@@ -122,7 +122,13 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
         sheets = {name: sheets[name] for name in filled} or sheets
     name = next(iter(sheets))
     file = File(f"{path}: {name}", "row")
-    layout = found(sheets[name], file, stated.header)
+    rows = sheets[name]
+    if not any(numbers.is_number(cell) for row in rows for cell in row.cells):  # "12.4 ms" is a text of a number.
+        lines, labels = textfile.numbered(["\t".join(map(str, row.cells)) for row in rows])
+        rows = [row._replace(cells=line.split("\t")) for row, line in zip(rows, lines, strict=True)]
+        at = labels[0].line - 1 if labels else 0
+        rows[at:at] = labels
+    layout = found(rows, file, stated.header)
     marks = textfile.decimal_marks(layout, stated, file)
     return replace(textfile.table(path, layout, marks, file, f"sheet '{name}'", name), reader="sheets")
 
@@ -145,11 +151,20 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     alone = [(name, c) for name, c in found.items() if c.size == 1 < longest]
     found = {name: c for name, c in found.items() if c.size > 1 or longest == 1}
     found, said = _with_clock(found, alone, str(path))
+    timed = [{n: c for n, c in found.items() if c.size == size} for size in {c.size for c in found.values()}]
+    timed = [part for part in timed if len(part) > 1 and any(clock.is_time(_header(n, c)) for n, c in part.items())]
+    if len(timed) == 1 and len(timed[0]) < len(found):
+        left = ", ".join(f"'{n}' {c.size}" for n, c in found.items() if n not in timed[0])
+        found, said = (
+            timed[0],
+            "; ".join(filter(None, (said, f"columns of another length than its clock left out: {clip(left)}"))),
+        )
     if len({c.size for c in found.values()}) > 1:
         sizes = ", ".join(f"'{name}' {c.size}" for name, c in list(found.items())[:8])
         place = f"{path}: {wanted}" if wanted else str(path)
         remedy = "put columns sampled together into a group of their own"
         raise InputError(place, f"its columns have different lengths: {sizes}", remedy)
+    longest = max(c.size for c in found.values())
     if longest == 0:
         raise InputError(str(path), "has no rows", "give a file with data")
     header = [f"{n} [{c.unit}]" if c.unit and column(n)[1] is None else n for n, c in found.items()]
@@ -168,7 +183,9 @@ def _with_clock(found: Columns, alone: list[tuple[str, Column]], where: str) -> 
     even = clock.stated(facts, where)
     if even is None:
         return found, ""
-    size, (start, step) = next(iter(found.values())).size, even
+    size, (start, step) = max(c.size for c in found.values()), even
+    if any(_FEW < c.size < size for c in found.values()):
+        return found, ""  # Of which of these it is the clock is not said.
     times = Column("s", size, lambda: start + step * np.arange(size))
     return {"time": times, **found}, f"its clock is every {step:.6g} s, as it states"
 
@@ -177,4 +194,6 @@ def _header(name: str, column: Column) -> str:
     return name if column.unit is None else f"{name} [{column.unit}]"
 
 
+# A vector of fewer numbers than these is none of samples, as speeds of runs.
+_FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data.clock import is_of_day, is_time, of_day
+from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970
 from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
@@ -69,6 +69,7 @@ class Record:
     faults: tuple[InputError, ...] = ()  # of rows that do not fit, to be said together with those of the columns
     found: str = ""  # how the file is written, in words
     reader: str = "text"  # what read it
+    sensor: str = ""  # a sensitivity that the file states somewhere, for a question
     sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
     @property
@@ -153,6 +154,8 @@ class Record:
             self._refuse(position, wrong, blank)
         # Of a time of day, a unit such as [hh:mm:ss] says how it is written.
         unit = None if si_unit == "s" and is_of_day(next(iter(self.columns[position].tolist()), "")) else unit
+        if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
+            return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
             return values * self.scale(unit, si_unit, column(header)[0], place)
 

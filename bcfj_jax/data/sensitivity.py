@@ -33,6 +33,7 @@ _ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt
 # What a sensor may read, in SI.
 _READ = ("N", "m/s^2", "m/s", "m", "N m")
 _ONE = re.compile(r"(?:(?P<name>[^=]+?)\s*=\s*)?(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
+_RIGHT_FULL = 'give one such as "500 N" or "100 g"'
 _RIGHT = 'give one such as "2.3 mV/N", "4 pC/N", "100 mV/g" or "100 N/V"'
 
 
@@ -54,32 +55,31 @@ class Sensitivities:
 
     def of(self, name: str, unit: str | None) -> Factor | None:
         """The factor of a column of a unit; None where none is stated or the unit is no sensor's."""
-        if unit == FULL_SCALE:
-            return _full(self.full_scale, f"{self.where} full_scale") if self.full_scale else None
-        if not self.stated or unit is None or unit not in ELECTRICAL:
+        full = unit == FULL_SCALE
+        text, where = (self.full_scale, "full_scale") if full else (self.stated, "sensitivity")
+        if not text or unit is None or unit not in ELECTRICAL:
             return None
-        other = None
-        for text in re.split(r"[,;]\s*(?=\D)", self.stated):
-            found = _ONE.fullmatch(text.strip())
+        other, where = None, f"{self.where} {where}"
+        for one in re.split(r"[,;]\s*(?=\D)", text):
+            found = _ONE.fullmatch(one.strip())
             if not found:
-                raise InputError(f"{self.where} sensitivity", f"'{clip(text)}' is none", _RIGHT)
+                raise InputError(where, f"'{clip(one)}' is none", _RIGHT_FULL if full else _RIGHT)
             if found["name"] in (None, name):
-                one = _factor(
-                    float(found["number"]), found["unit"], unit, f"{self.where} sensitivity", bool(found["name"])
+                number, named = float(found["number"]), bool(found["name"])
+                made = (
+                    _full(number, found["unit"], where) if full else _factor(number, found["unit"], unit, where, named)
                 )
-                if found["name"]:
-                    return one
-                other = one or other
+                if named:
+                    return made
+                other = made or other
         return other
 
 
-def _full(text: str, where: str) -> Factor:
-    found = _ONE.fullmatch(text.strip())
-    if found and not found["name"] and float(found["number"]) != 0.0:
-        for si_unit in _READ:
-            if (scale := _scale(found["unit"], si_unit)) is not None:
-                return Factor(float(found["number"]) * scale, si_unit, text)
-    raise InputError(where, f"'{clip(text)}' is no full scale", 'give one such as "500 N" or "100 g"')
+def _full(number: float, text: str, where: str) -> Factor:
+    for si_unit in _READ if number else ():
+        if (scale := _scale(text, si_unit)) is not None:
+            return Factor(number * scale, si_unit, f"{number:g} {text}")
+    raise InputError(where, f"'{number:g} {clip(text)}' is no full scale", _RIGHT_FULL)
 
 
 def _scale(unit: str, si_unit: str) -> float | None:

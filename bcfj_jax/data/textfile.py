@@ -30,13 +30,16 @@ _COMMENTS = ("#", "%", "//", "!")
 DECIMAL = 'give decimal = "." or decimal = "," under [[experiment]], or --decimal of bcfj init calibration'
 # Blanks before and inside brackets, and about a slash.
 _BESIDE_A_UNIT = re.compile(r"\s+(?=[\[(])|(?<=[\[(])\s+|\s+(?=[\])])|\s*/\s*")
-_STAMPED = re.compile(r"\s*[\d.:/ T-]*\d:\d\d[\d.:]* -> ")
-# A number with a label before it or a unit behind it, "F = 4.3 N", and a line of such.
-_ITEM = (  # Atomic, so that a line that is none is seen at once.
-    r"(?>(?:([^\W\d][\w ./()-]*?)\s*[:=]\s*)?([-+]?(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:[eE][-+]?\d+)?)"
-    r"(?: ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?!\w|\s*[:=]))?(?=[\s,;|]|$))"
+# Numbers and times within a line, which may be a text about them: "[10:00:00.050] F=4.3 N", '{"t": 0.1, "F": 4.3}'.
+_TOKEN = re.compile(
+    rf"(?<![\w.])(?=\d)(?:{clock.OF_DAY})(?![\w:])|(?<![\w./+-])(?<!\d:)[-+]?(?:\d+(?:\.\d*|,\d+(?!,))?|\.\d+)(?:[eE][-+]?\d+)?"
+    r"(?![\d:.]|[-/]\d)|(?<!\w)(?i:nan|null)(?!\w)"
 )
-_ITEMS = re.compile(rf"(\s*[\d.:/ T-]*:[\d.:]+[\t;,])?\s*{_ITEM}(?>[\s,;|]+{_ITEM})*[\s,;]*")
+_POINTED = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
+# The name before a number, and the unit behind one.
+_BEFORE = re.compile(r"([^\W\d][\w ./()²^-]*?)[\"'\s\]]*[:=][\"'\s\[(]*$")
+_BEHIND = re.compile(r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])")
+_SENSOR = re.compile(r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA)/(?:kN|N|g|lbf|\(?m/s[\^]?[2²]\)?)(?!\w)")
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
 _JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
@@ -45,8 +48,8 @@ _MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])|(?<=\d)'(?=[;,\t]|$)")
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
 _LARGE, _HEAD = 50_000, 4000
-# Characters of a line of labelled numbers, and cells of a row that is a channel.
-_LONGEST_LINE, _LEAST_WIDE = 400, 80
+# Characters of a line that is a text about numbers, cells of a row that is a channel, and how many lines are alike.
+_LONGEST_LINE, _LEAST_WIDE, _MOSTLY = 400, 80, 0.6
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     raw = content(path, LARGEST_TEXT, where, "give a path relative to the problem file", "write it as Parquet or HDF5")
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    lines, labels = _monitored(lines)
+    lines, labels = numbered(lines)
     first, separator = _declared(lines)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
@@ -104,7 +107,9 @@ def read(path: Path, where: str, stated: Stated) -> Record:
             large = _block(lines, separator, *laid_out(lines[:_HEAD]))
     layout, decimals, file = large or laid_out(lines)
     marks = " and ".join(word for mark, word in ((".", "points"), (",", "commas")) if mark in decimals)
-    return table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
+    made = table(path, layout, decimals, file, f"{encoding} text, {_SAID[separator]}, decimal {marks}")
+    sensors = set(_SENSOR.findall("\n".join(lines[: layout.rows[0].line])))
+    return replace(made, sensor=sensors.pop()) if len(sensors) == 1 else made
 
 
 def _block(
@@ -166,38 +171,59 @@ def table(
     return with_sweeps(found)
 
 
-def _monitored(lines: list[str]) -> tuple[list[str], list[Row]]:
-    """Lines of a serial monitor as cells, with the names and units that stand in them, as rows before the first.
+def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
+    """Lines that are one text about numbers, as logs and serial monitors write them, as the numbers; and rows of names and units.
 
-    "12:30:01.123 -> 4.3,5.2" without its arrow, "t:50 us,F:4.3 N" and "50 us,4.3 N" as numbers.
+    "12:30:01.123 -> 4.3,5.2", "t:50 us,F:4.3 N", "I (20) rig: F=4.3" and '{"t": 50, "F": 4.3}' as numbers, where no separator
+    alone parts all of these from the text.
     """
     for pattern, right in ((_JOINED, r"\1 "), (_MARKED, "")):
         if sum(pattern.search(line) is not None for line in lines[:_SAMPLE]) > 0.3 * len(lines[:_SAMPLE]):
             lines = [pattern.sub(right, line) for line in lines]
-    some = [line for line in lines[:_SAMPLE] if line.strip()]
-    if some and sum(_STAMPED.match(line) is not None for line in some) > 0.9 * len(some):
-        parts = [line.partition(" -> ") for line in lines]
-        lines = [a + (next((s for s in "\t;," if s in b), "\t") if sign else "") + b for a, sign, b in parts]
-        some = [line for line in lines[:_SAMPLE] if line.strip()]
-    kinds = Counter(map(_labels, some))
-    (names, units), count = kinds.most_common(1)[0] if kinds else (((), ()), 0)
-    if not any((*names, *units)) or count < 0.8 * len(some):
+    some = [line for line in lines[:_SAMPLE] if line.strip() and len(line) <= _LONGEST_LINE]
+    pointed = 2 * sum(_POINTED.search(line) is not None for line in some) > len(some)
+
+    def parts(line: str) -> tuple[str, ...]:
+        line = re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line
+        return tuple(re.sub(r" +", " ", text) for text in _TOKEN.split(line))
+
+    kinds = Counter(map(parts, some))
+    kind, count = kinds.most_common(1)[0] if kinds else (("",), 0)
+    if count < _MOSTLY * len(some) or not _is_about(kind):
         return lines, []
-    fits = [_labels(line) == (names, units) for line in lines]
-    lines = [re.sub(_ITEM, r"\2", line) if fit else line for line, fit in zip(lines, fits, strict=True)]
-    line = fits.index(True) + 1
-    return lines, [Row(line, [*row]) for row in (names, units) if any(row)]
+    signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:-1]]
+    usual = next(filter(None, signs), "\t")
+    # One sign between all numbers, as "&" or "->", parts names, too.
+    parting = {text.strip() for text in kind[1:-1]}
+    sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
+    made, first = [], 0
+    for k, line in enumerate(lines, 1):
+        fits = len(line) <= _LONGEST_LINE and parts(line) == kind
+        first = first or k * fits
+        cells = _TOKEN.findall(re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line) if fits else []
+        own = [a + b for a, b in zip(cells, [*(s or usual for s in signs), ""], strict=True)] if fits else []
+        made.append(
+            "".join(own) if fits else line.replace(sign, usual).replace(kind[-1].strip() or "\0", "") if sign else line
+        )
+    names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
+    names = [name or f"column {k}" for k, name in enumerate(names, 1)] if any(names) else []
+    units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
+    units = units if all(map(known, filter(None, units))) else []
+    return made, [Row(first, [*row]) for row in (names, units) if any(row)]
 
 
-def _labels(line: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Labels and units of the numbers of a line, "" for none; none of a line that holds something else."""
-    found = _ITEMS.fullmatch(line) if len(line) <= _LONGEST_LINE else None
-    if found is None:
-        return (), ()
-    stamp = found[1] or ""
-    items = [("", "", "")] * bool(stamp) + re.findall(_ITEM, line[len(stamp) :])
-    units = tuple(unit for _, _, unit in items)
-    return (tuple(name.strip() for name, *_ in items), units) if all(map(known, filter(None, units))) else ((), ())
+def _is_about(kind: tuple[str, ...]) -> bool:
+    """Whether the texts about the numbers of a line are more than what separates cells."""
+    line = "\0".join(kind)
+    if not re.search(r"[^\s\0,;|'\"]", line):
+        return False
+    if any(re.search(r"\w.*[:=][\"'\s]*$", text) for text in kind[:-1]):
+        return True
+    # Without a label words are units, and what else stands in a cell is signs alone, such as "->".
+    words = [word for text in kind for word in re.findall(r"[^\W\d]+[^\s,;|\"']*", text)]
+    cells = max(sum(c.strip(" '\"") == "\0" for c in line.split(SEPARATORS[s])) for s in SEPARATORS)
+    arrows = any(re.fullmatch(r"[^\w;,|'\"]*[^\w\s;,|'\"][^\w;,|'\"]*", text) for text in kind[1:-1])
+    return (arrows or cells < len(kind) - 1) and all(map(known, words))
 
 
 def _upright(rows: list[Row], file: File) -> tuple[list[Row], File]:
@@ -299,8 +325,7 @@ def _rows(lines: Sequence[str], first: int, separator: str, file: File) -> tuple
             cells[0] = "#"  # The name of a column of numbers.
         if any(cells):
             rows.append(Row(number, cells, comment))
-    if separator == "blank":
-        rows = _glued(lines, rows)
+    rows = _glued(lines, rows, separator)
     faults = []
     if open_quotes:
         number, text = open_quotes[0]
@@ -330,15 +355,17 @@ def _is_row(line: str) -> bool:
     return sum(numbers.is_number(c) for c in re.split(r"[,;\t| ]+", line)) >= 2
 
 
-def _glued(lines: Sequence[str], rows: list[Row]) -> list[Row]:
-    """Names that hold blanks themselves: parted at runs of blanks, or a unit in brackets put to its name."""
+def _glued(lines: Sequence[str], rows: list[Row], separator: str) -> list[Row]:
+    """Names that are parted otherwise than the numbers: by another separator, at runs of blanks, a unit put to its name."""
     widths = [len(r.cells) for r in rows if sum(map(numbers.is_number, r.cells)) >= 2]
     wide = max(set(widths), key=widths.count) if widths else 0
     fitted = []
     for row in rows:
-        if len(row.cells) > wide and not any(map(numbers.is_number, row.cells)):
+        other = len(row.cells) > wide if separator == "blank" else len(row.cells) == 1 < wide
+        if other and not any(map(numbers.is_number, row.cells)):
             line = lines[row.line - 1].strip().lstrip("#%/!; ")
-            for cells in (re.split(r"\s{2,}|\t+", line), _BESIDE_A_UNIT.sub(_join, line).split()):
+            runs = (re.split(r"\s{2,}|\t+", line), _BESIDE_A_UNIT.sub(_join, line).split())
+            for cells in (*runs, *(_cells(line, s) for s in ("comma", "semicolon", "tab"))):
                 if len(cells) == wide:
                     row = row._replace(cells=[c.replace("\0", " ") for c in cells])
                     break

@@ -328,6 +328,8 @@ def column(header: str) -> tuple[str, str | None]:
         return match[1], _CAPITALS.get(match[2], match[2])
     if plain in _ALONE:
         return plain, plain
+    if _NUMBER.fullmatch(plain):  # "50 mm" is a size: of what is in the column nothing is said.
+        return plain, None
     if match := _VOLTS.fullmatch(plain):
         return match[1], "V"
     if (match := _INSIDE.fullmatch(plain)) and match[2] not in (*_LETTERS, "") and known(match[2]):

@@ -18,23 +18,28 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.data.clock import is_of_day, is_time
 from bcfj_jax.data.record import Record
+from bcfj_jax.io.units import column
 from calibration.impacts.proposal import Hints, Part, Understood, understood
 
 _WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
 # Seconds since 1970 are more than any record lasts.
 _EPOCH = 1e6
+# What --runs-by says where columns that are named alike but for a number are runs.
+COLUMNS = "columns"
 _LABEL = re.compile(rf"(?i)\b(?:(?:{_WORDS})[\s#:._-]*\d+|\d+ _ \d+)\s*:?")
 
 
-def label(name: str) -> str:
+def label(name: str, number: re.Pattern[str] = _LABEL) -> str:
     """The part of a name that numbers a run, "" for none: "Run 2: Force (N)" has "Run 2"."""
-    found = _LABEL.search(name)
+    found = number.search(column(name)[0])
     return found[0].rstrip(" :") if found else ""
 
 
 def runs(table: Record, hints: Hints) -> Understood:
     """What a table is (``understood``), of all runs that stand beside each other in it, or the one that ``hints`` name."""
-    pieces, parts = _labelled(table), True
+    columns = hints.runs_by == COLUMNS and COLUMNS not in table.header
+    pieces, parts = _labelled(table, re.compile(r"\d+(?:[.,]\d+)?") if columns else _LABEL), True
+    hints = hints._replace(runs_by=None) if columns else hints
     if len(pieces) < 2:
         pieces, parts = [("", piece) for piece in _clocked(table)], False
     named = [h for h in (hints.time, hints.observe) if h is not None]
@@ -84,11 +89,11 @@ def _part(table: Record, keep: Sequence[int]) -> Record:
     return replace(table, header=header, columns=columns, decimals=marks).held(header)
 
 
-def _labelled(table: Record) -> list[tuple[str, Record]]:
+def _labelled(table: Record, number: re.Pattern[str]) -> list[tuple[str, Record]]:
     """The columns of each label, with those that have none, where all labels have the same columns."""
-    labels = [label(h) for h in table.header]
+    labels = [label(h, number) for h in table.header]
     groups = {name: [j for j, x in enumerate(labels) if x == name] for name in dict.fromkeys(labels) if name}
-    same = {tuple(_LABEL.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
+    same = {tuple(number.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
     shared = [j for j, x in enumerate(labels) if not x]
     return [(name, _part(table, [*shared, *group])) for name, group in groups.items()] if len(same) == 1 else []
 

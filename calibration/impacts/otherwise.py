@@ -55,8 +55,11 @@ def refuse_motion(table: Record) -> None:
         raise InMotion(table, found)
 
 
-def without_time(table: Record, kinds: Mapping[str, str]) -> InputError | None:
-    """What a table without a clock is, by its headers and by the readings found, header by unit; None for nothing known."""
+def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputError | None:
+    """What a table without a clock is, by its headers and by the readings found, header by unit; None for nothing known.
+
+    ``other``: a column that may be a clock which is not named as one; "" for none.
+    """
     header, where = table.header, table.name
     names = {h: column(h)[0].replace("_", " ") for h in header}
     named = {key: next((h for h, name in names.items() if w.search(name)), "") for key, w in _WORDS.items()}
@@ -69,7 +72,7 @@ def without_time(table: Record, kinds: Mapping[str, str]) -> InputError | None:
     ratio = "" if named["friction"] in kinds.values() else named["friction"]
     if (h := ratio or force) and (speed := kinds.get("m/s", named["speed"])):
         return Steady(table, (speed, h, kinds.get("N", "") if h == kinds.get("tangential") else ""))
-    if {"N", "m"} <= kinds.keys():
+    if {"N", "m"} <= kinds.keys() and not other:
         found = f"'{kinds['N']}' against '{kinds['m']}' is a curve without a time"
         remedy = 'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command'
         return InputError(where, found, remedy)

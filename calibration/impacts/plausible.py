@@ -14,8 +14,8 @@ from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from calibration.impacts.events import contacts, quantity, rest, told
+from calibration.impacts.headers import read_unit
 from calibration.impacts.preparation import Prepared
-from calibration.impacts.proposal import read_unit
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.

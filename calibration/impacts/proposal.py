@@ -18,31 +18,16 @@ from bcfj_jax import InputError
 from bcfj_jax.core.errors import Faults, clip
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
-from bcfj_jax.data.numbers import is_missing, is_number
+from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
-from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
-from calibration.impacts import plates
+from bcfj_jax.io.units import GRAVITIES, column
+from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
-# Readings by the unit of their column, as scenes of one body have them; and names by which a column without a unit is one.
-_KINDS = ("s", "N", "m/s^2", "m/s", "m")
-_NAMES = {
-    "s": TIMES,
-    "N": (
-        "force", "load", "f", "fn", "f_n", "fz", "fx", "fy", "kraft", "normal", "normalkraft", "fuerza", "standardkraft",
-        "prüfkraft", "effort", "forza", "loadcell", "last", "weight", "gewicht", "poids", "força", "forca", "siła", "síla",
-        "kracht", "voima", "erő", "сила", "усилие", "нагрузка", "力", "荷重", "힘",
-    ),
-    "m/s^2": ("acceleration", "accel", "acc", "a", "az", "ax", "ay", "beschleunigung", "accélération",
-        "aceleración", "ускорение"),
-    "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
-    "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
-}  # fmt: skip
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
 _GIVEN = {
     "m": ("height", "drop height", "drop_height", "fall height", "fallhoehe", "fallhöhe", "hoehe", "höhe", "h", "hauteur"),
@@ -56,19 +41,11 @@ _TANGENTIAL = {
 }  # fmt: skip
 # Of several forces the sum goes with those that are named, of which the largest is read.
 _SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
-_NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
-# Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
-_READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
 # Durations of a contact over those of its event (``contacts``), which leaves out a speed's ends and what follows a place's turn.
 _WHOLE = {"m/s": 1.5, "m": 4.0}
-# How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
-_LASTS = (3e-6, 0.3)
-_CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # Times the noise from which on a contact is seen.
 _SEEN = 12.0
-# Whole numbers without a unit that may be counts.
-_COUNTED = 20
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -188,30 +165,28 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
-    headers = clip(", ".join(h for h in table.header if h), 200)
+    every = clip(", ".join(h for h in table.header if h), 200)
     if "s" not in found:
-        if known := without_time(table, found):
+        if known := without_time(table, found, headers.clock_of(table, found)):
             raise known
-        bare = column(table.header[0])[0]
-        remedy = (
-            f'say which it is or how often was sampled: --time "{bare} [us]" or --rate "20 kHz" of init calibration'
-        )
-        faults.found.append(InputError(where, f"no column is a time: {headers}", remedy))
-    if not found.keys() & _READ.keys():
+        faults.found.append(InputError(where, f"no column is a time: {every}", headers.clock_remedy(table, found)))
+    if not found.keys() & headers.READ.keys():
         kinds = "no column is a force, a position, a velocity or an acceleration"
-        faults.found.append(InputError(where, f"{kinds}: {headers}", _reading_remedy(table, found)))
-    for unit in found.keys() & _READ.keys() if hints.observe is None else ():
+        faults.found.append(InputError(where, f"{kinds}: {every}", headers.reading_remedy(table, found)))
+    for unit in found.keys() & headers.READ.keys() if hints.observe is None else ():
         with faults:
-            _physical(table, found[unit], unit)
+            headers.physical(table, found[unit], unit)
+            if not run and not _SUMS & set(re.split(r"[\W\d_]+", headers.name_of(found[unit]))):
+                headers.one_of(table, found[unit], unit)
     time = found.pop("s", "")
-    found = {u: found[u] for u in ("N", "tangential", *_READ) if u in found}
+    found = {u: found[u] for u in ("N", "tangential", *headers.READ) if u in found}
     raw = [_read(part, time, found, faults) for _, part in parts]
     faults.refuse(where)
     found = {u: h for u, h in found.items() if max(np.isfinite(r[u]).sum() for _, r in raw) >= _FEWEST}
     if not found:
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
-    unit = next(u for u in _READ if u in found)
+    unit = next(u for u in headers.READ if u in found)
     records = []
     for (label, _), (clock, readings) in zip(parts, raw, strict=True):
         records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
@@ -219,7 +194,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
     if time and table.bare(time):
-        _seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
+        headers.seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
     rows = {**rows, **hints.rows}
     known = {column(time)[0], time, run, given[0], *found.values(), *(column(h)[0] for h in found.values()), *rows}
@@ -240,56 +215,13 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     )
 
 
-def _physical(table: Record, header: str, unit: str) -> None:
-    """Refuse readings without a unit that are whole numbers, as a converter counts, of an unknown size."""
-    values = _values(table, header, unit)
-    values = values[np.isfinite(values)]
-    if column(header)[1] is None and len(np.unique(values)) > _COUNTED and (values == np.round(values)).all():
-        found = f"no unit of '{header}' is stated, and all its readings are whole numbers, as a converter counts"
-        ways = f'--observe "{header} [{unit}]", or --observe "{header} [counts]" --sensitivity "85 counts/{unit}"'
-        raise InputError(table.name, found, f"say what they are, with init calibration: {ways}")
-
-
-def _seconds(where: str, time: str, duration: float) -> None:
-    """Refuse a clock without a unit by which a contact is longer or shorter than impacts are, if it is in seconds."""
-    if not _LASTS[0] < duration < _LASTS[1]:
-        found = f"no unit of '{time}' is stated, and in seconds a contact would last {format_si(duration, 's', 2)}"
-        units = [u for u, size in _CLOCKS.items() if _LASTS[0] < duration * size < _LASTS[1]]
-        ways = " or ".join(f'"{time} [{u}]", {format_si(duration * _CLOCKS[u], "s", 2)}' for u in (*units, "s"))
-        raise InputError(where, found, f"say which it is: --time of init calibration is {ways}")
-
-
 def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str) -> Run:
     """A run with its contacts, by the reading of a unit; wrong samples of what pulses are blanked."""
     pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
     for u, sign in pulses.items():
         readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
-    kind = "contact.normal" if unit in pulses else _READ[unit]
+    kind = "contact.normal" if unit in pulses else headers.READ[unit]
     return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
-
-
-def _reading_remedy(table: Record, found: dict[str, str]) -> str:
-    """How to say which column is a reading: by its sensor's sensitivity, or by its header."""
-    for h in table.header:
-        if (unit := column(h)[1]) in ELECTRICAL:
-            return f"'{h}' is in {unit}: {NEEDED.get(str(unit), NEEDED[''])}"
-    bare = [h for h in table.header if h not in ("", SWEEP) and column(h)[1] is None and h != found.get("s")]
-    bare = bare[1:] if "s" not in found and bare[1:] and bare[0] == table.header[0] else bare
-    texts = [h for h in bare if not _is_numeric(table.columns[table.header.index(h)])]
-    other = next((h for h in bare if h not in texts and not _counts(table, h)), next(iter(bare), ""))
-    heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
-    named = next((u for u in _READ if other and _named(other, u)), "N")
-    unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else named)
-    named = column(heavy or other)[0]
-    unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
-    said = f', or say which it is: --observe "{named} [{unit}]" of init calibration' if named else ""
-    return f'head one with its unit, as in "force [N]"{said}'
-
-
-def _counts(table: Record, header: str) -> bool:
-    """Whether a column counts the samples."""
-    values = _values(table, header, "1")
-    return values.size > 1 and bool((np.diff(values) == 1.0).all())
 
 
 def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
@@ -301,12 +233,13 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         header = table.header[table.index(hints.observe, "--observe")]
         said = header if column(header)[1] is not None else hints.observe
         # Who names a column in g as a reading means gravities: a mass is none.
-        gravities = column(said)[1] in GRAVITIES and not _named(said, "N")
-        unit = "m/s^2" if gravities else read_unit(table, said) or next((u for u in _READ if _named(said, u)), None)
-        if unit not in _READ:
+        gravities = column(said)[1] in GRAVITIES and not headers.named(said, "N")
+        stated = headers.read_unit(table, said) or next((u for u in headers.READ if headers.named(said, u)), None)
+        unit = "m/s^2" if gravities else stated
+        if unit not in headers.READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
-        for u in _READ:
+        for u in headers.READ:
             found.pop(u, None)
         found[unit] = said
 
@@ -315,7 +248,7 @@ def _run_column(table: Record) -> str:
     """The column that numbers runs: by its name, or since each whole number stands in one block of rows, apart from the next."""
     if named := run_column(table):
         return named
-    clock = _values(table, table.clock, "s") if table.clock else np.zeros(0)
+    clock = headers.values_of(table, table.clock, "s") if table.clock else np.zeros(0)
     sweep = SWEEP if SWEEP in table.header else ""
     if clock.size < 2 * _RUN_ROWS:
         return sweep
@@ -324,7 +257,7 @@ def _run_column(table: Record) -> str:
             continue
         texts = cells.astype(str)
         changes = np.flatnonzero(texts[1:] != texts[:-1]) + 1
-        if not 1 <= changes.size < _MOST_RUNS or not _is_numeric(cells):
+        if not 1 <= changes.size < _MOST_RUNS or not headers.is_numeric(cells):
             continue
         numbers = table.numbers(h, "1", table.name, True)[np.r_[0, changes]]
         lengths = np.diff(np.r_[0, changes, texts.size])
@@ -355,11 +288,11 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
     """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
-            if not header or _name(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
+            if not header or headers.name_of(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
                 continue
-            if column(header)[1] is not None and read_unit(table, header) != unit:
+            if column(header)[1] is not None and headers.read_unit(table, header) != unit:
                 continue
-            values = np.array([next(iter(_values(part, header, unit)), np.nan) for part in parts])
+            values = np.array([next(iter(headers.values_of(part, header, unit)), np.nan) for part in parts])
             if ((values > 0.0) & (values < np.inf)).all():
                 speeds = values if unit == "m/s" else np.sqrt(2.0 * GRAVITY * values)
                 return (header, unit), tuple(speeds.tolist())
@@ -374,25 +307,12 @@ def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     if timed.all():
         return {}, table
     for h, cells in zip(table.header, table.columns, strict=True):
-        if h and not _is_numeric(cells):
+        if h and not headers.is_numeric(cells):
             texts = np.array([str(c) for c in cells])
             whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
             if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
                 return {h: whole[0]}, table.where(texts == whole[0])
     return {}, table
-
-
-def _name(header: str) -> str:
-    return column(header)[0].lower().strip()
-
-
-def _named(header: str, unit: str) -> bool:
-    """Whether a name is one of a reading of a unit: as a whole, or by one of its words of three letters and more."""
-    name = _name(header)
-    words = {w for w in re.split(r"[\W\d_]+", name) if len(w) > 2}
-    # "A" is a channel of an oscilloscope.
-    whole = name in _NAMES[unit] and column(header)[0].strip() != "A"
-    return whole or bool(words & set(_NAMES[unit]) and not words & _NEITHER)
 
 
 def _columns(table: Record, run: str = "") -> dict[str, str]:
@@ -402,45 +322,39 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     changes most is taken: a hit is on one axis.
     """
     found: dict[str, str] = {}
-    numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and _is_numeric(c)]
+    numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and headers.is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
-    stated = {h: u for h in numeric if (u := read_unit(table, h))}
+    stated = {h: u for h in numeric if (u := headers.read_unit(table, h))}
 
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
-        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", _name(header)))
-        return not (_named(header, unit) or total), _name(header) not in _NAMES[unit], size
+        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", headers.name_of(header)))
+        return not (headers.named(header, unit) or total), headers.name_of(header) not in headers.NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", _name(h))) else unit
+        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
         found.setdefault(unit, h)
     bare = [h for h in numeric if h not in stated and column(h)[1] is None]
-    kinds = {h: u for h in bare if (u := next((u for u in _KINDS if _named(h, u)), None))}
+    kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}
+    # A clock that is named by one of its words alone, as "MocapTime", increases.
+    kinds = {h: u for h, u in kinds.items() if u != "s" or headers.name_of(h) in TIMES or headers.rises(table, h)}
     for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
         found.setdefault(kinds[h], h)
     for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
         if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
             found.setdefault(unit, h)
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
-    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(_name(found["m"])) == 1:
+    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(headers.name_of(found["m"])) == 1:
         del found["m"]
     return found
 
 
-def _values(table: Record, header: str, unit: str) -> np.ndarray:
-    """The readings of a column, SI; none where it cannot be read."""
-    try:
-        return table.numbers(header, unit, table.name, True)
-    except InputError:
-        return np.zeros(0)
-
-
 def _range(table: Record, header: str, unit: str) -> float:
-    values = _values(table, header, unit)
+    values = headers.values_of(table, header, unit)
     return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
 
 
@@ -451,34 +365,8 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     seen: dict[str, set[str]] = {}
     for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    named = any(_name(header) in names for names in _GIVEN.values())
+    named = any(headers.name_of(header) in names for names in _GIVEN.values())
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
-
-
-def read_unit(table: Record, header: str) -> str | None:
-    """The SI unit of ``_KINDS`` that a header's unit converts to, or that of its sensor's sensitivity."""
-    name, text = column(header)[0], table.unit(header)
-    if text in _KINDS:
-        return text
-    if text in WEIGHTS and _named(header, "N"):
-        return "N"
-    for unit in _KINDS if text else ():
-        if text in GRAVITIES and not (unit == "m/s^2" and accelerates(name)):
-            continue
-        try:
-            scale_of(str(text), unit, header)
-        except InputError:
-            continue
-        return unit
-    return None
-
-
-def _is_numeric(cells: np.ndarray) -> bool:
-    if cells.dtype.kind in "iuf":
-        return True
-    seen = [c for c in cells[:: max(1, cells.size // 500)].tolist() if not is_missing(c)]
-    # A column of readings with some faults is one all the same, so that its faults can be named.
-    return sum(map(is_number, seen)) > 0.5 * len(seen)
 
 
 def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -533,7 +421,7 @@ class Sizes(NamedTuple):
 def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
-    whole = _WHOLE.get(next(u for u in _READ if u in found.columns), 1.0)
+    whole = _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events

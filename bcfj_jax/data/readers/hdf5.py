@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import UNIT_NAMES, Column, Columns, Content, Tables, matrix, text, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Column, Columns, Content, Tables, group, text, with_units
 
 KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
 SIGNATURE = b""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# Attributes that make a clock, without blanks and signs, in lower case.
-_RATES = ("dt", "fs", "xinc", "sampleinterval", "samplerate", "samplingrate", "samplingfrequency", "samplefrequency")
 
 
 def read(file: str, wanted: str) -> Content:
-    """The vectors of a file by the path of their group, and matrices where a group holds no vectors."""
+    """The columns of each group by its path, with what attributes say of it and of the groups about it."""
     import h5py
 
     content = h5py.File(file, "r")  # Closed with the process: values are read when they are written out.
-    tables, matrices, rates = Tables(), Tables(), {"": _rates(content)}
+    tables, said = Tables(), {"": _said(content)}
+    matrices: dict[str, dict[str, np.ndarray]] = {}
 
     def visit(name: str, thing: object) -> None:
         # MATLAB keeps the content of cells and objects in groups of these names.
         if name.startswith("#"):
             return
         if not isinstance(thing, h5py.Dataset):
-            rates[name] = _rates(thing)
+            said[name] = _said(thing)
             return
         item: Any = thing
         unit = next((item.attrs[k] for k in item.attrs if k.lower() in (*UNIT_NAMES, "yunit", "yunits")), None)
@@ -38,29 +36,30 @@ def read(file: str, wanted: str) -> Content:
             tables[name] = {field: Column(None, item.size, _part(item, field)) for field in item.dtype.names}
             return
         parent, _, own = name.rpartition("/")
+        columns = tables.setdefault(parent, {})
         found = _matlab_text(item) if item.attrs.get("MATLAB_class") == b"char" else _dataset(item, unit)
         if found:
-            columns = tables.setdefault(parent, {})
             columns[own] = found
-            columns.update({key: c for key, c in _rates(item).items() if key not in columns})
         elif item.ndim == 2 and item.dtype.kind in "iuf" and 1 < min(item.shape) <= 64 and item.size < 1 << 24:
-            matrices.setdefault(parent, {}).update(matrix(own, item[()]))
+            matrices.setdefault(parent, {})[own] = item[()]
+        else:
+            return
+        columns.update({key: c for key, c in _said(item).items() if key not in columns})
 
     content.visititems(visit)
-    for name, columns in matrices.items():
-        if not any(c.size > 1 for c in tables.get(name, {}).values()):
-            tables.setdefault(name, {}).update(columns)
     for name, columns in tables.items():
         above = [name.rsplit("/", k)[0] for k in range(name.count("/") + 1)]
-        for group in (*above, "") if any(c.size > 1 for c in columns.values()) else ():
-            columns.update({key: c for key, c in rates.get(group, {}).items() if key not in columns})
+        for place in (*above, "") if max(matrices.get(name, [c.size > 1 for c in columns.values()]), default=0) else ():
+            columns.update({key: c for key, c in said.get(place, {}).items() if key not in columns})
+        tables[name] = group(columns, matrices.get(name, {}))
     return Content(with_units(tables))
 
 
-def _rates(thing: Any) -> Columns:
-    """The rate or step that attributes of a group or dataset state."""
-    stated = [key for key in thing.attrs if re.sub(r"[\W_]+", "", key.lower()) in _RATES]
-    return {key: Column(None, 1, lambda key=key: np.ravel(thing.attrs[key])[:1]) for key in stated}
+def _said(thing: Any) -> Columns:
+    """What attributes of a group or dataset state: single values, and lists of texts, as names of columns are."""
+    stated = {key: np.asarray(thing.attrs[key]) for key in thing.attrs if key.lower() not in UNIT_NAMES}
+    kept = {key: np.ravel(v) for key, v in stated.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS")}
+    return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
 
 
 def _part(item: Any, field: str) -> Callable[[], Any]:

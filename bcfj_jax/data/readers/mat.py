@@ -1,42 +1,78 @@
-"""MATLAB up to version 7.2 by SciPy, 7.3 as HDF5: the vectors of a file by the path of the struct that holds them."""
+"""MATLAB up to version 7.2 by SciPy, 7.3 as HDF5, and JSON: the vectors of a file by the path of the struct that holds them."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import Content, Tables, matrix, vector, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
-KINDS, LIBRARY = (".mat",), "h5py"
+KINDS, LIBRARY = (".mat", ".json"), "h5py"
 SIGNATURE = b""
+_VALUES = ("values", "value", "data", "samples")
 
 
 def read(file: str, wanted: str) -> Content:
-    """The vectors, and the columns of a matrix where there are no vectors, by struct."""
+    """The columns of each struct by its path."""
+    if file.lower().endswith(".json"):
+        with open(file, encoding="utf-8-sig") as content:
+            found = _columns(json.load(content))
+        return Content(tables_of(found if isinstance(found, dict) else {"column": found}))
     from scipy.io import loadmat
 
-    if hdf5.is_hdf5(file):
-        return hdf5.read(file, wanted)
+    return hdf5.read(file, wanted) if hdf5.is_hdf5(file) else Content(tables_of(loadmat(file, simplify_cells=True)))
+
+
+def tables_of(content: Mapping[str, Any]) -> Tables:
+    """The tables of structs within structs: vectors, and matrices where they go with these (``columns.group``)."""
     tables: Tables = {}
 
-    def visit(table: str, content: Mapping[str, Any]) -> None:
-        columns, matrices = tables.setdefault(table, {}), {}
-        for name, value in content.items():
+    def visit(table: str, struct: Mapping[str, Any]) -> None:
+        columns: Columns = {}
+        matrices: dict[str, np.ndarray] = {}
+        tables[table] = {}
+        for name, value in struct.items():
             if isinstance(value, Mapping):
-                visit(f"{table}/{name}".strip("/"), value)
-            elif not name.startswith("__"):
+                # A struct about one list of values is a channel.
+                own = next((k for k in _VALUES if k in value), "")
+                if not own:
+                    visit(f"{table}/{name}".strip("/"), value)
+                    continue
+                unit = next((value[k] for k in UNIT_NAMES if k in value), None)
+                name, value = str(text(value.get("label", value.get("name"))) or name), value[own]
+            else:
+                unit = None
+            if not name.startswith("__"):
                 with contextlib.suppress(ValueError):  # A cell of vectors that differ in length.
                     array = np.asarray(value)
-                    matrices |= matrix(name, array)
-                    if found := vector(array):
+                    if found := vector(array, unit):
                         columns[name] = found
-        # Names of channels are no vector beside a matrix.
-        if not any(c.size > 1 and np.asarray(c.values()).dtype.kind in "iufb" for c in columns.values()):
-            tables[table] = {**{n: c for n, c in columns.items() if c.size == 1 or not matrices}, **matrices}
+                    elif array.ndim == 2:
+                        matrices[name] = array
+        tables[table] = group(columns, matrices)
 
-    visit("", loadmat(file, simplify_cells=True))
-    return Content(with_units(tables))
+    visit("", content)
+    return with_units(tables)
+
+
+def _columns(content: Any) -> Any:
+    """Content whose lists of objects are objects of lists."""
+    if isinstance(content, dict):
+        return {str(key): _columns(value) for key, value in content.items()}
+    if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
+        rows = [_flat(row) for row in content]
+        return {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
+    return content
+
+
+def _flat(row: dict[str, Any], above: str = "") -> dict[str, Any]:
+    """The values of objects within objects by their path."""
+    found: dict[str, Any] = {}
+    for key, value in row.items():
+        found |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {f"{above}{key}": value}
+    return found

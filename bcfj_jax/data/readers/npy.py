@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 
-from bcfj_jax.data.columns import Columns, Content, Refused, matrix, vector, wrong_length
+from bcfj_jax.data.columns import Content, Refused, group, vector, wrong_length
 
 KINDS, LIBRARY = (".npy", ".npz"), ""
 SIGNATURE = rb"\x93NUMPY"
@@ -16,12 +16,9 @@ def read(file: str, wanted: str) -> Content:
     """One table; pickled objects are refused, which could run anything."""
     content = np.load(file, allow_pickle=False)
     arrays = {"column": content} if isinstance(content, np.ndarray) else {k: content[k] for k in content.files}
-    columns: Columns = {}
-    for name, values in arrays.items():
-        fields = {field: values[field] for field in values.dtype.names or ()} or {name: values}
-        for key, part in fields.items():
-            own = vector(part)
-            columns |= {key: own} if own else matrix(key, part)
+    parts = {k: v[k] if v.dtype.names else v for n, v in arrays.items() for k in v.dtype.names or (n,)}
+    vectors = {k: own for k, part in parts.items() if (own := vector(part))}
+    columns = group(vectors, {k: v for k, v in parts.items() if v.ndim == 2 and k not in vectors})
     if not columns:
         raise Refused("it holds neither vectors nor a matrix of numbers", "save columns as vectors: numpy.savez")
     return Content({"": columns}, _length(file, content) if isinstance(content, np.ndarray) else "")

@@ -26,7 +26,7 @@ def read(file: str, wanted: str) -> Content:
             columns, waves = Columns(), []
             for channel in group.channels():
                 values, has = np.asarray(channel[:]), channel.properties
-                if found := vector(values, has.get("unit_string")):
+                if found := vector(values, has.get("unit_string") or has.get("NI_UnitDescription")):
                     columns[channel.name] = found
                     if "wf_increment" in has and values.size and values.dtype.kind in "iuf":
                         waves.append((channel.name, found.unit, values, has))
