@@ -53,21 +53,20 @@ class JointSpring(CoordinateLoad):
         return [] if self.drive is None else self.drive.kinks(self.name, p)
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        k, c, rest = (
-            sizes.length(size, self.name, name, p)
-            for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
-        )
-        if self.drive is not None:
+        k, c = sizes.values(self, ("stiffness", "damping"), p)
+        if self.drive is None:
+            (rest,) = sizes.values(self, ("rest",), p)
+        else:
             rest, speed, _ = self.drive.motion(t, self.name, p)
             rate = minus(rate, speed)
         return times(-1.0, springs.force(minus(position, rest), rate, k, c, self.table, self.side))
 
     def parameters(self, turns: bool = True) -> Parameters:
-        found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
-        found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
-        if self.drive is not None:
-            return found | self.drive.needs(self.name, turns)
-        return found | sizes.stated(self.rest, self.name, "rest", "rad" if turns else "m")
+        force, way = sizes.coordinate(turns)
+        found = sizes.parameters(self, {"stiffness": f"{force}/{way}", "damping": f"{force} s/{way}"})
+        return found | (
+            sizes.parameters(self, {"rest": way}) if self.drive is None else self.drive.needs(self.name, turns)
+        )
 
 
 class JointFriction(CoordinateLoad):
@@ -154,7 +153,7 @@ class JointFriction(CoordinateLoad):
         return self._law.holding(slip * slip, self._told(p), time)
 
     def parameters(self, turns: bool = True) -> Parameters:
-        force, way = ("N m", "rad") if turns else ("N", "m")
+        force, way = sizes.coordinate(turns)
         units = (force, force, f"{way}/s", f"{force}/{way}", f"{force} s/{way}")
         found: Parameters = {}
         for key, of in zip(_RUBS.values(), units, strict=True):
@@ -213,16 +212,14 @@ class Coupling(CoordinateLoad):
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         """F at a deviation and its rate."""
-        k, c, gap = (
-            sizes.length(getattr(self, key), self.name, key, p) for key in ("stiffness", "damping", "backlash")
-        )
+        k, c, gap = sizes.values(self, ("stiffness", "damping", "backlash"), p)
         if sizes.nothing(self.backlash):
             return times(-1.0, springs.force(position, rate, k, c, None, "both"))
         above = springs.force(position - 0.5 * gap, rate, k, c, None, "pull")
         return -above - springs.force(position + 0.5 * gap, rate, k, c, None, "push")
 
     def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
-        ratio, rest = sizes.length(self.ratio, self.name, "ratio", p), sizes.length(self.rest, self.name, "rest", p)
+        ratio, rest = sizes.values(self, ("ratio", "rest"), p)
         apart, gone = (minus(x[1], times(ratio, x[0])) for x in (positions, rates))
         force = self.on_coordinate(t, minus(apart, rest), gone, p)
         return [times(-1.0, times(ratio, force)), force]
@@ -230,12 +227,9 @@ class Coupling(CoordinateLoad):
     @staticmethod
     def units(turns: bool, second: bool) -> dict[str, str]:
         """Units of its numbers, of a first joint that ``turns``, or not, and of the second."""
-        one, unit, force = ("rad" if turns else "m"), ("rad" if second else "m"), ("N m" if second else "N")
+        (_, one), (force, unit) = sizes.coordinate(turns), sizes.coordinate(second)
         return {"ratio": "1" if turns == second else f"{unit}/{one}", "stiffness": f"{force}/{unit}",
                 "damping": f"{force} s/{unit}", "backlash": unit, "rest": unit}  # fmt: skip
 
     def parameters(self, turns: bool = True, second: bool = True) -> Parameters:
-        found: Parameters = {}
-        for key, of in self.units(turns, second).items():
-            found |= sizes.stated(getattr(self, key), self.name, key, of)
-        return found
+        return sizes.parameters(self, self.units(turns, second))

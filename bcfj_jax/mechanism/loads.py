@@ -170,13 +170,8 @@ class _BetweenPoints(AbstractLoad):
     def apart(self, bodies: Moving, p: Params) -> Vector:
         return self._apart(bodies, p)[1]
 
-    def _sizes(self: Any, p: Params) -> list[Any]:
-        return [sizes.several(getattr(self, key), self.name, key, p) for key in self.units]
-
     def parameters(self: Any) -> Parameters:
-        found: Parameters = {}
-        for key, one in self.units.items():
-            found |= sizes.of_several(getattr(self, key), self.name, key, one)
+        found = sizes.parameters(self, self.units)
         return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
 
 
@@ -208,7 +203,7 @@ class Spring(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
-        (k, c, free), way = self._sizes(p), unit(arm)
+        (k, c, free), way = sizes.values(self, self.units, p), unit(arm)
         pull = springs.force(minus(length(arm), free), dot(way, rate), k, c, self.table, self.side)
         first, second = self.between
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
@@ -245,7 +240,7 @@ class Bush(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
-        k, c, turning, twisting = self._sizes(p)
+        k, c, turning, twisting = sizes.values(self, self.units, p)
         first, second = (bodies.parts[name] for name in self.between)
         rate = subtract(rate, cross(scale(0.5, add(first.spin, second.spin)), arm))
         damper = springs.along(c, first.axes, rate)
