@@ -2,10 +2,11 @@
 
 # No ``from __future__ import annotations``, as in ``acting``.
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -14,7 +15,7 @@ from bcfj_jax.contact.part import checked as checked_part
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.vectors import Number, minus, times
 from bcfj_jax.mechanism import sizes, springs
-from bcfj_jax.mechanism.acting import CoordinateLoad
+from bcfj_jax.mechanism.acting import CoordinateLoad, Onset
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.programmes import Table, given_table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
@@ -52,14 +53,27 @@ class JointSpring(CoordinateLoad):
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return [] if self.drive is None else self.drive.kinks(self.name, p)
 
+    def _extended(self, t: Array, position: Number, rate: Number, p: Params) -> tuple[Number, Number]:
+        """q - q0 and its rate."""
+        if self.drive is None:
+            return minus(position, sizes.values(self, ("rest",), p)[0]), rate
+        rest, speed, _ = self.drive.motion(t, self.name, p)
+        return minus(position, rest), minus(rate, speed)
+
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         k, c = sizes.values(self, ("stiffness", "damping"), p)
-        if self.drive is None:
-            (rest,) = sizes.values(self, ("rest",), p)
-        else:
-            rest, speed, _ = self.drive.motion(t, self.name, p)
-            rate = minus(rate, speed)
-        return times(-1.0, springs.force(minus(position, rest), rate, k, c, self.table, self.side))
+        return times(-1.0, springs.force(*self._extended(t, position, rate, p), k, c, self.table, self.side))
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """The spring's."""
+        return springs.corners(self.table, self.side)
+
+    def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
+        """The spring's."""
+        x, v = self._extended(t, positions[0], rates[0], p)
+        k, c = sizes.values(self, ("stiffness", "damping"), p)
+        return springs.onsets(x, v, k, c, self.table, self.side, (jnp.abs(v), np.inf))
 
     def parameters(self, turns: bool = True) -> Parameters:
         force, way = sizes.coordinate(turns)
@@ -218,11 +232,28 @@ class Coupling(CoordinateLoad):
         above = springs.force(position - 0.5 * gap, rate, k, c, None, "pull")
         return -above - springs.force(position + 0.5 * gap, rate, k, c, None, "push")
 
-    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
+    def _apart(self, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> tuple[Number, Number, Number]:
+        """i, e and its rate."""
         ratio, rest = sizes.values(self, ("ratio", "rest"), p)
         apart, gone = (minus(x[1], times(ratio, x[0])) for x in (positions, rates))
-        force = self.on_coordinate(t, minus(apart, rest), gone, p)
+        return ratio, minus(apart, rest), gone
+
+    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
+        ratio, apart, gone = self._apart(positions, rates, p)
+        force = self.on_coordinate(t, apart, gone, p)
         return [times(-1.0, times(ratio, force)), force]
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """Both ends of a backlash."""
+        return () if sizes.nothing(self.backlash) else ((1.0, 0.5), (-1.0, -0.5))
+
+    def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
+        """Of both ends."""
+        (_, apart, gone), keys = self._apart(positions, rates, p), ("stiffness", "damping", "backlash")
+        (k, c, gap), more = sizes.values(self, keys, p), (jnp.abs(gone), np.inf)
+        above = springs.onsets(apart - 0.5 * gap, gone, k, c, None, "pull", more)
+        return above + springs.onsets(apart + 0.5 * gap, gone, k, c, None, "push", more)
 
     @staticmethod
     def units(turns: bool, second: bool) -> dict[str, str]:

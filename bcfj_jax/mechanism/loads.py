@@ -37,6 +37,7 @@ from bcfj_jax.mechanism.acting import AbstractLoad as AbstractLoad
 from bcfj_jax.mechanism.acting import Action as Action
 from bcfj_jax.mechanism.acting import CoordinateLoad as CoordinateLoad
 from bcfj_jax.mechanism.acting import Moving as Moving
+from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.bodies import GROUND, Part
 from bcfj_jax.mechanism.jointloads import Coupling as Coupling
 from bcfj_jax.mechanism.jointloads import JointFriction as JointFriction
@@ -179,8 +180,8 @@ class Spring(_BetweenPoints):
     """A spring and damper along the line between two points:  F = f(L - L0) + c dL/dt, pulling for F > 0.
 
     f(x) = k x, or by ``table`` linear between its points (extensions [m], forces [N]) and going on with the slope at its ends;
-    its kinks are not looked for. With a ``side`` it acts on one side alone, and never the other way: F = max(f + c dL/dt, 0) for
-    x > 0 else 0 of "pull", a cable; F = min(f + c dL/dt, 0) for x < 0 else 0 of "push", a bump stop.
+    steps are looked at for its knots. With a ``side`` it acts on one side alone, and never the other way:
+    F = max(f + c dL/dt, 0) for x > 0 else 0 of "pull", a cable; F = min(f + c dL/dt, 0) for x < 0 else 0 of "push", a bump stop.
 
     Attributes:
         between, at: bodies and points in their axes [m].
@@ -207,6 +208,18 @@ class Spring(_BetweenPoints):
         pull = springs.force(minus(length(arm), free), dot(way, rate), k, c, self.table, self.side)
         first, second = self.between
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """The spring's."""
+        return springs.corners(self.table, self.side)
+
+    def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
+        """The spring's."""
+        _, arm, rate = self._apart(bodies, p)
+        (k, c, free), far = sizes.values(self, self.units, p), length(arm)
+        more = length(rate), far
+        return springs.onsets(minus(far, free), dot(unit(arm), rate), k, c, self.table, self.side, more)
 
 
 class Bush(_BetweenPoints):
@@ -319,6 +332,15 @@ class HeldLoad(AbstractLoad):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         return arrays.filled(self.part, p, f"{self.name}.").actions(t, bodies, p)
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """The load's."""
+        return self.part.corners
+
+    def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
+        """The load's."""
+        return self.part.onsets(bodies, p)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return self.part.kinks(p)
