@@ -73,7 +73,7 @@ class JointSpring(CoordinateLoad):
         """The spring's."""
         x, v = self._extended(t, positions[0], rates[0], p)
         k, c = sizes.values(self, ("stiffness", "damping"), p)
-        return springs.onsets(x, v, k, c, self.table, self.side, (jnp.abs(v), np.inf))
+        return springs.onsets(x, v, (k, c, self.table, self.side), (jnp.abs(v), np.inf))
 
     def parameters(self, turns: bool = True) -> Parameters:
         force, way = sizes.coordinate(turns)
@@ -252,8 +252,8 @@ class Coupling(CoordinateLoad):
         """Of both ends."""
         (_, apart, gone), keys = self._apart(positions, rates, p), ("stiffness", "damping", "backlash")
         (k, c, gap), more = sizes.values(self, keys, p), (jnp.abs(gone), np.inf)
-        above = springs.onsets(apart - 0.5 * gap, gone, k, c, None, "pull", more)
-        return above + springs.onsets(apart + 0.5 * gap, gone, k, c, None, "push", more)
+        above = springs.onsets(apart - 0.5 * gap, gone, (k, c, None, "pull"), more)
+        return above + springs.onsets(apart + 0.5 * gap, gone, (k, c, None, "push"), more)
 
     @staticmethod
     def units(turns: bool, second: bool) -> dict[str, str]:

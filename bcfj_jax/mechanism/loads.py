@@ -219,7 +219,7 @@ class Spring(_BetweenPoints):
         _, arm, rate = self._apart(bodies, p)
         (k, c, free), far = sizes.values(self, self.units, p), length(arm)
         more = length(rate), far
-        return springs.onsets(minus(far, free), dot(unit(arm), rate), k, c, self.table, self.side, more)
+        return springs.onsets(minus(far, free), dot(unit(arm), rate), (k, c, self.table, self.side), more)
 
 
 class Bush(_BetweenPoints):

@@ -46,14 +46,13 @@ def corners(table: Table | None, side: str) -> tuple[tuple[float, float], ...]:
 
 
 def onsets(
-    x: Number, rate: Number, k: Number, c: Number, table: Table | None, side: str, more: tuple[Number, Number]
+    x: Number, rate: Number, law: tuple[Number, Number, Table | None, str], more: tuple[Number, Number]
 ) -> list[Onset]:
-    """Of each of ``corners``, of an extension x and its rate; ``more``: speed and bends of ``Onset``."""
-    speed, bends = more
-    cut = 0.0 if side == "both" else force(x, rate, k, c, table, side)
-    forces = itertools.chain((cut,), itertools.repeat(0.0))
+    """Of each of ``corners``, of an extension x and its rate; ``law``: what ``force`` reads; ``more``: speed and bends."""
+    *_, table, side = law
+    forces = itertools.chain((0.0 if side == "both" else force(x, rate, *law),), itertools.repeat(0.0))
     return [
-        Onset(times(sign, minus(x, at)), times(sign, rate), speed, held, bends)
+        Onset(times(sign, minus(x, at)), times(sign, rate), more[0], held, more[1])
         for (sign, at), held in zip(corners(table, side), forces, strict=False)
     ]
 
