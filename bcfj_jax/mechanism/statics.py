@@ -220,7 +220,10 @@ def _found(search: _Search) -> Callable[[Array, Params], tuple[_At, _Known, Arra
         at, known, balanced = lax.stop_gradient(_crept(search, placed, lax.stop_gradient(read)))
         ways = jax.jacfwd(partial(search.moved, at[0]))(jnp.zeros(search.count))
         # 0, with the derivatives of the places given: they stay where nothing holds a body.
-        beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (given - placed))
+        known_by = ways.T @ ways
+        # What turns a ``sphere`` is no coordinate: nothing is beside.
+        known_by = known_by + jnp.diag(jnp.where(jnp.diagonal(known_by) > 0.0, 0.0, 1.0))
+        beside = jnp.linalg.solve(known_by, ways.T @ (given - placed))
         # A loop compiles one of both steps.
         step = lambda at, share: (search.newton(at, read, share * beside), None)  # noqa: E731
         return lax.scan(step, at, jnp.array([1.0, 0.0]))[0], known, balanced

@@ -44,6 +44,7 @@ STOPS = {
 }  # fmt: skip
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", tiers.ci(STOPS, "push"))
 def test_derivatives_pass_where_a_spring_begins_and_lets_go(kind):
     """A mass flies against a stop: velocity -e v after it; a stop that is moved by s moves the place by (1 + e) s."""
