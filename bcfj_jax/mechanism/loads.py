@@ -303,47 +303,21 @@ class Load(AbstractLoad):
         return {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.quantities}
 
 
+def _of(name: str) -> Any:
+    return property(lambda self: getattr(self.part, name))
+
+
 class HeldLoad(AbstractLoad):
     """A load with arrays, which are parameters: ``<name>.<path>`` (``mechanism.arrays``)."""
 
     part: AbstractLoad
 
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The load's."""
-        return self.part.name
-
-    @property
-    def touches(self) -> tuple[str, ...]:
-        return self.part.touches
-
-    @property
-    def acts_on(self) -> str:
-        """The load's."""
-        return self.part.acts_on
-
-    def apart(self, bodies: Moving, p: Params) -> Vector | None:
-        """The load's."""
-        return self.part.apart(bodies, p)
-
-    @property
-    def damps(self) -> bool:
-        return self.part.damps
+    name, touches, acts_on, damps, corners, apart, onsets, kinks = map(
+        _of, ("name", "touches", "acts_on", "damps", "corners", "apart", "onsets", "kinks")
+    )  # pyright: ignore[reportAssignmentType]
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         return arrays.filled(self.part, p, f"{self.name}.").actions(t, bodies, p)
-
-    @property
-    def corners(self) -> tuple[tuple[float, Any], ...]:
-        """The load's."""
-        return self.part.corners
-
-    def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
-        """The load's."""
-        return self.part.onsets(bodies, p)
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        return self.part.kinks(p)
 
     def parameters(self) -> Parameters:
         return self.part.parameters() | arrays.of_load(self.part)

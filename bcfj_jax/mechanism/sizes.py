@@ -87,11 +87,11 @@ def point(place: Place, part: str, key: str, p: Params) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
-def of_point(place: Place, part: str, key: str, meaning: str) -> Parameters:
-    """The parameters that three lengths are; ``meaning`` has {} for the letter."""
+def of_point(place: Place, part: str, key: str, meaning: str, unit: str = "m") -> Parameters:
+    """The parameters that three lengths are, or others of a ``unit``; ``meaning`` has {} for the letter, "" for their names."""
     found: Parameters = {}
     for letter, size in zip("xyz", place, strict=True):
-        found |= stated(size, part, f"{key}_{letter}", "m", meaning.format(letter))
+        found |= stated(size, part, f"{key}_{letter}", unit, meaning.format(letter))
     return found
 
 
@@ -108,10 +108,7 @@ def of_several(size: Any, part: str, key: str, unit: str) -> Parameters:
         raise InputError(
             f"{part} {key}", f"{len(size)} numbers", "give one number, or three along the first body's axes"
         )
-    found: Parameters = {}
-    for letter, one in zip("xyz", size, strict=True):
-        found |= stated(one, part, f"{key}_{letter}", unit)
-    return found
+    return of_point(size, part, key, "", unit)
 
 
 def values(part: Any, keys: Iterable[str], p: Params) -> list[Any]:
