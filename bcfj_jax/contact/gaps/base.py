@@ -309,7 +309,7 @@ def rows(option: str, given: Any, width: int, remedy: str) -> tuple[tuple[float,
     """An option that is rows of so many numbers."""
     try:
         found = np.asarray(given, dtype=float)
-        right = np.isfinite(found).all() and (not found.size or width % found.shape[-1] == 0)
+        right = found.ndim and np.isfinite(found).all() and (not found.size or width % found.shape[-1] == 0)
         return tuple(tuple(map(float, row)) for row in found.reshape(-1, width if right else 0))
     except (TypeError, ValueError):
         raise InputError(f"gap, option '{option}'", f"{given!r}", remedy) from None

@@ -262,7 +262,11 @@ def between(first: Segment, second: Segment, apart: Vector) -> tuple[Number, Vec
 def _edges(option: str, given: Any) -> tuple[tuple[float, ...], ...]:
     """Edges of an option: six numbers each, or a box's from its three half lengths."""
     remedy = "give a list of edges, six numbers from end to end [m] each, or the three half lengths of a box"
-    if np.shape(given) == (3,):
+    try:
+        box = np.shape(given) == (3,) and min(given) > 0.0
+    except (TypeError, ValueError):
+        box = False
+    if box:
         (half,) = rows(option, given, 3, remedy)
         ways = np.array([half[i] * (np.arange(3) == i) for i in AXIS])
         given = np.concatenate([MIDDLE.T * half - ways, MIDDLE.T * half + ways], 1)
