@@ -63,7 +63,11 @@ def test_derivatives_pass_a_backlash():
         Body("a", "hinge", mass=1.0, inertia=2.0, start={"speed": 10.0}),
         Body("b", "hinge", mass=1.0, inertia=1.0),
     ]
-    scene = Mechanism("gears", wheels, loads=[Coupling("mesh", ("a", "b"), 1.0, 1e5, 20.0, 0.4)])
+    scene = Mechanism(
+        "gears",
+        wheels,
+        loads=[Coupling("mesh", joints=("a", "b"), ratio=1.0, stiffness=1e5, damping=20.0, backlash=0.4)],
+    )
     one, by_one, other, by_other = after(scene, "mesh.backlash", 0.4, ("a.speed", "b.speed"), 0.05)
     assert 2.0 * one + other == pytest.approx(20.0, rel=1e-9) and other > 10.0
     assert (by_one, by_other) == pytest.approx((0.0, 0.0), abs=1e-4)
