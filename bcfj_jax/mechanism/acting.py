@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -51,6 +52,21 @@ class Action(NamedTuple):
     force: Vector = ZERO
     at: Vector = ZERO
     torque: Vector = ZERO
+
+
+class Onset(NamedTuple):
+    """A place where a load begins to act, or bends: how far beyond it is [m, rad], and the rate.
+
+    Attributes:
+        speed: of the relative motion that it depends on; ``bends``: over how much of this its course bends.
+        force: beyond, where that is cut off at 0, as of a damped cable that lets go [N, N m]; else 0.
+    """
+
+    depth: Number
+    rate: Number
+    speed: Number
+    force: Number = 0.0
+    bends: Number = np.inf
 
 
 class AbstractLoad(eqx.Module):
@@ -103,6 +119,15 @@ class Pull(bj.loads.AbstractLoad):
         return None
 
     @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """Where its force begins or bends: the sign of the side beyond, and the place (``springs.corners``)."""
+        return ()
+
+    def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
+        """Of each of ``corners``."""
+        return []
+
+    @property
     def damps(self) -> bool:
         """Whether it may oppose a velocity."""
         return any(not sizes.nothing(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
@@ -141,6 +166,10 @@ class CoordinateLoad(AbstractLoad):
     ) -> list[Number]:
         """The same on each of ``coordinates``."""
         return [self.on_coordinate(t, positions[0], rates[0], p, *bend)]
+
+    def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
+        """Of each of ``corners``, at those of ``coordinates``."""
+        return []
 
     def bending(self, rate: Number, bend: Number, p: Params) -> Number:
         """Rate of what it keeps; of a load without bristles nobody asks."""

@@ -237,7 +237,8 @@ def _there(c: Channel, value: Any) -> Array:
 
 def _axes(name: str, motion: BodyMotion) -> Array:
     if motion.axes is None and motion.spin is not None:
-        raise InputError(f"reading of '{name}'", "its rotation is not computed", "give it joint = 'free'")
+        remedy = "give it joint = 'free', or use the axes of another body"
+        raise InputError("reading", f"the rotation of '{name}' is not computed", remedy)
     return jnp.eye(3) if motion.axes is None else motion.axes
 
 
@@ -272,13 +273,9 @@ def quaternion(axes: Array) -> Array:
 
 def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Array:
     vector, k = _there(c, vector), "xyz".index(c.axis)
-    axes = bodies[c.frame].axes if c.frame else None
-    if c.frame and axes is None and bodies[c.frame].spin is not None:
-        raise InputError(
-            f"reading '{c.name}'", f"the rotation of '{c.frame}' is not computed", "use the axes of another body"
-        )
-    if axes is None:
+    if not c.frame:
         return vector[..., k]
+    axes = _axes(c.frame, bodies[c.frame])
     way = axes[..., :, k]
     # A frame without members beside a vector with them.
     way = way[..., None, :] if way.ndim < vector.ndim else way

@@ -31,10 +31,12 @@ from bcfj_jax.core.vectors import (
     dot,
     negative,
     scale,
+    spread,
     subtract,
     turned,
 )  # fmt: skip
 from bcfj_jax.mechanism import alike, arrays, equations, rows, sizes
+from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.bodies import GROUND, INERTIAS, STILL, Body, Own, Part, carried, quaternion_rate
 from bcfj_jax.mechanism.contacts import Contact, raised
 from bcfj_jax.mechanism.equations import Equations, flat
@@ -448,6 +450,33 @@ class Dynamics(AbstractModel):
         for load in loads:
             self._loaded(found, load, t, now, p)
         return flat(found.forces, self._members)
+
+    @cached_property
+    def corners(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of all loads."""
+        return sum(len(load.corners) * (self._beside(load) or 1) for load in self.loads)
+
+    def _beside(self, load: AbstractLoad) -> int:
+        """Members of the bodies that a load begins to act on."""
+        return max((self.body(name).members for name in load.touches if name != GROUND), default=0)
+
+    def begun(self, t: Array, now: Instant, p: Params) -> list[Onset]:
+        """How far every load is beyond its ``corners``; numbers (k,)."""
+        found: list[Onset] = []
+        for load in (load for load in self.loads if load.corners):
+            if isinstance(load, CoordinateLoad):
+                _, q, v = zip(*(self._coordinate(name, t, now, p) for name in load.coordinates), strict=True)
+                onsets = load.onsets_on(t, q, v, p)
+            else:
+                onsets = load.onsets(now.bodies, p)
+            found += [Onset(*(jnp.atleast_1d(spread(x, self._beside(load))) for x in one)) for one in onsets]
+        return found
+
+    def onsets(self, t: Array, y: Array, prepared: Params) -> tuple[Array, Array, Array]:
+        """By ``begun``."""
+        found = self.begun(t, self.instant(t, y, prepared, laws=False), prepared)
+        depth, rate, _, force, _ = map(jnp.concatenate, zip(*found, strict=True))
+        return depth, rate, force
 
     def sprung(self, load: CoordinateLoad, t: Array, now: Instant, p: Params) -> list[tuple[int, Number, Number]]:
         """Which velocities a load on joints acts on, its force on each [N, N m], and each velocity."""

@@ -189,10 +189,9 @@ class Forces(equations.Equations):
     ``rounding``: the share of a force, times its arm, that counts where it has none along a velocity.
     """
 
-    rounding = _ROUNDING
-
-    def __init__(self, members: Sequence[int]) -> None:
+    def __init__(self, members: Sequence[int], rounding: float = _ROUNDING) -> None:
         super().__init__(members)
+        self.rounding = rounding
         self.sizes: list[Number] = [0.0 for _ in members]
 
     def push(self, j: int, force: Number, of: tuple[int, int] | None = None) -> None:

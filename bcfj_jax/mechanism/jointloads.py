@@ -2,10 +2,11 @@
 
 # No ``from __future__ import annotations``, as in ``acting``.
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -14,7 +15,7 @@ from bcfj_jax.contact.part import checked as checked_part
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.vectors import Number, minus, times
 from bcfj_jax.mechanism import sizes, springs
-from bcfj_jax.mechanism.acting import CoordinateLoad
+from bcfj_jax.mechanism.acting import CoordinateLoad, Onset
 from bcfj_jax.mechanism.bodies import Drive
 from bcfj_jax.mechanism.programmes import Table, given_table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
@@ -52,22 +53,34 @@ class JointSpring(CoordinateLoad):
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return [] if self.drive is None else self.drive.kinks(self.name, p)
 
+    def _extended(self, t: Array, position: Number, rate: Number, p: Params) -> tuple[Number, Number]:
+        """q - q0 and its rate."""
+        if self.drive is None:
+            return minus(position, sizes.values(self, ("rest",), p)[0]), rate
+        rest, speed, _ = self.drive.motion(t, self.name, p)
+        return minus(position, rest), minus(rate, speed)
+
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
-        k, c, rest = (
-            sizes.length(size, self.name, name, p)
-            for size, name in ((self.stiffness, "stiffness"), (self.damping, "damping"), (self.rest, "rest"))
-        )
-        if self.drive is not None:
-            rest, speed, _ = self.drive.motion(t, self.name, p)
-            rate = minus(rate, speed)
-        return times(-1.0, springs.force(minus(position, rest), rate, k, c, self.table, self.side))
+        k, c = sizes.values(self, ("stiffness", "damping"), p)
+        return times(-1.0, springs.force(*self._extended(t, position, rate, p), k, c, self.table, self.side))
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """The spring's."""
+        return springs.corners(self.table, self.side)
+
+    def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
+        """The spring's."""
+        x, v = self._extended(t, positions[0], rates[0], p)
+        k, c = sizes.values(self, ("stiffness", "damping"), p)
+        return springs.onsets(x, v, (k, c, self.table, self.side), (jnp.abs(v), np.inf))
 
     def parameters(self, turns: bool = True) -> Parameters:
-        found = sizes.stated(self.stiffness, self.name, "stiffness", "N m/rad" if turns else "N/m")
-        found |= sizes.stated(self.damping, self.name, "damping", "N m s/rad" if turns else "N s/m")
-        if self.drive is not None:
-            return found | self.drive.needs(self.name, turns)
-        return found | sizes.stated(self.rest, self.name, "rest", "rad" if turns else "m")
+        force, way = sizes.coordinate(turns)
+        found = sizes.parameters(self, {"stiffness": f"{force}/{way}", "damping": f"{force} s/{way}"})
+        return found | (
+            sizes.parameters(self, {"rest": way}) if self.drive is None else self.drive.needs(self.name, turns)
+        )
 
 
 class JointFriction(CoordinateLoad):
@@ -154,7 +167,7 @@ class JointFriction(CoordinateLoad):
         return self._law.holding(slip * slip, self._told(p), time)
 
     def parameters(self, turns: bool = True) -> Parameters:
-        force, way = ("N m", "rad") if turns else ("N", "m")
+        force, way = sizes.coordinate(turns)
         units = (force, force, f"{way}/s", f"{force}/{way}", f"{force} s/{way}")
         found: Parameters = {}
         for key, of in zip(_RUBS.values(), units, strict=True):
@@ -213,29 +226,41 @@ class Coupling(CoordinateLoad):
 
     def on_coordinate(self, t: Array, position: Number, rate: Number, p: Params) -> Number:
         """F at a deviation and its rate."""
-        k, c, gap = (
-            sizes.length(getattr(self, key), self.name, key, p) for key in ("stiffness", "damping", "backlash")
-        )
+        k, c, gap = sizes.values(self, ("stiffness", "damping", "backlash"), p)
         if sizes.nothing(self.backlash):
             return times(-1.0, springs.force(position, rate, k, c, None, "both"))
         above = springs.force(position - 0.5 * gap, rate, k, c, None, "pull")
         return -above - springs.force(position + 0.5 * gap, rate, k, c, None, "push")
 
-    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
-        ratio, rest = sizes.length(self.ratio, self.name, "ratio", p), sizes.length(self.rest, self.name, "rest", p)
+    def _apart(self, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> tuple[Number, Number, Number]:
+        """i, e and its rate."""
+        ratio, rest = sizes.values(self, ("ratio", "rest"), p)
         apart, gone = (minus(x[1], times(ratio, x[0])) for x in (positions, rates))
-        force = self.on_coordinate(t, minus(apart, rest), gone, p)
+        return ratio, minus(apart, rest), gone
+
+    def on_coordinates(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Number]:
+        ratio, apart, gone = self._apart(positions, rates, p)
+        force = self.on_coordinate(t, apart, gone, p)
         return [times(-1.0, times(ratio, force)), force]
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """Both ends of a backlash."""
+        return () if sizes.nothing(self.backlash) else ((1.0, 0.5), (-1.0, -0.5))
+
+    def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
+        """Of both ends."""
+        (_, apart, gone), keys = self._apart(positions, rates, p), ("stiffness", "damping", "backlash")
+        (k, c, gap), more = sizes.values(self, keys, p), (jnp.abs(gone), np.inf)
+        above = springs.onsets(apart - 0.5 * gap, gone, (k, c, None, "pull"), more)
+        return above + springs.onsets(apart + 0.5 * gap, gone, (k, c, None, "push"), more)
 
     @staticmethod
     def units(turns: bool, second: bool) -> dict[str, str]:
         """Units of its numbers, of a first joint that ``turns``, or not, and of the second."""
-        one, unit, force = ("rad" if turns else "m"), ("rad" if second else "m"), ("N m" if second else "N")
+        (_, one), (force, unit) = sizes.coordinate(turns), sizes.coordinate(second)
         return {"ratio": "1" if turns == second else f"{unit}/{one}", "stiffness": f"{force}/{unit}",
                 "damping": f"{force} s/{unit}", "backlash": unit, "rest": unit}  # fmt: skip
 
     def parameters(self, turns: bool = True, second: bool = True) -> Parameters:
-        found: Parameters = {}
-        for key, of in self.units(turns, second).items():
-            found |= sizes.stated(getattr(self, key), self.name, key, of)
-        return found
+        return sizes.parameters(self, self.units(turns, second))

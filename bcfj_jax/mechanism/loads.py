@@ -37,6 +37,7 @@ from bcfj_jax.mechanism.acting import AbstractLoad as AbstractLoad
 from bcfj_jax.mechanism.acting import Action as Action
 from bcfj_jax.mechanism.acting import CoordinateLoad as CoordinateLoad
 from bcfj_jax.mechanism.acting import Moving as Moving
+from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.bodies import GROUND, Part
 from bcfj_jax.mechanism.jointloads import Coupling as Coupling
 from bcfj_jax.mechanism.jointloads import JointFriction as JointFriction
@@ -170,13 +171,8 @@ class _BetweenPoints(AbstractLoad):
     def apart(self, bodies: Moving, p: Params) -> Vector:
         return self._apart(bodies, p)[1]
 
-    def _sizes(self: Any, p: Params) -> list[Any]:
-        return [sizes.several(getattr(self, key), self.name, key, p) for key in self.units]
-
     def parameters(self: Any) -> Parameters:
-        found: Parameters = {}
-        for key, one in self.units.items():
-            found |= sizes.of_several(getattr(self, key), self.name, key, one)
+        found = sizes.parameters(self, self.units)
         return found | _of_point(self.at[0], self.name, "a") | _of_point(self.at[1], self.name, "b")
 
 
@@ -184,8 +180,8 @@ class Spring(_BetweenPoints):
     """A spring and damper along the line between two points:  F = f(L - L0) + c dL/dt, pulling for F > 0.
 
     f(x) = k x, or by ``table`` linear between its points (extensions [m], forces [N]) and going on with the slope at its ends;
-    its kinks are not looked for. With a ``side`` it acts on one side alone, and never the other way: F = max(f + c dL/dt, 0) for
-    x > 0 else 0 of "pull", a cable; F = min(f + c dL/dt, 0) for x < 0 else 0 of "push", a bump stop.
+    steps are looked at for its knots. With a ``side`` it acts on one side alone, and never the other way:
+    F = max(f + c dL/dt, 0) for x > 0 else 0 of "pull", a cable; F = min(f + c dL/dt, 0) for x < 0 else 0 of "push", a bump stop.
 
     Attributes:
         between, at: bodies and points in their axes [m].
@@ -208,10 +204,22 @@ class Spring(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
-        (k, c, free), way = self._sizes(p), unit(arm)
+        (k, c, free), way = sizes.values(self, self.units, p), unit(arm)
         pull = springs.force(minus(length(arm), free), dot(way, rate), k, c, self.table, self.side)
         first, second = self.between
         return [Action(first, scale(pull, way), a), Action(second, negative(scale(pull, way)), b)]
+
+    @property
+    def corners(self) -> tuple[tuple[float, Any], ...]:
+        """The spring's."""
+        return springs.corners(self.table, self.side)
+
+    def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
+        """The spring's."""
+        _, arm, rate = self._apart(bodies, p)
+        (k, c, free), far = sizes.values(self, self.units, p), length(arm)
+        more = length(rate), far
+        return springs.onsets(minus(far, free), dot(unit(arm), rate), (k, c, self.table, self.side), more)
 
 
 class Bush(_BetweenPoints):
@@ -245,7 +253,7 @@ class Bush(_BetweenPoints):
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         (a, b), arm, rate = self._apart(bodies, p)
-        k, c, turning, twisting = self._sizes(p)
+        k, c, turning, twisting = sizes.values(self, self.units, p)
         first, second = (bodies.parts[name] for name in self.between)
         rate = subtract(rate, cross(scale(0.5, add(first.spin, second.spin)), arm))
         damper = springs.along(c, first.axes, rate)
@@ -295,38 +303,21 @@ class Load(AbstractLoad):
         return {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.quantities}
 
 
+def _of(name: str) -> Any:
+    return property(lambda self: getattr(self.part, name))
+
+
 class HeldLoad(AbstractLoad):
     """A load with arrays, which are parameters: ``<name>.<path>`` (``mechanism.arrays``)."""
 
     part: AbstractLoad
 
-    @property
-    def name(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The load's."""
-        return self.part.name
-
-    @property
-    def touches(self) -> tuple[str, ...]:
-        return self.part.touches
-
-    @property
-    def acts_on(self) -> str:
-        """The load's."""
-        return self.part.acts_on
-
-    def apart(self, bodies: Moving, p: Params) -> Vector | None:
-        """The load's."""
-        return self.part.apart(bodies, p)
-
-    @property
-    def damps(self) -> bool:
-        return self.part.damps
+    name, touches, acts_on, damps, corners, apart, onsets, kinks = map(
+        _of, ("name", "touches", "acts_on", "damps", "corners", "apart", "onsets", "kinks")
+    )  # pyright: ignore[reportAssignmentType]
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
         return arrays.filled(self.part, p, f"{self.name}.").actions(t, bodies, p)
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        return self.part.kinks(p)
 
     def parameters(self) -> Parameters:
         return self.part.parameters() | arrays.of_load(self.part)

@@ -101,8 +101,8 @@ class Mechanism(Dynamics):
 
     @property
     def shows_proximity(self) -> bool:
-        """Where there are contacts."""
-        return bool(self.contacts)
+        """Where there are contacts, or loads that begin somewhere."""
+        return bool(self.contacts or self.corners)
 
     @property
     def unsure(self) -> bool:

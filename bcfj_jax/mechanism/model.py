@@ -32,6 +32,7 @@ from bcfj_jax.mechanism.moments import Arrow as Arrow
 from bcfj_jax.mechanism.moments import Bodies as Bodies
 from bcfj_jax.mechanism.moments import BodyMotion as BodyMotion
 from bcfj_jax.mechanism.moments import Chain as Chain
+from bcfj_jax.mechanism.moments import Choice as Choice
 from bcfj_jax.mechanism.moments import Coarser as Coarser
 from bcfj_jax.mechanism.moments import Continuous as Continuous
 from bcfj_jax.mechanism.moments import Effort as Effort
@@ -89,23 +90,6 @@ class Solution(NamedTuple):
     extremes: Any = None
     totals: Any = None
     whole: Continuous | None = None
-
-
-class Choice(NamedTuple):
-    """Which level of a model was chosen for a run (``AbstractModel.choose``).
-
-    Attributes:
-        fidelity: name of the level.
-        budget: force error allowed, a fraction of the peak.
-        errors: estimated error of every level that was looked at, cheapest first; infinite or NaN where the level has
-            no answer.
-        reason: the choice in words.
-    """
-
-    fidelity: str
-    budget: float
-    errors: dict[str, float]
-    reason: str
 
 
 class AbstractModel(eqx.Module):
@@ -237,6 +221,13 @@ class AbstractModel(eqx.Module):
     def proximity(self, t: Array, y: Array, prepared: Any) -> Proximity:
         """How near all surfaces are to each other in one state. Only of a model that ``shows_proximity``."""
         raise InputError(f"scene '{self.kind}'", "shows no proximity", "this is an error in bcfj-jax: please report it")
+
+    # Number of places where loads begin to act, or bend; runs that are differentiated end steps there.
+    corners = 0
+
+    def onsets(self, t: Array, y: Array, prepared: Any) -> tuple[Array, Array, Array]:
+        """How far beyond each of ``corners`` a state is [m, rad] (C,), the rates, and forces that are cut off at 0."""
+        return jnp.zeros(0), jnp.zeros(0), jnp.zeros(0)
 
     def breaks(self, params: Params, end: ArrayLike) -> Array | None:
         """Times (B,) at which a step until ``end`` [s] has to end: amounts over time have a kink there; None for none."""

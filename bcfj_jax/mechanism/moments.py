@@ -243,6 +243,23 @@ class Coarser(NamedTuple):
     physics: str
 
 
+class Choice(NamedTuple):
+    """Which level of a model was chosen for a run (``AbstractModel.choose``).
+
+    Attributes:
+        fidelity: name of the level.
+        budget: force error allowed, a fraction of the peak.
+        errors: estimated error of every level that was looked at, cheapest first; infinite or NaN where the level has
+            no answer.
+        reason: the choice in words.
+    """
+
+    fidelity: str
+    budget: float
+    errors: dict[str, float]
+    reason: str
+
+
 class Variant(NamedTuple):
     """Another choice for the same thing, none of them the truth: its name, changes to a scene file by section, words."""
 

@@ -47,7 +47,7 @@ class Observed(AbstractModel):
     proximity, shows_proximity, unsure, unweighed, breaks, longest_step = map(
         _of, ("proximity", "shows_proximity", "unsure", "unweighed", "breaks", "longest_step")
     )  # pyright: ignore[reportAssignmentType]
-    load_names, efforts = map(_of, ("load_names", "efforts"))  # pyright: ignore[reportAssignmentType]
+    load_names, efforts, corners, onsets = map(_of, ("load_names", "efforts", "corners", "onsets"))  # pyright: ignore[reportAssignmentType]
     body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
         _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")
     )

@@ -12,7 +12,7 @@ A number may be of any library, and a row of numbers any sequence or array: ``pl
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -87,11 +87,11 @@ def point(place: Place, part: str, key: str, p: Params) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
-def of_point(place: Place, part: str, key: str, meaning: str) -> Parameters:
-    """The parameters that three lengths are; ``meaning`` has {} for the letter."""
+def of_point(place: Place, part: str, key: str, meaning: str, unit: str = "m") -> Parameters:
+    """The parameters that three lengths are, or others of a ``unit``; ``meaning`` has {} for the letter, "" for their names."""
     found: Parameters = {}
     for letter, size in zip("xyz", place, strict=True):
-        found |= stated(size, part, f"{key}_{letter}", "m", meaning.format(letter))
+        found |= stated(size, part, f"{key}_{letter}", unit, meaning.format(letter))
     return found
 
 
@@ -108,10 +108,25 @@ def of_several(size: Any, part: str, key: str, unit: str) -> Parameters:
         raise InputError(
             f"{part} {key}", f"{len(size)} numbers", "give one number, or three along the first body's axes"
         )
+    return of_point(size, part, key, "", unit)
+
+
+def values(part: Any, keys: Iterable[str], p: Params) -> list[Any]:
+    """``several`` of the fields of a part that are named."""
+    return [several(getattr(part, key), part.name, key, p) for key in keys]
+
+
+def parameters(part: Any, units: Mapping[str, str]) -> Parameters:
+    """``of_several`` of the fields of a part that are named, with their units."""
     found: Parameters = {}
-    for letter, one in zip("xyz", size, strict=True):
-        found |= stated(one, part, f"{key}_{letter}", unit)
+    for key, unit in units.items():
+        found |= of_several(getattr(part, key), part.name, key, unit)
     return found
+
+
+def coordinate(turns: bool) -> tuple[str, str]:
+    """Units of a force on a joint's coordinate and of the coordinate, an angle where it turns."""
+    return ("N m", "rad") if turns else ("N", "m")
 
 
 def nothing(size: Any) -> bool:

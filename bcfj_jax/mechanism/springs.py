@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.core.vectors import Axes, Number, Vector, dot, plus, scale, seen, times, turned
+from bcfj_jax.core.vectors import Axes, Number, Vector, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism import sizes
+from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.programmes import Table, checked_table
 
 SIDES = ("both", "pull", "push")
+# So many knots of a table are looked for; one of more is as good as smooth.
+_KNOTS = 16
 
 
 def check(where: str, side: str, table: Table | None, stiffness: Any) -> None:
@@ -33,6 +37,24 @@ def force(x: Number, rate: Number, k: Number, c: Number, table: Table | None, si
     if side == "pull":
         return jnp.where(jnp.asarray(x) > 0.0, jnp.maximum(found, 0.0), 0.0)
     return jnp.where(jnp.asarray(x) < 0.0, jnp.minimum(found, 0.0), 0.0)
+
+
+def corners(table: Table | None, side: str) -> tuple[tuple[float, float], ...]:
+    """Where the force of an extension x begins or bends: of each the sign and the place, sign (x - place) > 0 beyond."""
+    sides = {"both": (), "pull": ((1.0, 0.0),), "push": ((-1.0, 0.0),)}[side]
+    return sides if table is None else (*sides, *((1.0, knot) for knot in table[0][1:-1][:_KNOTS]))
+
+
+def onsets(
+    x: Number, rate: Number, law: tuple[Number, Number, Table | None, str], more: tuple[Number, Number]
+) -> list[Onset]:
+    """Of each of ``corners``, of an extension x and its rate; ``law``: what ``force`` reads; ``more``: speed and bends."""
+    *_, table, side = law
+    forces = itertools.chain((0.0 if side == "both" else force(x, rate, *law),), itertools.repeat(0.0))
+    return [
+        Onset(times(sign, minus(x, at)), times(sign, rate), more[0], held, more[1])
+        for (sign, at), held in zip(corners(table, side), forces, strict=False)
+    ]
 
 
 def _by(table: Table, x: Number) -> Number:

@@ -71,20 +71,9 @@ _At = tuple[Array, Slips]
 _Carry = tuple[tuple[_At, _Known, Ways], Array, Array, Array]
 
 
-class _Held:
-    """A drive that stays where it is at time 0."""
-
-    def __init__(self, drive: Drive, body: str) -> None:
-        self.drive, self.body = drive, body
-
-    def __call__(self, t: Array, p: Params) -> Any:
-        return jnp.asarray(self.drive.position(jnp.zeros_like(t), self.body, p))
-
-
-class _Sizes(Forces):
-    """Sizes by the forces themselves: of a rod that hangs straight no moment is left to compare with."""
-
-    rounding = 1.0
+def _held(drive: Any, body: str, t: Array, p: Params) -> Array:
+    """A drive's place at time 0, whatever the time."""
+    return jnp.asarray(drive.position(jnp.zeros_like(t), body, p))
 
 
 class _Search:
@@ -94,8 +83,8 @@ class _Search:
     """
 
     def __init__(self, m: Dynamics, p: Params, bound: bool = True) -> None:
-        fixed = [b if b.drive is None else replace(b, drive=Drive("function", function=_Held(b.drive, b.name), breaks=()))
-                for b in m.bodies]  # fmt: skip
+        held = {b.name: Drive("function", function=partial(_held, b.drive, b.name), breaks=()) for b in m._driven}
+        fixed = [replace(b, drive=held[b.name]) if b.name in held else b for b in m.bodies]
         self.scene = replace(m, bodies=tuple(fixed), start="", one_by_one=True)
         self.placed, self.free = [k for *_, k in m._placed], [k for *_, k in m._free]
         self.count = sum(k or 1 for k in self.free)
@@ -113,7 +102,7 @@ class _Search:
     def moved(self, places: Array, move: Array) -> Array:
         """Coordinates after a move."""
         q, v = equations.apart(places, self.placed), equations.apart(move, self.free)
-        now: Any = _Moved(list(q), list(v))
+        now: Any = Instant(list(q), list(v), None, {}, {}, {})  # pyright: ignore[reportArgumentType]
         found = places + equations.flat(self.scene._rates(now), self.placed)
         q = equations.apart(found, self.placed)
         for i, (_, key, _) in enumerate(self.scene._placed):
@@ -129,14 +118,14 @@ class _Search:
     def _ways(self, places: Array, p: Params) -> Ways:
         """What moves of these places are as slips."""
         now = self._at(places, p)
-        mass = self._massed(_Sizes(self.scene._members), now, p)
+        mass = self._massed(Forces(self.scene._members, 1.0), now, p)
         return stuck.ways(self.scene, now, places, mass, p, self.bound)
 
     def slid(self, here: Ways, held: Slips, move: Array, p: Params) -> Slips:
         """Slips after a move."""
         return stuck.added(self.scene, here, held, move, p, self.bound)
 
-    def _massed(self, found: _Sizes, now: Instant, p: Params) -> Array:
+    def _massed(self, found: Forces, now: Instant, p: Params) -> Array:
         """The diagonal of the mass matrix (n,), gathered in ``found``."""
         for b in self.scene.ordered:
             part = now.bodies.parts[b.name]
@@ -145,7 +134,8 @@ class _Search:
 
     def _forces(self, places: Array, held: Slips, p: Params) -> tuple[Array, Array, Array]:
         """Force on every free velocity, the sizes of all that act, the diagonal of the mass matrix; (n,) each."""
-        scene, t, found = self.scene, jnp.zeros(()), _Sizes(self.scene._members)
+        # Sizes by the forces themselves: of a rod that hangs straight no moment is left to compare with.
+        scene, t, found = self.scene, jnp.zeros(()), Forces(self.scene._members, 1.0)
         now, dry = stuck.rubbed(scene, self._at(places, p), held, p, self.bound)
         scene._pressed(found, now, p)
         for load in scene.loads:
@@ -186,13 +176,6 @@ class _Search:
 
         speeds, left = stuck.creep(lambda v: self.forces(there(v), slips(v), p)[0], self.forces(places, held, p)[2])
         return (there(speeds), slips(speeds)), here.level @ speeds, left
-
-
-class _Moved(NamedTuple):
-    """What ``Dynamics._rates`` reads of an instant."""
-
-    q: list[Any]
-    v: list[Any]
 
 
 def _crept(search: _Search, places: Array, p: Params) -> tuple[_At, _Known, Array]:
@@ -237,7 +220,10 @@ def _found(search: _Search) -> Callable[[Array, Params], tuple[_At, _Known, Arra
         at, known, balanced = lax.stop_gradient(_crept(search, placed, lax.stop_gradient(read)))
         ways = jax.jacfwd(partial(search.moved, at[0]))(jnp.zeros(search.count))
         # 0, with the derivatives of the places given: they stay where nothing holds a body.
-        beside = jnp.linalg.solve(ways.T @ ways, ways.T @ (given - placed))
+        known_by = ways.T @ ways
+        # What turns a ``sphere`` is no coordinate: nothing is beside.
+        known_by = known_by + jnp.diag(jnp.where(jnp.diagonal(known_by) > 0.0, 0.0, 1.0))
+        beside = jnp.linalg.solve(known_by, ways.T @ (given - placed))
         # A loop compiles one of both steps.
         step = lambda at, share: (search.newton(at, read, share * beside), None)  # noqa: E731
         return lax.scan(step, at, jnp.array([1.0, 0.0]))[0], known, balanced

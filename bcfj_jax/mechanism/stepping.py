@@ -31,7 +31,7 @@ _ROUNDING = 1e-10
 
 
 def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
-    """``AbstractModel.proximity``: of every face, members apart, in the order of contacts.
+    """``AbstractModel.proximity``: of every face, members apart, in the order of contacts; then where loads begin to act.
 
     A gap is a function of the place of b's marker in a's axes and, unless rotations do not bend it (``AbstractGap.bends``),
     of b's rotation. The speed is that of this place, in a's axes where a's rotation counts, and of what b's rotation carries.
@@ -59,7 +59,9 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
                 bends.length,
             )
             rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
-    return Proximity(*(jnp.concatenate(part)[_order(m)] for part in zip(*rows, strict=True)))
+    begun = [(x.depth, x.rate, x.speed, jnp.zeros_like(x.depth), x.bends) for x in m.begun(t, now, p)]
+    faces = [jnp.concatenate(part)[_order(m)] for part in zip(*rows, strict=True)] if rows else [jnp.zeros(0)] * 5
+    return Proximity(*(jnp.concatenate([x, *more]) for x, *more in zip(faces, *begun, strict=True)) if begun else faces)
 
 
 def _order(m: Dynamics) -> np.ndarray | slice:

@@ -204,23 +204,17 @@ def bent(m: Dynamics, held: Slips) -> dict[str, Any]:
 
 def needed(m: Dynamics, now: Instant, held: Slips, p: Params) -> dict[str, tuple[Array, Array]]:
     """Of slips without limits by contact the friction coefficient, by load its force: what they need and what there is."""
-    found: dict[str, tuple[Array, Array]] = {}
+    found: dict[str, list[tuple[Array, Array]]] = {}
     for c in m.bundles:
         read = c.coefficients(p)
         for (_, touch), (slip, _) in zip(now.faces[c.name], held[c.name], strict=True):
             size = jnp.where(jnp.asarray(touch.normal) > 0.0, _WITHOUT * jnp.sqrt(jnp.asarray(dot(slip, slip))), 0.0)
             mobility, share = _mobility(c, (_FAR, 0.0, 0.0), read, True)
-            for name, need in apart(c, size).items():
-                most = apart(c, jnp.broadcast_to(mobility * share * _FAR, size.shape))[name]
-                found[name] = max_of(found.get(name), (jnp.max(need), jnp.max(most)))
+            for name, pair in apart(c, (size, jnp.broadcast_to(mobility * share * _FAR, size.shape))).items():
+                found.setdefault(name, []).append(pair)
     for load in _dry(m):
         slip = jnp.abs(held[load.name])
         mobility, share = load.holding(jnp.full_like(slip, _FAR), p, TIME)
-        need = load.holding(jnp.zeros_like(slip), p, TIME)[0] * slip
-        found[load.name] = jnp.max(need), jnp.max(mobility * share * _FAR)
-    return found
-
-
-def max_of(one: tuple[Array, Array] | None, other: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The greater need of two."""
-    return other if one is None else (jnp.maximum(one[0], other[0]), other[1])
+        found[load.name] = [(load.holding(jnp.zeros_like(slip), p, TIME)[0] * slip, mobility * share * _FAR)]
+    return {name: (jnp.max(jnp.stack(need)), jnp.max(jnp.stack(has)))
+            for name, pairs in found.items() for need, has in (zip(*pairs, strict=True),)}  # fmt: skip

@@ -160,8 +160,8 @@ def integrate(
         assert isinstance(posed.solver, Sdirk)
         found = _by_bdf(posed, posed.solver, None, posed.start[None], times, how)
         return found._replace(states=found.states[:, 0])
-    if differentiable and model.contacts:
-        return _with_landing(posed, times, how, mode, differentiable == "whole")
+    if differentiable and (model.contacts or model.corners):
+        return _with_landing(posed, times, how, mode, differentiable == "whole" and bool(model.contacts))
     return _solved(posed, times, how, mode)
 
 
@@ -188,7 +188,8 @@ def _landed(
     if corners:
         # As much a share of the speed to expect as of the penetration (``first_step``).
         speeds = jnp.full(corners, 1e-2 / problem.first_step)
-        near = near * jnp.concatenate([jnp.ones(channels + len(model.remembered) + len(bristled(model))), speeds])
+        others = channels + len(model.remembered) + model.corners + len(bristled(model))
+        near = near * jnp.concatenate([jnp.ones(others), speeds])
     since = jax.lax.stop_gradient(times[0]) if whole else None
     control = Landing(controller(problem, how), near, most, size, since)
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)

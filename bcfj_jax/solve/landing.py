@@ -118,7 +118,7 @@ def look(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
         [jnp.ravel(x) for x in (r.penetration, r.rate, r.force[..., 0])]
         for r in (seen[contact.name] for contact in model.contacts)
     ]
-    return Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True)))
+    return Look(*(jnp.concatenate(part) for part in zip(*rows, strict=True))) if rows else Look(*[jnp.zeros(0)] * 3)
 
 
 def bending(model: AbstractModel) -> tuple[int, ...]:
@@ -137,13 +137,21 @@ def _channels(model: AbstractModel, which: Callable[[Any], bool]) -> tuple[int, 
     return tuple(i for i, is_one in enumerate(every) if is_one)
 
 
+def felt(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
+    """Every channel, and where loads begin to act."""
+    found = look(model, t, y, prepared)
+    if not model.corners:
+        return found
+    return Look(*(jnp.concatenate(pair) for pair in zip(found, model.onsets(t, y, prepared), strict=True)))
+
+
 def surfaces(model: AbstractModel, t: Any, y: Array, prepared: Any) -> Look:
-    """Every channel; then, which bear no force, the surfaces at which approach speeds are set, and those at which bristles
-    begin to bend, and those of ``bending``.
+    """``felt``; then, which bear no force, the surfaces at which approach speeds are set, where bristles begin to bend, and those
+    of ``bending``.
 
     The depth of the last is the speed of departure [m/s]; its rate [m/s^2] goes by the field.
     """
-    found = [look(model, t, y, prepared)]
+    found = [felt(model, t, y, prepared)]
     none = lambda x: jnp.zeros_like(x)  # noqa: E731
     if model.remembered:
         more = model.approaches(t, y, prepared)
@@ -223,7 +231,7 @@ class Landing(AbstractControl):
         higher = kept & inside & (turned | (size > memory.top))
         # To the surface; of a contact that ends, by ever shorter steps.
         surface = jnp.maximum(share, _LEAST) * dt
-        # A turn is no end of a contact, nor is where a bristle begins.
+        # A turn is no end of a contact, nor is where a bristle or a load begins.
         ends = np.arange(turned.size) < turned.size - len(bending(model)) - len(bristled(model))
         finest = jnp.min(jnp.where(memory.inside & crossing & ends, _FINEST * (fixed(t0) - memory.since), jnp.inf))
         surface = jnp.where(surface > finest, _PART * surface, surface)
@@ -263,14 +271,14 @@ class Landing(AbstractControl):
         """
         model, prepared = args
         never = jnp.zeros_like(dt), jnp.zeros((), bool)
-        if not any(getattr(getattr(contact, "law", None), "ends", False) for contact in model.contacts):
+        if not model.corners and not any(getattr(getattr(c, "law", None), "ends", False) for c in model.contacts):
             return never
         size, fixed = jnp.abs(memory.before.force), jax.lax.stop_gradient
         over = kept & (now.force == 0) & (now.depth > 0) & (size > _ENDED * memory.top) & (memory.tries < _TRIES)
 
         def root() -> Array:
             t, y, given = fixed((jnp.asarray(begin[0]), begin[1], prepared))
-            force = lambda t, y: jnp.abs(look(model, t, y, given).force)  # noqa: E731
+            force = lambda t, y: jnp.abs(felt(model, t, y, given).force)  # noqa: E731
             slope = jax.jvp(force, (t, y), (jnp.ones_like(t), model.vector_field(t, y, given)))[1]
             slope = jnp.concatenate([slope, jnp.zeros(size.size - slope.size)])
             falls = slope < 0

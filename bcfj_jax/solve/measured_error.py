@@ -26,10 +26,11 @@ class Accuracy(NamedTuple):
         tolerance: of the run; the tighter run had a tenth of it.
         begin: time from which the two are compared [s]: from where on the promised error holds, or 0 for a run that
             ends before.
-        rms: by contact, rms over the times of the force difference, worst member's worst component, over the peak.
+        rms: by contact, rms over the times of the force difference, worst member's worst component, over the peak, the largest
+            component; of a contact that no sample sees pressed, of the rate of its penetration over the largest.
         peak: by contact, difference of the largest normal force of a member, worst member, over the peak.
-        impulse: by contact, integral of the difference of normal forces, worst member, over the largest member's
-            integral of normal force.
+        impulse: by contact, integral of the difference of normal forces, worst member, over the largest integral of the size
+            of a component.
         agree_until: first time [s] at which a force differs by more than ``FACTOR`` times ``asked`` times the
             contact's peak, or at which one of the runs has failed; NaN for none.
         differs: the contact whose force does so, "" for none.
@@ -103,6 +104,9 @@ def measured(
     for name in force:
         ours, truth = (side[name][late].reshape(times.size, -1, 3) for side in (force, finer))
         rms[name], peaks[name], impulse[name] = shares(ours, truth, times)
+        if name in moves and name in others and name != parts_at and not np.any(ours) and not np.any(truth):
+            a, b = (np.nan_to_num(side[name].reshape(times.size, -1)) for side in (moves, others))
+            rms[name] = _share(np.sqrt(np.mean(np.square(a - b), axis=0)).max(), np.abs(b).max())
         off, peak = ours - truth, _peak(truth)
         # Not ``>``: NaN is no agreement.
         apart = times[~(np.abs(off).max(axis=(1, 2)) <= FACTOR * asked * peak)]
@@ -117,7 +121,7 @@ def measured(
 def shares(ours: np.ndarray, truth: np.ndarray, times: np.ndarray) -> tuple[float, float, float]:
     """Errors of a contact's forces (T, k, 3), see ``Accuracy``: rms, of the peak, of the impulse."""
     off, tops = ours - truth, [np.abs(side[..., 0]).max(axis=0) for side in (ours, truth)]
-    pushed = np.trapezoid(np.abs(truth[..., 0]), times, axis=0).max()
+    pushed = np.trapezoid(np.abs(truth), times, axis=0).max()
     return (
         _share(np.sqrt(np.mean(np.square(off), axis=0)).max(), _peak(truth)),
         _share(np.abs(tops[0] - tops[1]).max(), _peak(truth)),
@@ -126,8 +130,9 @@ def shares(ours: np.ndarray, truth: np.ndarray, times: np.ndarray) -> tuple[floa
 
 
 def _peak(truth: np.ndarray) -> float:
-    # The forces before a failure still say until when the two agree.
-    return float(np.nanmax(np.abs(truth[..., 0]), initial=0.0))
+    # The forces before a failure still say until when the two agree. A signed contact that presses on both sides alike, by a
+    # preload, has no normal force to read, but friction.
+    return float(np.nanmax(np.abs(truth), initial=0.0))
 
 
 def _pressed(force: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import pytest
 from gap_cases import CASES, found, frame, numbers, turned
 from joints import unit
 
+from bcfj_jax.contact import gaps
 from bcfj_jax.contact.gaps import GAPS, AbstractGap, Face, Frame, from_depth, make_gap
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -90,3 +91,18 @@ def test_a_gap_of_ones_own():
     assert np.allclose(many[0][:, 4], last[0]) and np.allclose(many[1][:, 4], last[1])
     assert simple.needs == tuple(sizes) and PinOnCam().quantities["throw"].unit == "m"
     assert PinOnCam().members == 0 and not PinOnCam().signed
+
+
+@pytest.mark.parametrize(
+    "given", [3.0, "x", [0.1, 0.1], [-0.1, 0.2, 0.3], [[0.0] * 6], [[0.0, 0.0, 1.0], [0.0]], [[np.nan] * 6]]
+)
+def test_edges_that_are_none_are_refused(given):
+    with pytest.raises(InputError, match=r"option 'edges_a'.*give a list of edges"):
+        gaps.CapsuleOnCapsule(edges_a=given)
+    if isinstance(given, (float, str)):
+        with pytest.raises(InputError, match=r"option 'points'.*give a list of points"):
+            gaps.SphereOnBox(points=given)
+    box = gaps.CapsuleOnCapsule(edges_a=np.array([0.3, 0.2, 0.1])).edges_a
+    ends = np.reshape(box, (12, 2, 3))
+    assert len(set(box)) == 12 and np.all(np.abs(ends) == [0.3, 0.2, 0.1])
+    np.testing.assert_allclose(np.sort(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)), np.repeat([0.2, 0.4, 0.6], 4))

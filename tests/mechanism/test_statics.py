@@ -17,8 +17,8 @@ G = 9.81
 LAW = {"stiffness": 1e9, "exponent": 1.5, "damping": 0.3, "smoothing": 0.0}
 
 
-def ball(height=0.03, **more):
-    body = Body("ball", "free", mass=0.5, inertia=1e-4, start={"z": height, "x": 0.2})
+def ball(height=0.03, joint="free", **more):
+    body = Body("ball", joint, mass=0.5, inertia=1e-4, start={"z": height, "x": 0.2})
     floor = Contact("floor", (GROUND, "ball"), gaps.SphereOnPlane("z"), "memory_free", **more)
     return Mechanism("ball", [body], [floor], [Gravity("-z")], given=LAW | {"radius": 0.02}, start="static", end=1e-2)
 
@@ -40,6 +40,17 @@ def test_a_ball_rests_on_a_compliant_plane():
     assert float(slope["radius"][2]) == pytest.approx(1.0, rel=1e-9)
     assert float(slope["ball.x"][0]) == pytest.approx(1.0, rel=1e-9)
     assert float(slope["ball.z"][2]) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.full
+def test_a_sphere_rests_with_derivatives():
+    """What turns it is no coordinate: no place of the start moves with it."""
+    scene = ball(0.01999, "sphere")
+    params, depth = scene.parameters(), (0.5 * G / 1e9) ** (1.0 / 1.5)
+    found = jax.jit(lambda k, x: scene.initial_state({**params, "stiffness": k, "ball.x": x})[:3])
+    places, slope = jax.jvp(found, (1e9, 0.2), (1e9, 1.0))
+    np.testing.assert_allclose(places, [0.2, 0.0, 0.02 - depth], rtol=1e-9)
+    np.testing.assert_allclose(slope, [1.0, 0.0, depth / 1.5], rtol=1e-6)
 
 
 @pytest.mark.slow

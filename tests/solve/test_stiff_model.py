@@ -125,6 +125,20 @@ def test_a_measured_error_is_the_error_and_compiles_nothing():
     assert found.peak["spring"] == 0.0 and np.isnan(found.agree_until)
 
 
+def test_errors_that_normal_forces_do_not_show():
+    """A contact between two samples by the motion after it; a preload that presses both sides alike by friction's size."""
+    times = np.linspace(0.0, 1.0, 11)
+    rates = np.where(times < 0.55, 2.0, -1.6)
+    none, rubs = np.zeros((11, 3)), np.stack([np.zeros(11), np.full(11, 4.0), np.zeros(11)], 1)
+    forces = {"between": none, "held": 1.01 * rubs}, {"between": none, "held": rubs}
+    found = measured(
+        0.01, 0.0, times, *forces, ({"between": rates}, {"between": np.where(times < 0.55, 2.0, -1.5)}),
+        tolerance=1.0, wall_s=0.0,
+    )  # fmt: skip
+    assert found.rms == pytest.approx({"between": 0.05 * np.sqrt(5 / 11), "held": 0.01})
+    assert found.impulse == {"between": 0.0, "held": 0.0} and found.doubt[0] == ""
+
+
 def test_where_two_runs_part():
     times = np.linspace(0.0, 1.0, 11)
     truth = np.stack([np.full(11, 10.0), np.zeros(11), np.zeros(11)], 1)

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -28,7 +29,7 @@ from bcfj_jax.core import limits, shapes
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
-from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, seen, subtract, turned
+from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, dot, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
 # Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
@@ -196,6 +197,19 @@ class AbstractFlat(AbstractGap):
         return Bends(np.inf)
 
 
+class AbstractEdged(AbstractGap):
+    """A gap whose normal may be any: axial is a's z axis, or its x axis where the normal is nearer than 45 degrees to z."""
+
+    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
+        return self.axial_by(a, b, c, self.faces(a, b, c)[0].normal)
+
+    def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
+        """``axial``."""
+        steep = jnp.square(dot(a.axes[2], normal)) > 0.5
+        x, y, z = (jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))
+        return x, y, z
+
+
 class FromDepth(AbstractGap):
     """A gap given by its penetration alone, a function of b's place in a's axes; the normal is its gradient.
 
@@ -289,6 +303,16 @@ def yes_or_no(option: str, value: Any) -> None:
     """Refuse an option's value that is not a truth value."""
     if not isinstance(value, bool):
         raise InputError(f"gap, option '{option}'", f"{value!r} is neither true nor false", "give true or false")
+
+
+def rows(option: str, given: Any, width: int, remedy: str) -> tuple[tuple[float, ...], ...]:
+    """An option that is rows of so many numbers."""
+    try:
+        found = np.asarray(given, dtype=float)
+        right = found.ndim and np.isfinite(found).all() and (not found.size or width % found.shape[-1] == 0)
+        return tuple(tuple(map(float, row)) for row in found.reshape(-1, width if right else 0))
+    except (TypeError, ValueError):
+        raise InputError(f"gap, option '{option}'", f"{given!r}", remedy) from None
 
 
 def direction(axis: Any) -> tuple[float, float, float]:

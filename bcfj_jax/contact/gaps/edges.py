@@ -1,9 +1,9 @@
-"""Capsules and cylinders on a plane and on each other; edges on edges; a sphere on a box, which has edges, and on a wedge."""
+"""Capsules and cylinders on a plane and on each other; edges on edges; a sphere on a wedge."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -12,6 +12,7 @@ import numpy as np
 
 from bcfj_jax.contact.gaps.base import (
     ROUND,
+    AbstractEdged,
     AbstractGap,
     Bends,
     Coefficients,
@@ -20,27 +21,17 @@ from bcfj_jax.contact.gaps.base import (
     Frame,
     Look,
     counted,
+    rows,
 )
 from bcfj_jax.contact.gaps.guides import across_z, travel
 from bcfj_jax.contact.gaps.spheres import PointOnPlane
 from bcfj_jax.core import shapes
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.vectors import (
-    ZERO,
-    Axes,
-    Number,
-    Vector,
-    add,
-    cross,
-    dot,
-    length,
-    negative,
-    scale,
-    seen,
-    subtract,
-    turned,
-)
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, length, negative, scale, subtract, turned
 
+# Of the edges of a box the axis of each (12,), and where its middle is (3, 12), in half lengths.
+AXIS = np.repeat(np.arange(3), 4)
+MIDDLE = np.array([np.insert(k, i, 0.0) for i in range(3) for k in itertools.product((1.0, -1.0), repeat=2)]).T
 # Angle below which two capsules count as parallel [rad], squared.
 _PARALLEL = 1e-10
 
@@ -68,16 +59,8 @@ class CapsuleOnPlane(PointOnPlane):
     def members(self) -> int:
         return 2
 
-    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        down = negative(turned(a.axes, self.axis))
-        return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"], down))),)
-
-    def _points(self, a: Frame, b: Frame, c: Coefficients, arms: Vector) -> Face:
-        """Points of b at ``arms`` from its marker as one face."""
-        up = turned(a.axes, self.axis)
-        height = dot(up, add(arms, subtract(b.place, a.place)))
-        depth = -height - c["clearance"] if self.clearance else -height
-        return Face(depth, negative(up), arms)
+    def _arms(self, up: Vector, b: Frame, c: Coefficients) -> Vector:
+        return subtract(_ends(b, c), scale(c["radius"], up))
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(np.inf, arm=c["half_length"])
@@ -117,17 +100,14 @@ class CylinderOnPlane(CapsuleOnPlane):
     def members(self) -> int:
         return 2 * (self.points or 1)
 
-    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
+    def _arms(self, up: Vector, b: Frame, c: Coefficients) -> Vector:
         if self.points:
             angle = np.tile(2.0 * np.pi * np.arange(self.points) / self.points, 2)
             ends = np.repeat([1.0, -1.0], self.points) * c["half_length"]
-            return (
-                self._points(a, b, c, turned(b.axes, (c["radius"] * np.cos(angle), c["radius"] * np.sin(angle), ends))),
-            )
-        up, along = turned(a.axes, self.axis), b.axes[2]
+            return turned(b.axes, (c["radius"] * np.cos(angle), c["radius"] * np.sin(angle), ends))
         # z (z . e) - e, without its cancellation where the cylinder nearly stands.
-        down = cross(along, cross(along, up))
-        return (self._points(a, b, c, add(_ends(b, c), scale(c["radius"] / length(down, ROUND), down))),)
+        down = cross(b.axes[2], cross(b.axes[2], up))
+        return add(_ends(b, c), scale(c["radius"] / length(down, ROUND), down))
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(np.inf, arm=c["half_length"] + c["radius"])
@@ -138,7 +118,7 @@ class CylinderOnPlane(CapsuleOnPlane):
         )
 
 
-class CapsuleOnCapsule(AbstractGap):
+class CapsuleOnCapsule(AbstractEdged):
     """Two capsules, along their z axes about their markers:  d = radius_a + radius_b - |r|,  n = -r/|r|.
 
     r leads between the nearest points of both segments, s from a's marker along a's z axis and t from b's along b's:
@@ -163,8 +143,12 @@ class CapsuleOnCapsule(AbstractGap):
             bear there.
     """
 
-    edges_a: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=(), converter=lambda x: _edges(x))
-    edges_b: tuple[tuple[float, ...], ...] = eqx.field(static=True, default=(), converter=lambda x: _edges(x))
+    edges_a: tuple[tuple[float, ...], ...] = eqx.field(
+        static=True, default=(), converter=lambda x: _edges("edges_a", x)
+    )
+    edges_b: tuple[tuple[float, ...], ...] = eqx.field(
+        static=True, default=(), converter=lambda x: _edges("edges_b", x)
+    )
 
     @property
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -195,12 +179,9 @@ class CapsuleOnCapsule(AbstractGap):
         middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
 
-    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        return self.axial_by(a, b, c, self.faces(a, b, c)[0].normal if self.members else ZERO)
-
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
         """``axial``."""
-        return lying(a, normal) if self.members else a.axes[2]
+        return super().axial_by(a, b, c, normal) if self.members else a.axes[2]
 
     def carried(self, a: Vector, b: Vector) -> Vector:
         return scale(0.5, add(a, b))
@@ -223,56 +204,6 @@ class CapsuleOnCapsule(AbstractGap):
             return tuple(_capsule(c[f"radius_{k}"], x).moved(middle, shapes.frame(way)) for x, middle, way in each)
 
         return rods("a", self.edges_a), rods("b", self.edges_b)
-
-
-class SphereOnBox(AbstractGap):
-    """A sphere of b on a box of a:  d = radius - |r|,  n = -r/|r|,  r from the box's nearest point to b's marker.
-
-    The middle of the box is a's marker; its edges are along a's axes: a finite plane with what is beyond its edges. With p in
-    a's axes and h the half lengths, r = p less p between -h and h, so that faces, edges and corners join smoothly. Inside
-    of the box |r| is less the way to the nearest face. The point of contact is on the sphere, ``radius`` along n. Exact.
-
-    Directions: normal is into the box. Axial is along a's z axis (its x axis where the normal is nearer than 45 degrees to z);
-    tangential is across both.
-    Coefficients: ``radius`` of the sphere, ``half_length``, ``half_width``, ``half_height`` of the box, along x, y, z [m].
-
-    Attributes:
-        points: centres of spheres in b's axes from its marker [m], side by side as members, in place of the one at the marker:
-            ends of a capsule; with a small radius the rounded corners of a box, or some of a cylinder's rims, whose flat end
-            then stands on a face. What of b is between them bears nothing: edges that cross pass through each other.
-    """
-
-    needs: ClassVar[tuple[str, ...]] = ("radius", "half_length", "half_width", "half_height")
-    points: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=(), converter=lambda x: _points(x))
-
-    @property
-    def members(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return len(self.points)
-
-    def _arms(self, b: Frame) -> Vector:
-        """From b's marker to the centres."""
-        x, y, z = np.array(self.points).T if self.points else (0.0, 0.0, 0.0)
-        return turned(b.axes, (x, y, z))
-
-    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        arms = self._arms(b)
-        half = [c[name] for name in self.needs[1:]]
-        distance, out = beside_box(a.axes, half, add(arms, subtract(b.place, a.place)))
-        return (Face(c["radius"] - distance, negative(out), subtract(arms, scale(c["radius"], out))),)
-
-    def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
-        return lying(a, self.faces(a, b, c)[0].normal)
-
-    def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
-        """``axial``."""
-        return lying(a, normal)
-
-    def bends(self, c: Coefficients) -> Bends:
-        return Bends(c["radius"], arm=float(np.max(np.linalg.norm(self.points, axis=1))) if self.points else 0.0)
-
-    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        balls = [shapes.ball(c["radius"]).moved(x) for x in self.points] if self.points else [shapes.ball(c["radius"])]
-        return (shapes.box([c[name] for name in self.needs[1:]]),), tuple(balls)
 
 
 class SphereOnWedge(AbstractGap):
@@ -317,22 +248,6 @@ class SphereOnWedge(AbstractGap):
         return (shapes.wall(lines, outward, half),), (shapes.ball(c["radius"]),)
 
 
-def beside_box(axes: Axes, half: Sequence[Number], place: Vector) -> tuple[Number, Vector]:
-    """Distance of places from a box of half lengths along axes about its middle [m], less than 0 inside; and the way out."""
-    local = [jnp.asarray(x) for x in seen(axes, place)]
-    beyond = [jnp.abs(x) - h for x, h in zip(local, half, strict=True)]
-    out = [jnp.maximum(x, 0.0) for x in beyond]
-    distance, (x, y, z) = length((out[0], out[1], out[2]), ROUND), beyond
-    # Of faces that are equally near, the first.
-    near = (x >= y) & (x >= z), (y > x) & (y >= z), (z > x) & (z > y)
-    least = jnp.where(near[0], x, jnp.where(near[1], y, z))
-    way = [
-        jnp.where(x >= 0.0, 1.0, -1.0) * jnp.where(least > 0.0, o / distance, one)
-        for x, o, one in zip(local, out, near, strict=True)
-    ]
-    return jnp.where(least > 0.0, distance, least), turned(axes, (way[0], way[1], way[2]))
-
-
 def between(first: Segment, second: Segment, apart: Vector) -> tuple[Number, Vector, Vector]:
     """|r| [m] of ``CapsuleOnCapsule``, n, and the nearest point of the second from its marker, which is ``apart`` from a's."""
     (here, one, ours), (there, other, theirs) = first, second
@@ -344,40 +259,21 @@ def between(first: Segment, second: Segment, apart: Vector) -> tuple[Number, Vec
     return jnp.sqrt(dot(way, way) + beside + ROUND**2), scale(-1.0 / length(way, ROUND), way), add(there, arm)
 
 
-def lying(a: Frame, normal: Vector) -> Vector:
-    """a's z axis, or its x axis where the normal is nearer than 45 degrees to z."""
-    steep = jnp.square(dot(a.axes[2], normal)) > 0.5
-    return tuple(jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))  # pyright: ignore
-
-
-def _edges(given: Any) -> tuple[tuple[float, ...], ...]:
+def _edges(option: str, given: Any) -> tuple[tuple[float, ...], ...]:
     """Edges of an option: six numbers each, or a box's from its three half lengths."""
+    remedy = "give a list of edges, six numbers from end to end [m] each, or the three half lengths of a box"
     try:
-        found = np.asarray(given, dtype=float)
-        if found.shape == (3,) and np.all(found > 0.0):
-            corners = [(*np.roll([x, *k], i), *np.roll([-x, *k], i)) for i, x in enumerate((1.0, 1.0, 1.0))
-                       for k in itertools.product((1.0, -1.0), repeat=2)]  # fmt: skip
-            found = np.array(corners) * np.tile(found, 2)
-        found = found.reshape(-1, 6) if found.size else np.zeros((0, 6))
-        right = np.isfinite(found).all() and np.all(np.linalg.norm(found[:, 3:] - found[:, :3], axis=1) > 0.0)
+        box = np.shape(given) == (3,) and min(given) > 0.0
     except (TypeError, ValueError):
-        found, right = np.zeros((0, 6)), False
-    if not right:
-        remedy = "give a list of edges, six numbers from end to end [m] each, or the three half lengths of a box"
-        raise InputError("gap, option 'edges_a' or 'edges_b'", f"{given!r}", remedy)
-    return tuple(tuple(map(float, row)) for row in found)
-
-
-def _points(given: Any) -> tuple[tuple[float, float, float], ...]:
-    """Points of an option, three numbers each."""
-    try:
-        found = np.asarray(given, dtype=float).reshape(-1, 3) if len(given) else np.zeros((0, 3))
-        right = all(len(x) == 3 for x in given) and np.isfinite(found).all()
-    except (TypeError, ValueError):
-        found, right = np.zeros((0, 3)), False
-    if not right:
-        raise InputError("gap, option 'points'", f"{given!r}", "give a list of points of three numbers [m]")
-    return tuple((float(x), float(y), float(z)) for x, y, z in found)
+        box = False
+    if box:
+        (half,) = rows(option, given, 3, remedy)
+        ways = np.array([half[i] * (np.arange(3) == i) for i in AXIS])
+        given = np.concatenate([MIDDLE.T * half - ways, MIDDLE.T * half + ways], 1)
+    found = rows(option, given, 6, remedy)
+    if not all(row[:3] != row[3:] for row in found):
+        raise InputError(f"gap, option '{option}'", f"{given!r}", remedy)
+    return found
 
 
 def _ends(b: Frame, c: Coefficients) -> Vector:

@@ -1,8 +1,7 @@
-"""A point, a sphere or a box on a plane, two spheres, a sphere in a spherical socket."""
+"""A point or a sphere on a plane, two spheres, a sphere in a spherical socket."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -24,7 +23,7 @@ from bcfj_jax.contact.gaps.base import (
     yes_or_no,
 )
 from bcfj_jax.core import shapes
-from bcfj_jax.core.vectors import Axes, Number, Vector, add, dot, length, negative, plus, scale, subtract, turned
+from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, dot, length, negative, plus, scale, subtract, turned
 
 Direction = tuple[float, float, float]
 
@@ -68,9 +67,15 @@ class PointOnPlane(AbstractFlat):
     def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return ("clearance",) if self.clearance else ()
 
+    def _arms(self, up: Vector, b: Frame, c: Coefficients) -> Vector:
+        """From b's marker to what may touch the plane, whose normal is ``up``; world."""
+        return ZERO
+
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
         up = turned(a.axes, self.axis)
-        return (Face(-_above(a, b, up, c, self.clearance), negative(up)),)
+        arms = self._arms(up, b, c)
+        height = plus(dot(up, arms), _above(a, b, up, c, self.clearance))
+        return (Face(-height, negative(up), arms),)
 
     def axial(self, a: Frame, b: Frame, c: Coefficients) -> Vector:
         return in_plane(a.axes, self.axis)
@@ -121,47 +126,6 @@ class SphereOnPlane(PointOnPlane):
 
     def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
         return (self._plate(c, look, max(1.4 * c["radius"], 0.3 * look.size)),), (shapes.ball(c["radius"]),)
-
-
-class BoxOnPlane(PointOnPlane):
-    """Eight corners of a box of b on a plane of a, side by side as 8 members:  d_i = -(p + c_i) . e - clearance,  n = -e.
-
-    The plane is that of ``PointOnPlane``. b's marker is the middle of the box, whose edges are along b's axes. The corners
-    c_1 to c_8 are at (-+A, -+B, -+C) of (x, y, z), A ``half_length``, B ``half_width``, C ``half_height``, z changing sign
-    first and x last; c_1 has three minus signs. An edge or a face that lies on the plane bears on its two or four corners.
-    Exact for a plane without edges, for every rotation of both bodies.
-
-    Directions: as ``PointOnPlane``.
-    Coefficients: ``half_length``, ``half_width``, ``half_height`` [m]; with the option, ``clearance`` [m].
-    """
-
-    @property
-    def needs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return ("half_length", "half_width", "half_height", *super().needs)
-
-    @property
-    def members(self) -> int:
-        return 8
-
-    def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
-        up = turned(a.axes, self.axis)
-        sign = np.array(list(itertools.product((-1.0, 1.0), repeat=3))).T
-        sizes = c["half_length"], c["half_width"], c["half_height"]
-        corner = turned(b.axes, (sign[0] * sizes[0], sign[1] * sizes[1], sign[2] * sizes[2]))
-        height = plus(dot(up, corner), _above(a, b, up, c, self.clearance))
-        return (Face(-height, negative(up), corner),)
-
-    def bends(self, c: Coefficients) -> Bends:
-        return Bends(np.inf, arm=c["half_length"] + c["half_width"] + c["half_height"])
-
-    def drawn(self, c: Mapping[str, float], look: Look) -> Drawn:
-        half = c["half_length"], c["half_width"], c["half_height"]
-        return (self._plate(c, look, 2.0 * max(half)),), (shapes.box(half),)
-
-    def _deepest(self, c: Mapping[str, float], look: Look) -> float:
-        """Greatest depth of a corner of b below the plane [m], at most a tenth of the box."""
-        reach = float(np.linalg.norm([c["half_length"], c["half_width"], c["half_height"]]))
-        return min(super()._deepest(c, look) + reach, 0.1 * reach)
 
 
 class SphereOnSphere(AbstractGap):
