@@ -34,7 +34,7 @@ _BY_SIZE = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)] + [
 # A share of the peak that is called a large error of the law; of itself, of a gain.
 _LAW, GAIN = 0.05, 0.01
 # Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another.
-ACTS, EVERYWHERE, SELDOM = 0.6, 0.97, 0.2
+ACTS, EVERYWHERE, SELDOM = 0.6, 0.97, 0.4
 # Normal quantile that sizes of errors are stated with.
 QUANTILE = 1.959964
 Numbers = dict[str, float]

@@ -281,4 +281,4 @@ def test_what_is_listed_with_several_numbers_acts_with_one_chance():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(systematic, "SHAPES", (two, two._replace(chance=SELDOM, kind="one")))
         odds = [e.chance / (1.0 - e.chance) for e in systematic.of_shape(scene, ())]
-    assert odds == pytest.approx([0.75, 0.75, 0.25, 0.25])
+    assert odds == pytest.approx([0.75, 0.75, 2.0 / 3.0, 2.0 / 3.0])
