@@ -40,6 +40,16 @@ SPEEDS = {1: (1.0,), 4: (0.7, 0.9, 1.1, 1.3), 8: tuple(np.linspace(0.6, 1.4, 8).
 MAGNITUDES = (0.3, 2.0, 10.0)
 
 
+def duration(speed: float) -> float:
+    """About that of a contact without damping [s]."""
+    k, n, _ = TRUTH.values()
+    return 3.0 * (MASS * speed**2 * (n + 1.0) / (2.0 * k)) ** (1.0 / (n + 1.0)) / speed
+
+
+# One sensor and one contact in all runs: their times and forces are shares of those of a contact at 1 m/s.
+SPAN = 1.5 * duration(1.0)
+
+
 @cache
 def motion(
     speed: float,
@@ -61,9 +71,7 @@ def motion(
         loss: share of the elastic force that a loss with the power 1/4 of the rate adds.
     """  # fmt: skip
     k, n, a = TRUTH.values()
-    depth = (MASS * speed**2 * (n + 1.0) / (2.0 * k)) ** (1.0 / (n + 1.0))
-    duration = 3.0 * depth / speed
-    tau, behind, second = 0.3 * duration, 0.6 * 0.00021, stop * k * 0.00021 ** (n - 1.0)
+    tau, behind, second = 0.3 * duration(1.0), 0.6 * 0.00021, stop * k * 0.00021 ** (n - 1.0)
 
     def elastic(d: Any, rate: Any) -> Any:
         depth = np.maximum(d, 0.0) / 0.00021
@@ -78,7 +86,7 @@ def motion(
         stress = k * n * max(s[0], 0.0) ** (n - 1.0) * s[1] if s[0] > 0.0 else 0.0
         return [s[1], -(force + relaxation * s[2]) / mass, stress - s[2] / tau]
 
-    times = np.linspace(0.0, 1.5 * duration, SAMPLES)
+    times = np.linspace(0.0, 1.5 * duration(speed), SAMPLES)
     begin = (0.0, speed * (1.0 + faster), 0.0)
     run = solve_ivp(change, (0.0, times[-1]), begin, "DOP853", t_eval=times, rtol=1e-10, atol=1e-13)
     inside = run.y[0] > 0.0
@@ -107,12 +115,12 @@ def resonant(times: np.ndarray, force: np.ndarray, omega: float) -> np.ndarray:
 Change = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 # What a strength of the imperfection makes of a record; a strength of 1 is large.
 SENSOR: dict[str, Change] = {
-    "gain bend": lambda t, f, s: f * (1.0 + s * f / f.max()),
-    "lag": lambda t, f, s: lagged(t, f, s * 0.2 * t[-1]),
+    "gain bend": lambda t, f, s: f * (1.0 + s * f / motion(1.0)[1].max()),
+    "lag": lambda t, f, s: lagged(t, f, s * 0.2 * SPAN),
     "drift": lambda t, f, s: f + s * f.max() * t / t[-1],
     "hum": lambda t, f, s: f + s * f.max() * np.sin(2.0 * np.pi * 1.7 * t / t[-1] + 1.0),
     "clock": lambda t, f, s: np.interp(t + 0.02 * s * t[-1] * np.sin(9.0 * t / t[-1]), t, f),
-    "resonance": lambda t, f, s: resonant(t, f, 2.0 * np.pi * 4.0 / (max(s, 1e-3) ** 0.5 * t[-1])),
+    "resonance": lambda t, f, s: resonant(t, f, 2.0 * np.pi * 4.0 / (max(s, 1e-3) ** 0.5 * SPAN)),
 }
 # What it makes of the motion itself.
 CONTACT: dict[str, Callable[[float], dict[str, float]]] = {
@@ -123,7 +131,7 @@ CONTACT: dict[str, Callable[[float], dict[str, float]]] = {
 }
 SINGLE = (*SENSOR, *CONTACT)
 # Worlds that no prior was chosen on: of the sensor, of the law, of the recorder (after the noise), and noise of another kind.
-SENSOR |= {"zero phase": lambda t, f, s: gaussian_filter1d(f, 0.05 * s * f.size, mode="nearest")}
+SENSOR |= {"zero phase": lambda t, f, s: gaussian_filter1d(f, 0.05 * s * f.size * SPAN / t[-1], mode="nearest")}
 CONTACT |= {"smooth law": lambda s: {"bend": s}, "speed loss": lambda s: {"loss": s}}
 RECORDER: dict[str, Callable[[np.ndarray, float, float], np.ndarray]] = {
     "quantised": lambda f, peak, s: np.round(f / (s * peak)) * s * peak,

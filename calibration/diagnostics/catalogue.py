@@ -33,8 +33,8 @@ _BY_SIZE = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)] + [
 ]
 # A share of the peak that is called a large error of the law; of itself, of a gain.
 _LAW, GAIN = 0.05, 0.01
-# Chance that an error acts, before the record is looked at; of a lag, which every sensor has.
-ACTS, EVERYWHERE = 0.6, 0.97
+# Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another.
+ACTS, EVERYWHERE, SELDOM = 0.6, 0.97, 0.4
 # Normal quantile that sizes of errors are stated with.
 QUANTILE = 1.959964
 Numbers = dict[str, float]
@@ -100,10 +100,11 @@ class Shape(NamedTuple):
     Attributes:
         columns: (N, K) of a scene and its numbers, a unit of it.
         unit, most: as of ``Sensor``; of an error of the ``law`` a unit moves readings by the peak.
-        listed: numbers by name, which intervals allow for; those of a ``kind`` exclude each other.
+        listed: numbers by name, which intervals allow for and which share the odds of acting; those of a ``kind`` exclude
+            each other.
         suspect: its name in the diagnosis, "" for none there; sought: its numbers on a grid.
         given: whether its amplitude is 1, the numbers alone saying how large it is.
-        sign: as of ``Sensor``; amplitude: its name, where that is one number.
+        sign, chance: as of ``Sensor``, the chance of all that is listed; amplitude: its name, where that is one number.
         nuisance: of a problem that fits it, or knows it of a record.
     """
 
@@ -119,6 +120,7 @@ class Shape(NamedTuple):
     amplitude: str = ""
     law: bool = False
     nuisance: str = ""
+    chance: float = ACTS
 
 
 # Of the sensor.
@@ -291,10 +293,10 @@ SHAPES = (
     # An unloading that falls by 1 N/m more steeply than the loading rose.
     Shape(
         lambda x: of_force(x, lambda m: m.depth.clip(0.0) - m.deepest), "of the peak", _LAW,
-        kind="another loss", listed=lambda x: {"plasticity": {}}, suspect="plasticity", sign=1, law=True,
+        kind="another loss", listed=lambda x: {"plasticity": {}}, suspect="plasticity", sign=1, law=True, chance=SELDOM,
     ),
     Shape(
-        _loss, "of the peak", _LAW, kind="another loss", suspect=LOSS, sought=_powers, law=True,
+        _loss, "of the peak", _LAW, kind="another loss", suspect=LOSS, sought=_powers, law=True, chance=SELDOM,
         listed=lambda x: {f"loss as rate^{p:g}": {"loss_exponent": p} for p in _LOSSES},
     ),
     Shape(

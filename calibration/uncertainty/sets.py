@@ -15,6 +15,7 @@ from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -160,22 +161,27 @@ def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
 
 
 class _Sums(NamedTuple):
-    """S'^T S', S'^T y; moves of what is quoted without errors (Q,) and by column (Q, C); means of amplitudes (C,)."""
+    """What is left of columns S and data y beside the coordinates and what always acts, for a variance of the noise.
 
+    Attributes:
+        beside, rest: (N + B, C) S' and (N + B,) y'; the last B rows say that amplitudes of what always acts are about 0.
+        gram, push: S'^T S', S'^T y'; lean: (C,) means of amplitudes.
+        moved, moves: moves of what is quoted without errors (Q,) and by column (Q, C).
+        given: (Q, B) moves by a deviation of each of the last rows; used: how many of those the data replace.
+        alone: (Q,) variance without errors; log: logarithm of the evidence, as far as no set changes it.
+    """
+
+    beside: np.ndarray
+    rest: np.ndarray
     gram: np.ndarray
     push: np.ndarray
+    lean: np.ndarray
     moved: np.ndarray
     moves: np.ndarray
-    lean: np.ndarray
-
-
-class _Always(NamedTuple):
-    """Errors that always act a little: inverse of their H (B, B), mean amplitudes (B,), sums with others (B, C), moves (Q, B)."""
-
-    inner: np.ndarray
-    amplitude: np.ndarray
-    cross: np.ndarray
-    moves: np.ndarray
+    given: np.ndarray
+    used: float
+    alone: np.ndarray
+    log: float
 
 
 class _Batch(NamedTuple):
@@ -198,46 +204,30 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
 
     ``variance``: of the noise, where that is known from another point.
     """
-    basis, triangle = np.linalg.qr(at.jacobian)
-    columns = [np.zeros((at.data.size, 0)), *(e.prior[0] for e in errors)]
-    lean = np.concatenate([np.zeros(0), *(np.full(e.columns.shape[1], e.prior[1]) for e in errors)])
-    little = [c * e.floor for c, e in zip(columns[1:], errors, strict=True) if e.floor]
-    count, stacked = sum(c.shape[1] for c in columns), np.hstack([*columns, *little])
-    beside = stacked - basis @ (basis.T @ stacked)
-    rest = at.data - basis @ (basis.T @ at.data)
-    inverse = np.linalg.solve(triangle.T, at.rows.T).T
-    sums = _Sums(beside.T @ beside, beside.T @ rest, inverse @ (basis.T @ at.data), inverse @ (basis.T @ stacked), lean)
-    sizes = tuple(c.shape[1] for c in columns[1:])
+    sizes = tuple(e.columns.shape[1] for e in errors)
     every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance if e.floor < 1.0 else 0.0 for e in errors))
-    known, begin = variance, min(max(at.floor, float(rest @ rest) / max(at.freedom, 1)), at.ceiling)
-    variance = begin if known is None else known
-    for _ in range(_ROUNDS):
-        own, always, turn = _split(sums, sizes, variance)
+    basis = np.linalg.qr(at.jacobian)[0]
+    rest = at.data - basis @ (basis.T @ at.data)
+    within = lambda seen: min(max(at.floor, float(seen)), at.ceiling)  # noqa: E731
+    last = 0 if variance is not None else _ROUNDS
+    variance = within(rest @ rest / max(at.freedom, 1)) if variance is None else variance
+    for count in range(last + 1):
+        own = _sums(at, errors, variance)
         found = [_weighed(own, batch, variance) for batch in every]
-        if known is not None:
+        if count == last:
             break
         # The most probable set says how large the noise is.
         k = max(range(len(found)), key=lambda j: found[j].max())
         best = every[k].some(np.array([np.argmax(found[k])]))
         amplitude, used = _amplitudes(own, best, variance)
-        full = np.zeros(count)
-        full[best.index[0]] = amplitude
-        left = rest - beside @ np.r_[turn @ full, always.amplitude - always.inner @ (always.cross @ full) / variance]
-        used += len(always.inner) - np.trace(always.inner)
-        seen = float(left @ left) / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series)
-        before, variance = variance, min(max(at.floor, seen), at.ceiling)
-        if abs(variance - before) < 1e-3 * before:
+        left, used = (own.rest - own.beside[:, best.index[0]] @ amplitude)[: at.data.size], used + own.used
+        seen = within(left @ left / max(at.freedom - used, 0.1 * at.freedom) * _memory(left, at.series))
+        if abs(seen - variance) < 1e-3 * variance:
             break
-    parts = zip(*(_moments(own, always, batch, variance) for batch in every), strict=True)
-    means, covered, doubt = (np.concatenate(part) for part in parts)
-    noise = at.student * np.linalg.norm(inverse, axis=1)
-    type_a = np.sqrt(np.maximum(variance * noise**2 + covered - doubt, 0.0))
-    # Of all sets alike, and other about another point: what no coordinate explains, how many readings tell them apart, and the
-    # evidence of what always acts.
-    common = -0.5 * float(rest @ rest) / variance - float(np.log(np.abs(np.diag(triangle))).sum())
-    common += 0.5 * float(always.amplitude @ sums.push[count:] / variance + np.linalg.slogdet(always.inner)[1])
-    log, members = np.concatenate(found) + common, np.concatenate([b.members for b in every])
-    return Mixture(log, members, means, type_a, np.sqrt(np.maximum(doubt, 0.0)), variance, _prior(every))
+        variance = seen
+    means, type_a, type_b = map(np.concatenate, zip(*(_moments(own, batch, variance) for batch in every), strict=True))
+    log, members = np.concatenate(found) + own.log, np.concatenate([b.members for b in every])
+    return Mixture(log, members, means, np.sqrt(np.maximum(type_a, 0.0)), np.sqrt(type_b), variance, _prior(every))
 
 
 def _prior(every: Sequence[_Batch]) -> np.ndarray:
@@ -245,29 +235,35 @@ def _prior(every: Sequence[_Batch]) -> np.ndarray:
     return chance @ members / chance.sum()
 
 
-def _split(sums: _Sums, sizes: Sequence[int], variance: float) -> tuple[_Sums, _Always, np.ndarray]:
-    """Sums of the first columns with what the others, which always act, take up; and the turn (C, C) of each error's columns
-    by which they are orthogonal.
+def _sums(at: Linear, errors: Sequence[Error], variance: float) -> _Sums:
+    """What always acts is of the coordinates, each amplitude with a row that says about how large it is.
+
+    Columns of an error are turned so that they are orthogonal beside those.
     """
-    gram, push, moved, moves, lean = sums
-    count = sum(sizes)
-    inner = np.linalg.inv(gram[count:, count:] / variance + np.eye(push.size - count))
-    cross, amplitude = gram[count:, :count], inner @ push[count:] / variance
-    own = gram[:count, :count] - cross.T @ inner @ cross / variance
-    ends = np.cumsum(sizes)
-    turn = np.zeros((count, count))
-    for k, b in zip(sizes, ends, strict=True):
-        turn[b - k : b, b - k : b] = np.linalg.eigh(own[b - k : b, b - k : b])[1]
-    cross = cross @ turn
-    own = turn.T @ own @ turn
+    columns, (size, width) = [e.prior[0] for e in errors], at.jacobian.shape
+    always = np.hstack([np.zeros((size, 0)), *(c * e.floor for c, e in zip(columns, errors, strict=True) if e.floor)])
+    count, deviation = always.shape[1], np.sqrt(variance)
+    rows = np.hstack([np.zeros((count, width)), deviation * np.eye(count)])
+    basis, triangle = np.linalg.qr(np.vstack([np.hstack([at.jacobian, always]), rows]))
+    inverse = np.linalg.solve(triangle.T, np.pad(at.rows, ((0, 0), (0, count))).T).T
+    noise = np.sum(np.linalg.solve(triangle[:width, :width].T, at.rows.T) ** 2, axis=0)
+    stacked = np.pad(np.column_stack([at.data, *columns]), ((0, count), (0, 0)))
+    within = basis.T @ stacked
+    beside = stacked - basis @ within
+    parts = np.split(beside[:, 1:], np.cumsum([c.shape[1] for c in columns])[:-1].astype(int), axis=1)
+    turn = np.asarray(block_diag(*(np.linalg.eigh(x.T @ x)[1] for x in parts)))
+    rest, beside, moves = beside[:, 0], beside[:, 1:] @ turn, inverse @ within[:, 1:] @ turn
+    gram = beside.T @ beside
     # What a record shows within rounding it does not show.
-    seen = np.diag(own) > _ROUNDED * np.max(np.diag(own), initial=0.0)
-    turned = _Sums(
-        np.where(np.outer(seen, seen), own, 0.0), np.where(seen, turn.T @ push[:count] - cross.T @ amplitude, 0.0),
-        moved - moves[:, count:] @ amplitude, moves[:, :count] @ turn - moves[:, count:] @ inner @ cross / variance,
-        turn.T @ lean,
+    seen = np.diag(gram) > _ROUNDED * np.max(np.diag(gram), initial=0.0)
+    lean = turn.T @ np.concatenate([np.zeros(0), *(np.full(e.columns.shape[1], e.prior[1]) for e in errors)])
+    # Between points how many readings tell the coordinates apart counts, and what no coordinate explains.
+    log = 0.5 * count * np.log(variance) - 0.5 * rest @ rest / variance - np.log(np.abs(np.diag(triangle))).sum()
+    return _Sums(
+        beside, rest, np.where(np.outer(seen, seen), gram, 0.0), np.where(seen, beside.T @ rest, 0.0), lean,
+        inverse @ within[:, 0], moves, deviation * inverse @ basis[size:].T, count - float(np.sum(basis[size:] ** 2)),
+        variance * (np.sum(inverse**2, axis=1) + (at.student**2 - 1.0) * noise), float(log),
     )  # fmt: skip
-    return turned, _Always(inner, amplitude, cross, moves[:, count:]), turn
 
 
 def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
@@ -338,15 +334,15 @@ def _amplitudes(at: _Sums, one: _Batch, variance: float) -> tuple[np.ndarray, fl
     return inverse @ _pushed(at, one, variance)[0] * one.scale[0], len(inverse) - float(np.trace(inverse))
 
 
-def _moments(at: _Sums, always: _Always, sets: _Batch, variance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every set, (M, Q): mean; variance W H^-1 W^T by errors; of it the prior's, W H^-1 H^-1 W^T."""
+def _moments(at: _Sums, sets: _Batch, variance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of every set, (M, Q): mean and variances of Type A and B; W H^-1 W^T is by errors, of it W H^-1 H^-1 W^T by the prior."""
     way = at.moves.T[sets.index] * sets.scale[..., None]
     pull, _ = _solved(at, sets, variance, way)
     mean = at.moved - np.einsum("miq,mi->mq", pull, _pushed(at, sets, variance))
-    covered = np.sum(way * pull, axis=1) + np.sum(always.moves.T * (always.inner @ always.moves.T), axis=0)
-    shared = np.moveaxis(always.cross[:, sets.index], 0, 1) * (sets.scale[:, None, :] / variance) @ pull
-    rest = always.inner @ (always.moves.T - shared)
-    return mean, covered, np.sum(pull**2, axis=1) + np.sum(rest**2, axis=1)
+    above = np.moveaxis(at.beside[-at.given.shape[1] or at.rest.size :, sets.index], 0, 1) * sets.scale[:, None, :]
+    given = at.given.T - above @ pull / np.sqrt(variance)
+    doubt = np.sum(pull**2, axis=1) + np.sum(given**2, axis=1)
+    return mean, at.alone + np.sum(way * pull, axis=1) - doubt, doubt
 
 
 def _quantile(means: np.ndarray, spread: np.ndarray, weights: np.ndarray, q: float) -> float:

@@ -187,12 +187,15 @@ def of_shape(scene: Scene, taken: Collection[str], slowest: float = np.inf) -> l
     peak = float(max(np.abs(s.white(x)).max() for s, x in zip(scene.series, scene.read, strict=True)))
     found = []
     for shape in (e for e in SHAPES if not (e.nuisance and e.nuisance in taken) and (any(scene.motions) or not e.law)):
-        for name, numbers in shape.listed(scene).items():
+        listed = shape.listed(scene)
+        # Those of a kind exclude each other and share their odds by that.
+        chance = shape.chance / (shape.chance + (1.0 - shape.chance) * (1 if shape.kind else len(listed)))
+        for name, numbers in listed.items():
             if shape.nuisance and numbers["time"] > slowest:
                 continue
             column = shape.columns(scene, **numbers)
             size = float(np.abs(column).max())
             if size > 0.0:
                 scaled = column * (peak / size) if shape.law else column
-                found.append(Error(name, shape.unit, shape.most, scaled, shape.kind, sign=shape.sign))
+                found.append(Error(name, shape.unit, shape.most, scaled, shape.kind, sign=shape.sign, chance=chance))
     return found

@@ -16,7 +16,7 @@ from bcfj_jax import InputError, scenes, simulate
 from bcfj_jax.io.units import toleranced
 from calibration import Channel, Experiment, Free, Problem, fit
 from calibration.diagnostics import signatures
-from calibration.diagnostics.catalogue import SENSOR
+from calibration.diagnostics.catalogue import ACTS, SELDOM, SENSOR, Shape
 from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
@@ -264,3 +264,21 @@ def test_what_may_be_zero_has_no_share_of_itself():
     for tolerances, wanted in (({}, {"weight"}), ({"place": 1e-3}, {"weight", "place"})):
         found = fit(replace(swing, tolerances=tolerances), starts=4)
         assert {line.error for line in found.systematic.lines} & {"place", "speed", "weight"} == wanted
+
+
+def test_what_is_listed_with_several_numbers_acts_with_one_chance():
+    """Of lags and of what nobody listed, in a scene without a motion: no list has more odds for being longer."""
+    read = np.sin(np.pi * np.linspace(0.0, 1.0, 80)) ** 1.5
+    own = Series(
+        np.arange(80), np.ones(80, bool), 1.0, clock=np.linspace(0.0, 1e-3, 80), values=read, weights=np.ones(80)
+    )
+    scene = signatures.Scene(80, [own], [0], [read], [None], 1e-3, 1.0)
+    found = {e.name: e for e in systematic.of_shape(scene, ())}
+    assert {e.chance for e in found.values()} == {ACTS} and found["lag of 3% of a contact"].kind == "lag"
+    two = Shape(
+        lambda x, time: x.read[0][:, None] * time, "", 1.0, listed=lambda x: {"a": {"time": 1.0}, "b": {"time": 2.0}}
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(systematic, "SHAPES", (two, two._replace(chance=SELDOM, kind="one")))
+        odds = [e.chance / (1.0 - e.chance) for e in systematic.of_shape(scene, ())]
+    assert odds == pytest.approx([0.75, 0.75, 2.0 / 3.0, 2.0 / 3.0])
