@@ -276,7 +276,7 @@ def test_folders_that_cannot_be_written(verb):
         (("study", "resume", "study.toml", "--out", "out"), ["no study to resume"]),
         (("study", "indices", "study.toml", "--out", "out"), ["there is no study"]),
         (("init", "zzz"), ["zzz"]),
-        (("init", "impact", "--out", "s.toml"), ["--out s.toml"]),
+        (("init", "impact", "--out", "s.toml"), ["already holds s.toml"]),
         (("init", "calibration"), ["no record"]),
         (("init", "calibration", "no.csv"), ["no.csv"]),
         (("verify", "--only", "zzz"), ["zzz"]),
