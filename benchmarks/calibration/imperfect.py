@@ -6,7 +6,7 @@ two of them at once, another pair for every seed. One run, or four or eight at d
 of ``SINGLE`` and their mixtures; ``OTHER`` and ``NOISES`` judge them. Widths are beside those of the former budget (every
 error at once), and of an oracle that knows which error acts and how large it is.
 
-    python -m benchmarks.calibration.imperfect [--replicates 20] [--runs 1 4 8] [--minutes 30] [--more]
+    python -m benchmarks.calibration.imperfect [--replicates 20] [--runs 1 4 8] [--minutes 30] [--more] [--first 0]
 
 keeps results/imperfect.json; ``--more`` goes on from the replicates that it holds.
 """
@@ -335,7 +335,7 @@ def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
 def main() -> None:
     given = options(
         __doc__, replicates=20, runs=Some([1, 4]), minutes=30.0, workers=os.cpu_count() or 1,
-        more=(False, "go on from the replicates that are there"),
+        more=(False, "go on from the replicates that are there"), first=(0, "seed of the first replicate"),
     )  # fmt: skip
     begin = time.perf_counter()
     # Cells of other numbers of runs stay as they were measured.
@@ -345,7 +345,7 @@ def main() -> None:
     done = min((sum(v["fits"] for v in found.values()) for key, found in cells.items() if of(key)), default=0)
     plans = [(w, m, r) for w in WORLDS for m in ((0.0,) if w in ("none", *NOISES) else MAGNITUDES) for r in given.runs]
     with pool(given.workers) as processes:
-        for seed in until(given.minutes, range(done, given.replicates)):
+        for seed in until(given.minutes, range(given.first + done, given.first + given.replicates)):
             for job in as_completed([processes.submit(one, *plan, seed) for plan in plans]):
                 key, found = job.result()
                 added(cells.setdefault(key, {}), found)
