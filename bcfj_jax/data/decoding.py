@@ -28,10 +28,10 @@ _BINARY = (
     (b"<!DOCTYPE", _PAGE),
     (b"<?xml", "XML: export it as CSV, or give a reader of your own by --code FILE"),
 )
-# Letters of two bytes in UTF-8, read as if each byte were a letter: "µ" as "Âµ", "ü" as "Ã¼".
 _PAGES = (("cp932", "Shift-JIS"), ("gb18030", "GB 18030"), ("cp949", "Korean"), ("cp1251", "Windows-1251"))
 _WORDS = re.compile("時間|荷重|変位|加速度|サンプ|測定|时间|位移|采样|频率|시간|하중|변위|가속도")
 _CYRILLIC = re.compile("[А-я]{3}")  # noqa: RUF001
+# Letters of two bytes in UTF-8, read as if each byte were a letter: "µ" as "Âµ", "ü" as "Ã¼".
 _TWICE = re.compile("[ÂÃ][\u0080-\u00bf]")
 
 
