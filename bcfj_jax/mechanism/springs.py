@@ -15,7 +15,7 @@ from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.programmes import Table, checked_table
 
 SIDES = ("both", "pull", "push")
-# So many knots of a table are looked for; one of more is as good as smooth.
+# So many inner knots of a table are looked at, from its first on; the others are passed as if the table were smooth there.
 _KNOTS = 16
 
 
