@@ -106,7 +106,7 @@ class _Command(typer.core.TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         *_, order = self.make_parser(ctx).parse_args(args=list(args))
         for option in (one for one in order if isinstance(one, typer.core.TyperOption)):
-            if order.count(option) > 1 and not option.multiple and not option.is_flag:
+            if order.count(option) > 1 and not (option.multiple or option.is_flag or ctx.resilient_parsing):
                 joined = ", and separate its values by commas" if "by commas" in (option.help or "") else ""
                 ctx.fail(f"{option.opts[0]} is given {order.count(option)} times: give it once{joined}")
         return super().parse_args(ctx, args)

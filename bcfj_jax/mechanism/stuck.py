@@ -216,5 +216,9 @@ def needed(m: Dynamics, now: Instant, held: Slips, p: Params) -> dict[str, tuple
         slip = jnp.abs(held[load.name])
         mobility, share = load.holding(jnp.full_like(slip, _FAR), p, TIME)
         found[load.name] = [(load.holding(jnp.zeros_like(slip), p, TIME)[0] * slip, mobility * share * _FAR)]
-    return {name: (jnp.max(jnp.stack(need)), jnp.max(jnp.stack(has)))
-            for name, pairs in found.items() for need, has in (zip(*pairs, strict=True),)}  # fmt: skip
+
+    def greatest(pairs: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+        need, has = (jnp.max(jnp.stack(x)) for x in zip(*pairs, strict=True))
+        return need, has
+
+    return {name: greatest(pairs) for name, pairs in found.items()}

@@ -340,17 +340,22 @@ def main() -> None:
     begin = time.perf_counter()
     # Cells of other numbers of runs stay as they were measured.
     kept = known("imperfect")
+    # What goes on does so from the seeds that are there.
+    first = kept.get("first", 0) if given.more else given.first
     former, of = kept.get("former", {}), lambda key: int(key.rpartition("|")[2]) in given.runs
     cells = {key: found for key, found in kept.get("cells", {}).items() if given.more or not of(key)}
     done = min((sum(v["fits"] for v in found.values()) for key, found in cells.items() if of(key)), default=0)
     plans = [(w, m, r) for w in WORLDS for m in ((0.0,) if w in ("none", *NOISES) else MAGNITUDES) for r in given.runs]
     with pool(given.workers) as processes:
-        for seed in until(given.minutes, range(given.first + done, given.first + given.replicates)):
+        for seed in until(given.minutes, range(first + done, first + given.replicates)):
             for job in as_completed([processes.submit(one, *plan, seed) for plan in plans]):
                 key, found = job.result()
                 added(cells.setdefault(key, {}), found)
             strengths = {f"{w}|{m:g}": strength_of(w, m) for w, m in itertools.product((*SINGLE, *OTHER), MAGNITUDES)}
-            save("imperfect", {"cells": dict(sorted(cells.items())), "strengths": strengths, "former": former})
+            save(
+                "imperfect",
+                {"cells": dict(sorted(cells.items())), "strengths": strengths, "former": former, "first": first},
+            )
             print(seed, f"{time.perf_counter() - begin:.0f} s", flush=True)
     missed = "Cells in which less than 95 % of the intervals to quote hold:"
     publish("imperfect", f"{summary(cells, former)}\n\n{missed}\n\n{table(cells, former)}", "docs/fits_measured.md")
