@@ -135,8 +135,9 @@ class Arrowhead(AbstractStructure):
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
         coupling = jnp.eye(scene.coupling) / scale - weight * (d.coupling_rate + coupling_place)
         ball_inverse = kept(inverse3(ball) if k == 3 else inverse6(kept(ball)))
-        column = ball_inverse @ column
-        schur = coupling - jnp.sum(row @ column, 0)
+        # Elementwise: one product of small matrices by XLA's library costs as much as all of this.
+        column, row = kept(product(ball_inverse, kept(column)), row)
+        schur = coupling - jnp.sum(row[..., None] * column[:, None], (0, 2))
         return Factors(
             d,
             scale,

@@ -30,13 +30,14 @@ with bristles acts by its steady slip there.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import contacts
-from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, dot
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, Tangents, dot
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -139,3 +140,32 @@ def act(
         drag, moment, rubbed = -hold * slide, -hold * swing, hold * squared
     seen = normal, at.penetration, rate, jnp.sqrt(squared)
     return ContactForce(force + drag, moment, drag, *seen, bending, rubbed, squared)
+
+
+def tangents(
+    laws: ContactLaws,
+    geometry: Callable[[Array], Any],
+    arm: Array,
+    velocity: Array,
+    spin: Array | None,
+    state: Array | None,
+) -> Tangents:
+    """``contacts.tangents``, of bands too."""
+    at = geometry(arm)
+    if not isinstance(at, Band):
+        return contacts.tangents(laws, geometry, arm, velocity, spin, state)
+
+    def found(at: Any, twist: Array, state: Array | None) -> tuple[Array, Array | None]:
+        touch = act(laws, at, twist[..., :3], twist[..., 3:], state)
+        return jnp.concatenate([touch.force, touch.moment], -1), touch.bending
+
+    assert spin is not None
+    twist = jnp.concatenate([velocity, spin], -1)
+    value, bending = found(at, twist, state)
+    # Apart, so that the geometry is differentiated by the place alone.
+    place, bent = contacts.by(lambda arm: found(geometry(arm), twist, state), arm)
+    rate, swung = contacts.by(lambda twist: found(at, twist, state), twist)
+    if state is None:
+        return Tangents(value, place, rate)
+    pull, felt = contacts.by(lambda late: found(at, twist, late[..., None]), state[..., 0])
+    return Tangents(value, place, rate, (bending, bent, swung), pull, -felt[..., 0, 0])

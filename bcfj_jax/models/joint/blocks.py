@@ -28,44 +28,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import system
-from bcfj_jax.models.joint.bands import act
+from bcfj_jax.models.joint.bands import tangents
 from bcfj_jax.models.joint.constants import Constants
-from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, dot
+from bcfj_jax.models.joint.contacts import dot
 from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import Part
 from bcfj_jax.xla.kept import kept
 from bcfj_jax.xla.small import block_diagonal, product
-
-
-class _Linear(ContactLaws):
-    """Laws by their tangents in one state: a tangent of ``act`` then takes few products, whatever the laws are.
-
-    Attributes:
-        at: penetration, its rate and the slip's square there.
-        held: normal force, its derivatives by depth and by rate, mobility and its derivative by the slip's square.
-    """
-
-    at: tuple[Array, Array, Array]
-    held: tuple[Array, Array, Array, Array, Array]
-
-    def normal(self, penetration: Array, rate: Array) -> Array:
-        force, by_depth, by_rate = self.held[:3]
-        return force + by_depth * (penetration - self.at[0]) + by_rate * (rate - self.at[1])
-
-    def mobility(self, slip_squared: Array) -> Array:
-        mobility, slope = self.held[3:]
-        return mobility + slope * (slip_squared - self.at[2])
-
-
-def _linear(laws: ContactLaws, touch: ContactForce) -> _Linear:
-    """``laws`` about what ``touch`` found."""
-    assert touch.slip_squared is not None
-    depth, rate, square = at = (touch.penetration, touch.rate, touch.slip_squared)
-    one, none = jnp.ones_like(depth), jnp.zeros_like(depth)
-    force, by_depth = jax.jvp(laws.normal, (depth, rate), (one, none))
-    by_rate = jax.jvp(laws.normal, (depth, rate), (none, one))[1]
-    held = kept(force, by_depth, by_rate, *jax.jvp(laws.mobility, (square,), (one,)))
-    return _Linear(laws.law, laws.friction, laws.coefficients, laws.smoothing, at, held)
 
 
 class Faces(NamedTuple):
@@ -99,41 +68,18 @@ class Slopes(NamedTuple):
 
 def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
     """Of contacts whose first bodies turn at ``outer`` (..., 3) [rad/s]; friction's states in a step of s = ``scale`` [s]."""
-    laws, geometry, state = part.laws, part.geometry, part.bristles
-    arm, *twist = (x for x in part.motion if x is not None)
-    at, size = geometry(arm), len(twist)
-    if state is None:
-        laws = _linear(laws, act(laws, at, *part.motion[1:]))
-
-    def found(at: Any, state: Array | None, *twist: Array) -> tuple[Array, Array | None]:
-        touch = act(laws, at, twist[0], twist[1] if size > 1 else None, state)
-        return system.wrench(touch), touch.bending
-
-    def displaced(way: Array) -> Any:
-        return jax.jvp(lambda arm: found(geometry(arm), state, *twist), (arm,), (jnp.broadcast_to(way, arm.shape),))[1]
-
-    def moving(way: Array) -> Any:
-        ways = tuple(jnp.broadcast_to(x, arm.shape) for x in way)
-        return jax.jvp(lambda *twist: found(at, state, *twist), tuple(twist), ways)
-
-    # Apart, so that the geometry is differentiated by the place alone.
-    by_place, bent = jax.vmap(displaced, out_axes=-1)(jnp.eye(3))
-    ways = jnp.eye(3 * size).reshape(-1, size, 3)
-    (value, bending), (by_twist, swung) = jax.vmap(moving, out_axes=(None, -1))(ways)
-    place, rate = _seen(part.motion, outer, by_place, by_twist)
-    place = place.at[..., 3:].add(jnp.concatenate([_turned(value[..., i : i + 3]) for i in range(0, 3 * size, 3)], -2))
-    if state is None:
+    arm = part.motion.arm
+    found = tangents(part.laws, part.geometry, *part.motion, part.bristles)
+    value = found.value
+    place, rate = _seen(part.motion, outer, found.place, found.twist)
+    place = place.at[..., 3:].add(jnp.concatenate([_turned(value[..., i : i + 3]) for i in range(0, value.shape[-1], 3)], -2))
+    if found.bending is None:
         return Slopes(_about(arm, place, value), _about(arm, rate))
-
-    def stirred(way: Array) -> Any:
-        return jax.jvp(lambda z: found(at, z, *twist), (state,), (jnp.broadcast_to(way, state.shape),))[1]
-
-    faces, width = state.shape[-2:]
-    pull, felt = jax.vmap(stirred, out_axes=-1)(jnp.eye(faces * width).reshape(-1, faces, width))
-    decay = -jnp.stack([felt[..., i, 0, i * width] for i in range(faces)], -1)
+    state, pull = part.bristles, found.pull
+    assert state is not None and pull is not None and found.decay is not None
+    width, decay, (bending, bent, swung) = state.shape[-1], found.decay, found.bending
     bent, swung = _seen(jax.tree.map(lambda x: x[..., None, :], part.motion), outer[..., None, :], bent, swung)
     if width == 3:
-        assert bending is not None
         # Bristles turn with the first body.
         held = _turned(state)
         bent = bent.at[..., 3:].add(_turned(bending) + decay[..., None, None] * held)

@@ -18,8 +18,8 @@ unless the ball spins (w given): a ball without spin is a particle, so that forc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,6 +31,7 @@ from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_for
 from bcfj_jax.contact.normal import regularised_energy
 from bcfj_jax.contact.wrench import RELAX, separated
 from bcfj_jax.xla.kept import kept
+from bcfj_jax.xla.small import product
 
 
 class ContactLaws(eqx.Module):
@@ -215,34 +216,174 @@ def act(
     ``bristles`` are (..., f, 3) deflections z [m], or (..., f, 1) slip speeds of late w [m/s]; without them every law acts by its
     steady slip.
     """
-    velocity = velocity[..., None, :]
-    rate = dot(at.normal, velocity)
+    rate, slide = sliding(at, velocity, spin)
     normal = laws.normal(at.penetration, rate)
     if at.gate is not None:
         normal = normal * at.gate
-    slide = velocity - rate[..., None] * at.normal
-    if spin is not None:
-        slide = slide + jnp.cross(spin[..., None, :], at.lever[..., None] * at.normal)
     normal, slide = kept(normal, slide)
     slip_squared = dot(slide, slide)
     force = -jnp.sum(normal[..., None] * at.normal, -2)
     drag = moment = jnp.zeros_like(force)
     bending = rubbed = None
     if laws.friction is not None:
-        if bristles is None:
-            drags = kept(-(normal * laws.mobility(slip_squared))[..., None] * slide)
-        elif bristles.shape[-1] == 1:
-            bending, mobility = (x[..., None] for x in laws.lag(slip_squared, bristles[..., 0]))
-            drags = -normal[..., None] * mobility * slide
-        else:
-            forget, stick, mobility = (x[..., None] for x in laws.bond(slip_squared))
-            bent = bristles - dot(at.normal, bristles)[..., None] * at.normal
-            drags = -normal[..., None] * (stick * bent + mobility * slide)
-            apart = laws.apart(at.penetration)[..., None]
-            bending = (1.0 - apart) * (slide - forget * bristles) - apart / RELAX * bristles
+        pull, bending = traction(laws, at.normal, at.penetration, slide, bristles)
+        drags = kept(-normal[..., None] * pull)
         drag, rubbed = jnp.sum(drags, -2), -dot(drags, slide)
         force = force + drag
         moment = jnp.sum(jnp.cross(at.lever[..., None] * at.normal, drags), -2)
     moment = None if spin is None else moment
     seen = normal, at.penetration, rate, jnp.sqrt(slip_squared)
     return ContactForce(force, moment, drag, *seen, bending, rubbed, slip_squared)
+
+
+def sliding(at: Geometry, velocity: Array, spin: Array | None) -> tuple[Array, Array]:
+    """Rate d' (..., f) and sliding velocity u (..., f, 3) of faces, of relative twist (``velocity``, ``spin``)."""
+    velocity = velocity[..., None, :]
+    rate = dot(at.normal, velocity)
+    slide = velocity - rate[..., None] * at.normal
+    if spin is not None:
+        slide = slide + jnp.cross(spin[..., None, :], at.lever[..., None] * at.normal)
+    return rate, slide
+
+
+def traction(
+    laws: ContactLaws, normal: Array, penetration: Array, slide: Array, state: Array | None
+) -> tuple[Array, Array | None]:
+    """g (..., f, 3) of friction's force  -N g,  and ``ContactForce.bending``."""
+    squared = dot(slide, slide)
+    if state is None:
+        return laws.mobility(squared)[..., None] * slide, None
+    if state.shape[-1] == 1:
+        learnt, mobility = (x[..., None] for x in laws.lag(squared, state[..., 0]))
+        return mobility * slide, learnt
+    forget, stick, mobility = (x[..., None] for x in laws.bond(squared))
+    bent = state - dot(normal, state)[..., None] * normal
+    apart = laws.apart(penetration)[..., None]
+    return stick * bent + mobility * slide, (1.0 - apart) * (slide - forget * state) - apart / RELAX * state
+
+
+class Tangents(NamedTuple):
+    """What contacts exert on the second body, (..., o), and its derivatives: force, and moment where it spins.
+
+    Attributes:
+        value: (..., o); place: (..., o, 3) by the relative place; twist: (..., o, k) by the relative twist.
+        bending: (..., f, w) rates of friction's states, and these by place and twist (..., f, w, 3 | k); None without states.
+        pull: (..., o, f w) by friction's states; decay: (..., f) how fast a state forgets itself [1/s].
+    """
+
+    value: Array
+    place: Array
+    twist: Array
+    bending: tuple[Array, Array, Array] | None = None
+    pull: Array | None = None
+    decay: Array | None = None
+
+
+class _Traction(NamedTuple):
+    """``traction`` and its derivatives, by the slide, the normal, the penetration and the state, each (..., f, 3 | w, .)."""
+
+    value: Array
+    slide: Array
+    normal: Array | None = None
+    state: Array | None = None
+    bending: Array | None = None
+    bent_slide: Array | None = None
+    bent_depth: Array | None = None
+    decay: Array | None = None
+
+
+def _traction(laws: ContactLaws, at: Geometry, slide: Array, state: Array | None) -> _Traction:
+    if state is None:
+        squared = dot(slide, slide)
+        mobility, slope = kept(*jax.jvp(laws.mobility, (squared,), (jnp.ones_like(squared),)))
+        by_slide = mobility[..., None, None] * jnp.eye(3) + (2.0 * slope)[..., None, None] * outer(slide, slide)
+        return _Traction(mobility[..., None] * slide, by_slide)
+    n, depth = at.normal, at.penetration
+    value, bending = traction(laws, n, depth, slide, state)
+    by_slide, bent_slide = by(lambda u: traction(laws, n, depth, u, state), slide)
+    by_state, bent_state = by(lambda z: traction(laws, n, depth, slide, z), state)
+    by_normal = by(lambda n: traction(laws, n, depth, slide, state)[0], n)
+    bent_depth = by(lambda d: traction(laws, n, d[..., 0], slide, state)[1], depth[..., None])
+    return _Traction(value, by_slide, by_normal, by_state, bending, bent_slide, bent_depth, -bent_state[..., 0, 0])
+
+
+def tangents(
+    laws: ContactLaws,
+    geometry: Callable[[Array], Geometry],
+    arm: Array,
+    velocity: Array,
+    spin: Array | None,
+    state: Array | None,
+) -> Tangents:
+    """Derivatives of ``act`` in one state; ``geometry`` is that of a relative place, ``arm``.
+
+    With H = dn/dp, r = l n and the velocity  v + w x r  of the point of contact, a face's force  F = -N (n + g)  has
+
+        by that velocity    -(n + g) N_d' n' - N g_u (I - n n')
+        by the place        -(n + g) (N_d n + N_d' H v)' - N (H + g_u u_p + g_n H),    u_p = w x r_p - n (H v)' - d' H
+
+    Its moment is  r x F,  since g is across n.
+    """
+    at, moved = geometry(arm), by(geometry, arm)
+    rate, slide = sliding(at, velocity, spin)
+    one, gate = jnp.ones_like(rate), 1.0 if at.gate is None else at.gate
+    bare, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (one,))
+    by_rate = gate * jax.jvp(lambda v: laws.normal(at.penetration, v), (rate,), (one,))[1]
+    load, swept = gate * bare, jnp.sum(velocity[..., None, :, None] * moved.normal, -2)
+    grown = (gate * by_depth)[..., None] * moved.penetration + by_rate[..., None] * swept
+    if moved.gate is not None:
+        grown = grown + bare[..., None] * moved.gate
+    lever = at.lever[..., None] * at.normal
+    levered = at.lever[..., None, None] * moved.normal + outer(at.normal, moved.lever)
+    slid = -outer(at.normal, swept) - rate[..., None, None] * moved.normal
+    if spin is not None:
+        slid = slid + jnp.cross(spin[..., None, :, None], levered, axis=-2)
+    load, by_rate, grown, lever, levered, slid = kept(load, by_rate, grown, lever, levered, slid)
+    g = _traction(laws, at, slide, state)
+    push, load = at.normal + g.value, load[..., None, None]
+    pressed = moved.normal + product(g.slide, slid)
+    if g.normal is not None:
+        pressed = pressed + product(g.normal, moved.normal)
+    force = -load[..., 0] * push
+    place = -outer(push, grown) - load * pressed
+    twist = -outer(push, by_rate[..., None] * at.normal) - load * _across(g.slide, at.normal)
+    place, twist = kept(place, twist)
+    changes = [force[..., None], place, twist if spin is None else _whole(twist, lever)]
+    if g.state is not None:
+        changes.append(-load * g.state)
+    if spin is not None:
+        moments = [jnp.cross(lever[..., None], x, axis=-2) for x in changes]
+        moments[1] = moments[1] + jnp.cross(levered, force[..., None], axis=-2)
+        changes = [jnp.concatenate(x, -2) for x in zip(changes, moments, strict=True)]
+    value, place, twist = (jnp.sum(x, -3) for x in changes[:3])
+    if g.state is None:
+        return Tangents(value[..., 0], place, twist)
+    bent = product(g.bent_slide, slid) + g.bent_depth * moved.penetration[..., None, :]
+    swung = _across(g.bent_slide, at.normal)
+    pull = jnp.moveaxis(changes[3], -3, -2)
+    bending = g.bending, bent, swung if spin is None else _whole(swung, lever)
+    return Tangents(value[..., 0], place, twist, bending, pull.reshape(*pull.shape[:-2], -1), g.decay)
+
+
+def _across(rows: Array, normal: Array) -> Array:
+    """Rows (..., i, 3) times I - n n'."""
+    return rows - outer(jnp.sum(rows * normal[..., None, :], -1), normal)
+
+
+def _whole(rows: Array, lever: Array) -> Array:
+    """By the velocity of the point of contact (..., i, 3): by the twist (..., i, 6)."""
+    return jnp.concatenate([rows, jnp.cross(lever[..., None, :], rows)], -1)
+
+
+def outer(a: Array, b: Array) -> Array:
+    """a b', (..., i, j)."""
+    return a[..., :, None] * b[..., None, :]
+
+
+def by(function: Callable[[Array], Any], x: Array) -> Any:
+    """Derivatives of ``function`` by x (..., k), along a last axis more."""
+
+    def along(way: Array) -> Any:
+        return jax.jvp(function, (x,), (jnp.broadcast_to(way, x.shape),))[1]
+
+    return jax.vmap(along, out_axes=-1)(jnp.eye(x.shape[-1]))
