@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 
 def product(a: Array, b: Array) -> Array:
     """a @ b of (..., i, j) and (..., j, k), elementwise."""
     return jnp.sum(a[..., None] * b[..., None, :, :], -2)
+
+
+_SIGNS = np.zeros((3, 3, 3))
+_SIGNS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _SIGNS[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = 1.0, -1.0
+
+
+def skew(vector: Array) -> Array:
+    """[v]x of (..., 3), (..., 3, 3):  skew(v) w = v x w  and  rows skew(v) = rows x v.  Without slices, which kernels branch on."""
+    return jnp.sum(-_SIGNS * vector[..., None, None, :], -1)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a x b of (..., 3)."""
+    return jnp.sum(skew(a) * b[..., None, :], -1)
 
 
 def inverse3(matrix: Array) -> Array:

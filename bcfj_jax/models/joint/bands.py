@@ -33,11 +33,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.models.joint import contacts
-from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, Tangents, dot
+from bcfj_jax.models.joint.contacts import ContactForce, ContactLaws, Geometry, Tangents, dot, outer
+from bcfj_jax.xla.small import skew
 
 # w over the clearance: how far off the axis an edge that bears all round bears on one side alone. Edges are pressed in by a
 # tenth of their clearance under load, and bear on one side alone when they have moved by about twice that. No less than LEAST.
@@ -100,23 +102,13 @@ def band(c: Bands, place: Array, axis: Array) -> Band:
     return Band(penetration[:, None], mean, 0.5 * (1.0 - length), axis, c.lever)
 
 
-def _across(at: Band, vector: Array) -> Array:
-    """B v."""
-    return vector - (vector @ at.axis)[..., None] * at.axis
-
-
-def _still(at: Band, vector: Array) -> Array:
-    """A v."""
-    return vector - dot(at.mean, vector)[:, None] * at.mean - at.spread[:, None] * _across(at, vector)
-
-
-def _slide(at: Band, velocity: Array, spin: Array) -> tuple[Array, Array, Array, Array]:
-    """u and t, (k, 3) each; d' and s^2, (k, 1) each."""
-    lever = at.lever[:, None]
-    slide = _still(at, velocity) + lever * jnp.cross(spin, at.mean)
-    swing = lever * jnp.cross(at.mean, velocity) + lever**2 * _still(at, spin)
-    squared = jnp.maximum(dot(slide, velocity) + dot(swing, spin), 0.0)
-    return slide, swing, dot(at.mean, velocity)[:, None], squared[:, None]
+def _sliding(at: Band) -> Array:
+    """S (k, 6, 6), symmetric:  (u, t) = S (v, w)  and  s^2 = (v, w) . S (v, w)."""
+    lever, beside = at.lever[:, None, None], skew(at.mean)
+    across = jnp.eye(3) - outer(at.axis, at.axis)
+    still = jnp.eye(3) - outer(at.mean, at.mean) - at.spread[:, None, None] * across
+    top, bottom = jnp.concatenate([still, -lever * beside], -1), jnp.concatenate([lever * beside, lever**2 * still], -1)
+    return jnp.concatenate([top, bottom], -2)
 
 
 def act(
@@ -126,20 +118,26 @@ def act(
     if not isinstance(at, Band):
         return contacts.act(laws, at, velocity, spin, bristles)
     assert spin is not None
-    slide, swing, rate, squared = _slide(at, velocity, spin)
+    twist = jnp.concatenate([velocity, spin], -1)
+    slide, rate = dot(_sliding(at), twist[:, None]), dot(at.mean, velocity)[:, None]
+    squared = jnp.maximum(dot(slide, twist)[:, None], 0.0)
     normal = laws.normal(at.penetration, rate)
     force = -normal * at.mean
     drag = moment = jnp.zeros_like(force)
     bending = rubbed = None
     if laws.friction is not None:
-        if bristles is None:
-            hold = normal * laws.mobility(squared)
-        else:
-            learnt, mobility = laws.lag(squared, bristles[..., 0])
-            hold, bending = normal * mobility, learnt[..., None]
-        drag, moment, rubbed = -hold * slide, -hold * swing, hold * squared
+        mobility, learnt = _mobility(laws, squared, bristles)
+        hold, bending = normal * mobility, None if bristles is None else learnt[..., None]
+        drag, moment, rubbed = -hold * slide[:, :3], -hold * slide[:, 3:], hold * squared
     seen = normal, at.penetration, rate, jnp.sqrt(squared)
     return ContactForce(force + drag, moment, drag, *seen, bending, rubbed, squared)
+
+
+def _mobility(laws: ContactLaws, squared: Array, state: Array | None) -> tuple[Array, Array]:
+    """Mobility and the rate of a slip speed of late, (k, 1) each; 0 where there is none."""
+    if state is None:
+        return laws.mobility(squared), jnp.zeros_like(squared)
+    return laws.lag(squared, state[..., 0])[::-1]
 
 
 def tangents(
@@ -155,17 +153,30 @@ def tangents(
     if not isinstance(at, Band):
         return contacts.tangents(laws, geometry, arm, velocity, spin, state)
 
-    def found(at: Any, twist: Array, state: Array | None) -> tuple[Array, Array | None]:
-        touch = act(laws, at, twist[..., :3], twist[..., 3:], state)
-        return jnp.concatenate([touch.force, touch.moment], -1), touch.bending
-
     assert spin is not None
     twist = jnp.concatenate([velocity, spin], -1)
-    value, bending = found(at, twist, state)
-    # Apart, so that the geometry is differentiated by the place alone.
-    place, bent = contacts.by(lambda arm: found(geometry(arm), twist, state), arm)
-    rate, swung = contacts.by(lambda twist: found(at, twist, state), twist)
+    way, sliding = jnp.pad(at.mean, ((0, 0), (0, 3))), _sliding(at)
+
+    def placed(arm: Array) -> tuple[Array, Array, Array]:
+        there = geometry(arm)
+        return there.penetration, jnp.pad(there.mean, ((0, 0), (0, 3))), dot(_sliding(there), twist[:, None])
+
+    deeper, turned, slid = contacts.by(placed, arm)
+    slide, rate = dot(sliding, twist[:, None]), dot(at.mean, velocity)[:, None]
+    squared = jnp.maximum(dot(slide, twist)[:, None], 0.0)
+    one = jnp.ones_like(rate)
+    normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (one,))
+    by_rate = jax.jvp(lambda v: laws.normal(at.penetration, v), (rate,), (one,))[1]
+    (mobility, learnt), (slope, kept_slope) = jax.jvp(lambda x: _mobility(laws, x, state), (squared,), (one,))
+    # Of s^2 by the place, and by the twist.
+    faster, swifter = jnp.sum(twist[..., None] * slid, -2), 2.0 * slide
+    push, load = way + mobility * slide, normal[..., None]
+    grown = by_depth * deeper[:, 0] + by_rate * jnp.sum(twist[..., None] * turned, -2)
+    hold, gain = mobility[..., None], slope * slide
+    place = -outer(push, grown) - load * (turned + hold * slid + outer(gain, faster))
+    rates = -outer(push, by_rate * way) - load * (hold * sliding + outer(gain, swifter))
     if state is None:
-        return Tangents(value, place, rate)
-    pull, felt = contacts.by(lambda late: found(at, twist, late[..., None]), state[..., 0])
-    return Tangents(value, place, rate, (bending, bent, swung), pull, -felt[..., 0, 0])
+        return Tangents(-normal * push, place, rates)
+    forget, learn = jax.jvp(lambda late: _mobility(laws, squared, late), (state,), (jnp.ones_like(state),))[1]
+    bending = tuple(x[:, None, None] for x in (learnt[:, 0], kept_slope * faster, kept_slope * swifter))
+    return Tangents(-normal * push, place, rates, bending, (-normal * forget * slide)[..., None], -learn)

@@ -31,10 +31,10 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import tangents
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import dot
-from bcfj_jax.models.joint.scene import Joint
+from bcfj_jax.models.joint.scene import BODIES, Joint
 from bcfj_jax.models.joint.system import Part
 from bcfj_jax.xla.kept import kept
-from bcfj_jax.xla.small import block_diagonal, product
+from bcfj_jax.xla.small import block_diagonal, product, skew
 
 
 class Faces(NamedTuple):
@@ -96,22 +96,22 @@ def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
 
 def _turned(x: Array) -> Array:
     """t x x by t, (..., 3, 3)."""
-    return jnp.cross(x[..., None, :], jnp.eye(3))
+    return -skew(x)
 
 
 def _seen(motion: system.Motion, outer: Array, place: Array, twist: Array) -> tuple[Array, Array]:
     """By (dp, t) and (dv, dw, dW), of derivatives by the relative motion (module docstring), (..., o, .)."""
-    arm, velocity, by_velocity = motion.arm[..., None, :], motion.velocity[..., None, :], twist[..., :3]
-    turned, swung = jnp.cross(place, arm) + jnp.cross(by_velocity, velocity), jnp.cross(by_velocity, arm)
+    arm, velocity, by_velocity = skew(motion.arm), skew(motion.velocity), twist[..., :3]
+    turned, swung = product(place, arm) + product(by_velocity, velocity), product(by_velocity, arm)
     if motion.spin is not None:
-        turned, swung = turned + jnp.cross(twist[..., 3:], motion.spin[..., None, :]), swung - twist[..., 3:]
-    displaced = place - jnp.cross(by_velocity, outer[..., None, :])
+        turned, swung = turned + product(twist[..., 3:], skew(motion.spin)), swung - twist[..., 3:]
+    displaced = place - product(by_velocity, skew(outer))
     return jnp.concatenate([displaced, turned], -1), jnp.concatenate([twist, swung], -1)
 
 
 def _about(arm: Array, change: Array, value: Array | None = None) -> Array:
     """Changes of wrenches (..., k, x), and of their moments about the first body's centre; ``value``: whose arm moves by dp."""
-    moment = jnp.cross(arm[..., None], change[..., :3, :], axis=-2)
+    moment = product(skew(arm), change[..., :3, :])
     moment = moment + change[..., 3:, :] if change.shape[-2] == 6 else moment
     moment = moment if value is None else moment.at[..., :3].add(_turned(value[..., :3]))
     return jnp.concatenate([change, moment], -2)
@@ -171,29 +171,39 @@ def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
     return scene.coupled(parts)
 
 
-def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
-    """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b).
+def _guided(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[list, list[tuple]]:
+    """Of each pilot its bodies (outer, inner) and derivatives, (9, 6 | 9) by place and rate as of ``Slopes``.
 
     And of the pilots' faces: inverse, the coupling's forces by them (k, b, w), they by coupling displacement and rate (k, w, b).
     """
-    b = scene.coupling
-    place, rate, rows, first = jnp.zeros((b, b)), jnp.zeros((b, b)), [], 0
+    found, rows, pairs = [], [], [tuple(map(BODIES.index, pair)) for pair in scene.pairs]
     for part in system.piloted(scene, c, state):
-        at = slice(first, first + len(part.names))
-        first, maps = at.stop, system.guide_maps(scene, c)[at]
-        found = slopes(part, system.guided(scene, c, state)[1][at], scale)
-        back = jnp.swapaxes(maps * system.FELT[:, None], -1, -2)
-        moved = jnp.concatenate([maps[:, :3], maps[:, 6:]], 1)
-        displaced, swung = kept(product(found.place, moved), product(found.rate, maps))
-        place, rate = (x + jnp.sum(product(back, y), 0) for x, y in ((place, displaced), (rate, swung)))
-        if (faces := found.faces) is not None:
+        at = slice(len(found), len(found) + len(part.names))
+        one = slopes(part, system.guided(scene, c, state)[1][at], scale)
+        found += zip(pairs[at], *kept(*one[:2]), strict=True)
+        if (faces := one.faces) is not None:
+            maps = system.guide_maps(scene, c)[at]
+            moved, back = jnp.concatenate([maps[:, :3], maps[:, 6:]], 1), jnp.swapaxes(maps * system.FELT[:, None], -1, -2)
             by = back @ faces.pull, faces.place[:, 0] @ moved, faces.rate[:, 0] @ maps
             rows += zip(faces.inverse, *by, strict=True)
-    if scene.drive == "flexible":
-        seat = scene.slices["seat_turn"]
-        assert seat is not None
-        place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
-    return place, rate, rows
+    return found, rows
+
+
+def _between(alone: Array, found: list[tuple], of: int) -> Array:
+    """Wrenches on the three bodies by their displacements and rotations, or by their rates (3, 6, 3, 6) -> (3, 3, 6, 6).
+
+    ``alone`` (3, 6, 6): of a body by itself; ``found``: ``_guided``, of its ``of``-th derivatives.
+    """
+    blocks = {(i, i): alone[i] for i in range(3)}
+    for (outer, inner), *both in found:
+        change = both[of]
+        k = change.shape[-1] - 3
+        columns = {inner: jnp.pad(change[:, :k], ((0, 0), (0, 6 - k))), outer: jnp.concatenate([-change[:, :3], change[:, k:]], 1)}
+        for body, column in columns.items():
+            felt = {inner: column[:6], outer: -jnp.concatenate([column[:3], column[6:]])}
+            blocks |= {(row, body): blocks.get((row, body), 0.0) + block for row, block in felt.items()}
+    none = jnp.zeros((6, 6))
+    return jnp.stack([jnp.stack([blocks.get((i, j), none) for j in range(3)]) for i in range(3)])
 
 
 def _rows(maps: Array, faces: Faces, k: int) -> tuple[Array, ...]:
@@ -256,13 +266,17 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     columns = [_spread(scene, c, x[..., :k, :3], x[..., :k, 3:]) for x in by_body]
     turned = [-jnp.swapaxes(x, -1, -2) for x in (place[..., :3], rate[..., :k])]
     lines = [_spread(scene, c, x[..., :3], x[..., -3:]) for x in turned]
-    # A body's own block: what moves one body acts back on it alone. With a second axis of bodies ``_spread`` takes first the
+    # What moves one body acts back on it; pilots act between two. With a second axis of bodies ``_spread`` takes first the
     # moves to the coupling coordinates, then the wrenches.
     own = [-jnp.sum(jnp.concatenate([x[..., :3, :], x[..., -3:, :]], -2), 0) for x in by_body]
-    apart = jnp.stack(own)[:, :, None] * jnp.eye(own[0].shape[0])[:, :, None, None]
+    guided, guided_rows = _guided(scene, c, state, scale)
+    own = [jnp.concatenate([x[:2], jnp.sum(x[2:], 0, keepdims=True)]) for x in own]
+    apart = jnp.stack([_between(x, guided, of) for of, x in enumerate(own)])
     half = jnp.swapaxes(_spread(scene, c, apart[..., :3], apart[..., 3:]), -1, -2)
     corner = jnp.swapaxes(_spread(scene, c, half[..., :3], half[..., 3:]), -1, -2)
-    alone, braked, guided = _alone(scene, c, state, scale)
+    if scene.drive == "flexible":
+        seat = scene.slices["seat_turn"]
+        corner = corner.at[:, seat, seat].add(-jnp.stack([c.drive_stiffness, c.drive_damping])[:, None, None])
     return Blocks(
         ball_place=jnp.sum(place[..., :k, :3], 1),
         ball_rate=jnp.sum(rate[..., :k, :k], 1),
@@ -270,7 +284,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
         column_rate=columns[1],
         row_place=jnp.swapaxes(lines[0], -1, -2),
         row_rate=jnp.swapaxes(lines[1], -1, -2),
-        coupling_place=alone + corner[0],
-        coupling_rate=braked + corner[1],
-        bristles=_bristled(scene, rows, guided) if scene.bristles else None,
+        coupling_place=corner[0],
+        coupling_rate=corner[1],
+        bristles=_bristled(scene, rows, guided_rows) if scene.bristles else None,
     )

@@ -31,7 +31,7 @@ from bcfj_jax.contact.laws import AbstractFriction, AbstractLaw, regularised_for
 from bcfj_jax.contact.normal import regularised_energy
 from bcfj_jax.contact.wrench import RELAX, separated
 from bcfj_jax.xla.kept import kept
-from bcfj_jax.xla.small import product
+from bcfj_jax.xla.small import product, skew
 
 
 class ContactLaws(eqx.Module):
@@ -337,8 +337,8 @@ def tangents(
     levered = at.lever[..., None, None] * moved.normal + outer(at.normal, moved.lever)
     slid = -outer(at.normal, swept) - rate[..., None, None] * moved.normal
     if spin is not None:
-        slid = slid + jnp.cross(spin[..., None, :, None], levered, axis=-2)
-    load, by_rate, grown, lever, levered, slid = kept(load, by_rate, grown, lever, levered, slid)
+        slid = slid + product(skew(spin)[..., None, :, :], levered)
+    load, by_rate, grown, arm_of, levered, slid = kept(load, by_rate, grown, skew(lever), levered, slid)
     g = _traction(laws, at, slide, state)
     push, load = at.normal + g.value, load[..., None, None]
     pressed = moved.normal + product(g.slide, slid)
@@ -348,12 +348,12 @@ def tangents(
     place = -outer(push, grown) - load * pressed
     twist = -outer(push, by_rate[..., None] * at.normal) - load * _across(g.slide, at.normal)
     place, twist = kept(place, twist)
-    changes = [force[..., None], place, twist if spin is None else _whole(twist, lever)]
+    changes = [force[..., None], place, twist if spin is None else _whole(twist, arm_of)]
     if g.state is not None:
         changes.append(-load * g.state)
     if spin is not None:
-        moments = [jnp.cross(lever[..., None], x, axis=-2) for x in changes]
-        moments[1] = moments[1] + jnp.cross(levered, force[..., None], axis=-2)
+        moments = [product(arm_of, x) for x in changes]
+        moments[1] = moments[1] - product(skew(force), levered)
         changes = [jnp.concatenate(x, -2) for x in zip(changes, moments, strict=True)]
     value, place, twist = (jnp.sum(x, -3) for x in changes[:3])
     if g.state is None:
@@ -361,7 +361,7 @@ def tangents(
     bent = product(g.bent_slide, slid) + g.bent_depth * moved.penetration[..., None, :]
     swung = _across(g.bent_slide, at.normal)
     pull = jnp.moveaxis(changes[3], -3, -2)
-    bending = g.bending, bent, swung if spin is None else _whole(swung, lever)
+    bending = g.bending, bent, swung if spin is None else _whole(swung, arm_of)
     return Tangents(value[..., 0], place, twist, bending, pull.reshape(*pull.shape[:-2], -1), g.decay)
 
 
@@ -371,8 +371,8 @@ def _across(rows: Array, normal: Array) -> Array:
 
 
 def _whole(rows: Array, lever: Array) -> Array:
-    """By the velocity of the point of contact (..., i, 3): by the twist (..., i, 6)."""
-    return jnp.concatenate([rows, jnp.cross(lever[..., None, :], rows)], -1)
+    """By the velocity of the point of contact (..., i, 3): by the twist (..., i, 6); ``lever``: its ``skew``."""
+    return jnp.concatenate([rows, -product(rows, lever)], -1)
 
 
 def outer(a: Array, b: Array) -> Array:
