@@ -44,12 +44,13 @@ class AbstractLaw(Part):
     """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it.
 
     ``bends`` says whether the force has a corner over the penetration where that turns, from approach to departure; ``ends``
-    whether it may end, with a corner, before the surfaces part.
+    whether it may end, with a corner, before the surfaces part, and ``jumps`` whether it may be above 0 where they touch.
     """
 
     states: ClassVar[tuple[str, ...]] = ()
     bends: ClassVar[bool] = False
     ends: ClassVar[bool] = False
+    jumps: ClassVar[bool] = True
     example: ClassVar[str] = """
 class Linear(bj.laws.AbstractLaw):
     needs = ("stiffness",)
@@ -96,6 +97,7 @@ def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: 
 class AbstractElasticLaw(AbstractLaw):
     """A law f(d) with a loss; ``reads`` names the coefficients of the loss, beside those of the elastic part f."""
 
+    jumps: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ()
     elastic: AbstractElastic = Power()
 
@@ -120,6 +122,7 @@ class KelvinVoigt(AbstractElasticLaw):
     """
 
     ends: ClassVar[bool] = True
+    jumps: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("dashpot",)
     elastic: AbstractElastic = Linear()
     tension: bool = eqx.field(static=True, default=False)
@@ -204,6 +207,7 @@ class ElastoGap(AbstractElasticLaw):
     """
 
     ends: ClassVar[bool] = True
+    jumps: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("dashpot",)
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:

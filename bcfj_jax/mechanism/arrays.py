@@ -58,7 +58,6 @@ class Held:
 
     @property
     def varies(self) -> bool:
-        """Whether it is a parameter."""
         return np.issubdtype(self.value.dtype, np.floating)
 
 

@@ -8,7 +8,8 @@ its partial velocities (Kane and Levinson, Dynamics, 1985). Accelerations are  s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -104,7 +105,6 @@ class Drive(eqx.Module):
             )
 
     def needs(self, body: str, turns: bool) -> Parameters:
-        """Its parameters."""
         unit = "rad" if turns else "m"
         found: Parameters = {}
         if self.kind in ("constant", "ramp"):
@@ -128,7 +128,6 @@ class Drive(eqx.Module):
         return [sizes.value(self.over, body, "drive_ramp", p)] if self.kind == "ramp" else []
 
     def position(self, t: Array, body: str, p: Params) -> Number:
-        """Position [m or rad]."""
         if self.kind == "function":
             assert self.function is not None
             return self.function(t, p)
@@ -216,7 +215,9 @@ class Body(eqx.Module):
     center: Place = sizes.field("body center", default=ORIGIN)
     mass: Size = sizes.field("body mass", default=None)
     inertia: Any = sizes.field("body inertia", default=None)
-    start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
+    start: tuple[tuple[str, Size], ...] = eqx.field(
+        static=True, default=(), converter=partial(sizes.items, "body start")
+    )
     drive: Drive | None = None
     members: int = eqx.field(
         static=True, default=0, converter=lambda n: whole("body members", n, least=0, most=limits.MEMBERS)
@@ -277,7 +278,6 @@ class Body(eqx.Module):
 
     @property
     def rates(self) -> tuple[str, ...]:
-        """Names of its velocities in the state."""
         if self.drive is not None:
             return ()
         parts = ((RATES[name],) if kind in ("slide", "hinge") else SPINS for name, kind, _ in JOINTS[self.joint])
@@ -294,7 +294,6 @@ class Body(eqx.Module):
         return any(kind != "slide" for _, kind, _ in JOINTS[self.joint])
 
     def starting(self, p: Params) -> tuple[list[Number], list[Number]]:
-        """Coordinates and velocities at time 0."""
         given = dict(self.start)
         q = [self._start(key, given, p) for key in self.coordinates]
         return q, [self._start(key, given, p) for key in self.rates]
@@ -328,11 +327,6 @@ class Body(eqx.Module):
         if self.drive is not None:
             found |= self.drive.needs(name, self.joint == "hinge")
         return found
-
-
-def _items(start: Any) -> tuple[tuple[str, Size], ...]:
-    items = start.items() if isinstance(start, Mapping) else start
-    return tuple((key, sizes.plain(f"body start {key}", size)) for key, size in items)
 
 
 def principal(inertia: Sequence[Any]) -> tuple[float, ...]:
@@ -398,6 +392,12 @@ class Part(NamedTuple):
         return self._replace(
             place=add(self.place, arm), velocity=self.velocity_at(arm), partials=partials, drift=self.drift_at(arm)
         )
+
+    def gained(self, rates: Sequence[Number]) -> tuple[Vector, Vector]:
+        """Acceleration of its origin and its angular one, at accelerations of the free velocities; world."""
+        own = [(rates[j], w, v) for j, (w, v) in self.partials.items() if j < len(rates)]
+        drift = add(self.drift, *(scale(rate, v) for rate, _, v in own))
+        return drift, add(self.swirl, *(scale(rate, w) for rate, w, _ in own))
 
 
 STILL = Part(WORLD, ZERO, ZERO, ZERO, {}, ZERO, ZERO)

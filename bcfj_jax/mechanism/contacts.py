@@ -8,7 +8,7 @@ bristles their deflection (three numbers a face, world axes), friction that lags
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -83,7 +83,9 @@ class Contact(eqx.Module):
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
     at: tuple[Place, Place] = sizes.field("contact at", default=(ORIGIN, ORIGIN))
-    values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
+    values: tuple[tuple[str, Size], ...] = eqx.field(
+        static=True, default=(), converter=partial(sizes.items, "contact values")
+    )
     approach: Any = eqx.field(static=True, default=Approach())
     rolling: bool = eqx.field(static=True, default=False)
 
@@ -167,7 +169,6 @@ class Contact(eqx.Module):
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of all its coefficients."""
         rub = self.friction.needs if self.friction is not None else ()
         names = (*self.law.needs, *rub, *(("smoothing",) if self.smoothing else ()), *self.gap.needs)
         names += RESISTING if self.rolling else ()
@@ -221,7 +222,6 @@ class Contact(eqx.Module):
         return add(part.place, turned(part.axes, self.marker(which, p)))
 
     def parts(self, parts: Mapping[str, Part]) -> tuple[Part, Part]:
-        """Its bodies in motion."""
         return parts[self.between[0]], parts[self.between[1]]
 
     def frames(self, parts: Mapping[str, Part], p: Params) -> tuple[Frame, Frame]:
@@ -232,16 +232,10 @@ class Contact(eqx.Module):
 
     @property
     def faces(self) -> int:
-        """Number of its faces."""
         try:
             return _faces(self.gap)
         except InputError as error:
             raise InputError(f"contact '{self.name}' {error.where}", error.found, error.remedy) from error
-
-
-def _items(values: Any) -> tuple[tuple[str, Size], ...]:
-    items = values.items() if isinstance(values, Mapping) else values
-    return tuple((key, sizes.plain(f"contact values {key}", size)) for key, size in items)
 
 
 def _law(law: Any) -> AbstractLaw:

@@ -66,11 +66,9 @@ class JointSpring(CoordinateLoad):
 
     @property
     def corners(self) -> tuple[tuple[float, Any], ...]:
-        """The spring's."""
         return springs.corners(self.table, self.side)
 
     def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
-        """The spring's."""
         x, v = self._extended(t, positions[0], rates[0], p)
         k, c = sizes.values(self, ("stiffness", "damping"), p)
         return springs.onsets(x, v, (k, c, self.table, self.side), (jnp.abs(v), np.inf))
@@ -139,7 +137,6 @@ class JointFriction(CoordinateLoad):
 
     @property
     def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law's."""
         return self._law.bristles
 
     def _told(self, p: Params) -> dict[str, Array]:
@@ -163,7 +160,6 @@ class JointFriction(CoordinateLoad):
         return self._law.reach(self._told(p))
 
     def holding(self, slip: Array, p: Params, time: float) -> tuple[Array, Array]:
-        """The law's."""
         return self._law.holding(slip * slip, self._told(p), time)
 
     def parameters(self, turns: bool = True) -> Parameters:
@@ -212,12 +208,10 @@ class Coupling(CoordinateLoad):
 
     @property
     def body(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The second."""
         return self.joints[1]
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Both."""
         return self.joints
 
     @property
@@ -249,7 +243,6 @@ class Coupling(CoordinateLoad):
         return () if sizes.nothing(self.backlash) else ((1.0, 0.5), (-1.0, -0.5))
 
     def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
-        """Of both ends."""
         (_, apart, gone), keys = self._apart(positions, rates, p), ("stiffness", "damping", "backlash")
         (k, c, gap), more = sizes.values(self, keys, p), (jnp.abs(gone), np.inf)
         above = springs.onsets(apart - 0.5 * gap, gone, (k, c, None, "pull"), more)

@@ -106,7 +106,6 @@ class Force(AbstractLoad):
 
     @property
     def programme(self) -> Programme:
-        """Its size over time."""
         return Programme(
             self.size, self.ramp, self.shape, self.table, self.amplitude, self.frequency, self.reversal,
             self.reversal_ramp,
@@ -142,7 +141,6 @@ class Torque(Force):
 
     @property
     def acts_on(self) -> str:
-        """``body``."""
         return self.body
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
@@ -211,11 +209,9 @@ class Spring(_BetweenPoints):
 
     @property
     def corners(self) -> tuple[tuple[float, Any], ...]:
-        """The spring's."""
         return springs.corners(self.table, self.side)
 
     def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
-        """The spring's."""
         _, arm, rate = self._apart(bodies, p)
         (k, c, free), far = sizes.values(self, self.units, p), length(arm)
         more = length(rate), far

@@ -106,15 +106,15 @@ class AbstractModel(eqx.Module):
     if TYPE_CHECKING:
         # Fields, properties or methods of every model; as fields of this class they would come first in every model's.
         @property
-        def kind(self) -> str: ...  # noqa: D102
+        def kind(self) -> str: ...
         @property
-        def contacts(self) -> tuple[Any, ...]: ...  # noqa: D102
+        def contacts(self) -> tuple[Any, ...]: ...
         @property
-        def samples(self) -> int: ...  # noqa: D102
+        def samples(self) -> int: ...
         @property
-        def defaults(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
+        def defaults(self) -> tuple[tuple[str, float], ...]: ...
         @property
-        def horizon(self) -> Callable[[Params], Array]: ...  # noqa: D102
+        def horizon(self) -> Callable[[Params], Array]: ...
 
     # Equinox also compares what a model has computed of itself and keeps; one made anew is still the same program.
     def __eq__(self, other: object) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]

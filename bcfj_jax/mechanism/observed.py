@@ -93,25 +93,20 @@ class Observed(AbstractModel):
         return {**found, **shown}
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """The model's; a reading has none."""
         return self.inner.bodies_at(params, contact, deepest) if contact in self.inner.members else Bodies()
 
     def full(self) -> AbstractModel:
-        """The model's, with the same readings."""
         return Observed(self.inner.full(), self.channels)
 
     def suited(self, params: Params, end: float, solver: str | None = None) -> AbstractModel:
-        """The model's, observed likewise."""
         return Observed(self.inner.suited(params, end, solver), self.channels)
 
     def coarser(self) -> tuple[Coarser, ...]:
-        """The model's."""
         return self.inner.coarser()
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
-        """The model's choice."""
         return self.inner.choose(params, times, budget, lambda level, at: run(Observed(level, self.channels), at))
 
 
@@ -169,27 +164,21 @@ class Onward(Observed):
     channels: tuple = eqx.field(static=True, default=())
 
     def prepare(self, params: Params) -> Any:
-        """The model's, and the time of the start."""
         return self.inner.prepare(_own(params)), jnp.asarray(params[BEGIN])
 
     def initial_state(self, params: Params) -> Array:
-        """The given one."""
         return jnp.asarray(params[START])
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The model's, later."""
         return self.inner.vector_field(t + prepared[1], y, prepared[0])
 
     def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The model's, later."""
         return self.inner.approaches(t + prepared[1], y, prepared[0])
 
     def structure(self) -> AbstractStructure:
-        """The model's, later."""
         return _Later(self.inner.structure(), self.inner)
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Any]:
-        """The model's, later."""
         return self.inner.observe(t + prepared[1], y, prepared[0])
 
 

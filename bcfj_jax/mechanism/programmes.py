@@ -128,7 +128,6 @@ class Programme(eqx.Module):
         return times(share, size)
 
     def share(self, t: ArrayLike, name: str, p: Params) -> Number:
-        """r(t)."""
         rise = SHAPES[self.shape]
         found = 1.0 if self.ramp is None else rise(t / sizes.value(self.ramp, name, "ramp", p))
         if self.reversal is not None:
@@ -147,7 +146,6 @@ class Programme(eqx.Module):
         return found
 
     def parameters(self, name: str, unit: str) -> Parameters:
-        """Its parameters with their defaults."""
         if self.table is not None:
             return {}
         found = sizes.own(self.size, name, "size", unit, f"size of {name}")

@@ -65,7 +65,8 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     rates = gathered.accelerations(count)
     felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
-    free = lambda part: _freed(part, rates)  # noqa: E731
+    # Bodies with their accelerations without contact forces for their drifts.
+    free = lambda part: part._replace(**dict(zip(("drift", "swirl"), part.gained(rates), strict=True)))  # noqa: E731
     freed: Mapping[str, Part] = {}
     if any(map(alike.scattered, scene.bundles)):
         freed = parts.changed(free) if isinstance(parts, ByName) else {n: free(part) for n, part in parts.items()}
@@ -149,13 +150,6 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
         kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
     kept += [load.reach(params) for load in scene._bristly]
     return scene.state(places, [speed / x for x in found.levers], kept)
-
-
-def _freed(part: Part, rates: list[Number]) -> Part:
-    """A body with its accelerations without contact forces for its drifts."""
-    own = [(rates[j], w, v) for j, (w, v) in part.partials.items() if j < len(rates)]
-    drift = add(part.drift, *(scale(rate, v) for rate, _, v in own))
-    return part._replace(drift=drift, swirl=add(part.swirl, *(scale(rate, w) for rate, w, _ in own)))
 
 
 class _Felt(NamedTuple):

@@ -210,34 +210,28 @@ class StringModel(AbstractModel):
 
     @property
     def contacts(self) -> tuple[Any, ...]:
-        """The joint's."""
         return self.joint.contacts
 
     # Options whose default depends on others: a template of a scene file shows what they are.
 
     @property
     def spin(self) -> bool:
-        """The joint's."""
         return self.joint.spin
 
     @property
     def window_ends(self) -> bool:
-        """The joint's."""
         return self.joint.window_ends
 
     @property
     def bands(self) -> bool:
-        """The joint's."""
         return self.joint.bands
 
     @property
     def traits(self) -> ModelTraits:
-        """Each instant is solved for itself."""
         return self.joint.traits
 
     @property
     def title(self) -> str:
-        """How many joints."""
         return f"string of {self.count} joint{'s' if self.count > 1 else ''}, {self.joint.fidelity}"
 
     @property
@@ -263,7 +257,6 @@ class StringModel(AbstractModel):
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
-        """As ``quantities``."""
         own = tuple((name, value) for name, (value, _) in self._own.items())
         return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
 
@@ -280,24 +273,19 @@ class StringModel(AbstractModel):
         return told | {name: jnp.broadcast_to(value, (self.count,)) for name, value in shared.items()}
 
     def prepare(self, params: Params) -> Any:
-        """Of all joints."""
         return {"joints": jax.vmap(self.joint.prepare)(self.joints(params))}
 
     def initial_state(self, params: Params) -> Array:
-        """Of all joints, one after the other."""
         return jax.vmap(self.joint.initial_state)(self.joints(params)).reshape(-1)
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """None: nothing is integrated."""
         del t, prepared
         return jnp.zeros_like(y)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """Of all joints."""
         return jax.vmap(lambda p: self.joint.error_scale(p, end))(self.joints(params)).reshape(-1)
 
     def tolerance(self, force_error: float) -> float:
-        """The joint's."""
         return self.joint.tolerance(force_error)
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
@@ -313,7 +301,6 @@ class StringModel(AbstractModel):
         return Solution(states, status, end, jnp.sum(found.accepted), jnp.sum(found.rejected)), near
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
-        """Of all joints side by side."""
         return self.side_by_side(
             jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared["joints"])
         )
@@ -326,11 +313,9 @@ class StringModel(AbstractModel):
         return {name: jax.tree.map(lambda x, name=name: of_a_ball(name, x), reading) for name, reading in found.items()}
 
     def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
-        """The joint's: all have the same radii."""
         return self.joint.unit_pressure({name: x[0] for name, x in self.joints(params).items()}, contact, material)
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """The joint's."""
         return self.joint.bodies_at(params, contact, deepest)
 
     def settled_from(self, params: Params) -> float:

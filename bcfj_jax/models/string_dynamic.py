@@ -70,7 +70,6 @@ class Chained(AbstractStructure):
     string: Any = eqx.field(static=True)
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
-        """The string's."""
         return self.string.vector_field(t, y, args[1])
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> _Factors:
@@ -175,7 +174,6 @@ class DynamicString(MovingString):
         return StringModel.initial_state(self, {**params, "drive_speed": first})
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The joints', and what acts on them."""
         states = y.reshape(self.count, -1)
         rates = jax.vmap(lambda y, c: self.joint.structure().field(t, y, (self.joint, c)))(states, prepared["joints"])
         return rates.at[:, self.rates].add(self.pushed(t, y, prepared)).ravel()
@@ -204,15 +202,12 @@ class DynamicString(MovingString):
 
     @property
     def _rubbing(self) -> list[Any]:
-        """Wall and bit."""
         return list(self.torsion.loads[1:])
 
     def structure(self) -> AbstractStructure:
-        """Arrowheads in a row."""
         return Chained(self)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """The joints' under the greatest loads."""
         over = self._shaft.programmes
         told = {**params, "load_torque": params["bit_torque"], "axial_load": params["weight_on_bit"]}
         most = {"bit_torque": over.largest_torque(told, end), "weight_on_bit": over.largest_axial(told)}
@@ -223,11 +218,9 @@ class DynamicString(MovingString):
         return scale.ravel()
 
     def tolerance(self, force_error: float) -> float:
-        """The joint's."""
         return self.joint.tolerance(force_error)
 
     def first_step(self, params: Params, scales: Array) -> ArrayLike:
-        """The joint's."""
         return self.joint.first_step(params, scales)
 
     def settled_from(self, params: Params) -> float:
@@ -236,7 +229,6 @@ class DynamicString(MovingString):
 
     @property
     def settled_when(self) -> str:
-        """The joint's."""
         return self.joint.settled_when
 
     def coordinates(self) -> dict[str, tuple[int, int]]:

@@ -97,12 +97,10 @@ class Shaft(CoordinateLoad):
         return torque - jnp.append(torque[1:], 0.0)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The drive's."""
         drive = self.programmes.drive
         return [] if drive is None else drive.kinks("seat", p)
 
     def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
         return {}
 
 
@@ -115,17 +113,14 @@ class Wall(CoordinateLoad):
     name: str = eqx.field(static=True, default="wall")
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
-        """Against the turning of every member."""
         told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p) + p["wall_kept"]}
         return -Coulomb().coefficient(rate, told | {"friction_speed": p["wall_speed"] / p["segment_radius"]})
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The weight's."""
         axial = self.programmes.axial
         return [] if axial is None else axial.kinks("axial_load", p)
 
     def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
         return {}
 
 
@@ -149,7 +144,6 @@ class Bit(CoordinateLoad):
     name: str = eqx.field(static=True, default="bit")
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params, *bend: Any) -> Array:
-        """On the last member, against its turning."""
         amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
         if self.law is not None and self.bristles:
             _, stick, viscous = self.law.bond(rate[-1] ** 2, self._told(p))
@@ -160,7 +154,6 @@ class Bit(CoordinateLoad):
 
     @property
     def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law's."""
         return self.law is not None and self.law.bristles
 
     def _told(self, p: Params) -> dict[str, Array]:
@@ -183,11 +176,9 @@ class Bit(CoordinateLoad):
         return self.law.reach(self._told(p))
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The torque's."""
         return self.programmes.torque.kinks("load_torque", p)
 
     def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
         return {}
 
 
@@ -239,7 +230,6 @@ class Row(AbstractStructure):
     """
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
-        """The model's."""
         model, prepared = args
         return model.vector_field(t, y, prepared)
 
@@ -276,7 +266,6 @@ class Row(AbstractStructure):
         return jnp.concatenate([s * (angle + rate), rate, *((x + bends * rate) / kept for x in bend)])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
-        """By forward differentiation."""
         return jax.jvp(lambda t: self.field(t, y, args), (t,), (jnp.ones_like(t),))[1]
 
 
@@ -354,11 +343,9 @@ class MovingString(StringModel):
         return self.torsion.initial_state(params)
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The mechanism's."""
         return self.torsion.vector_field(t, y, prepared)
 
     def structure(self) -> AbstractStructure:
-        """Neighbours alone."""
         return Row()
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
@@ -370,7 +357,6 @@ class MovingString(StringModel):
         return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count)), *bend])
 
     def tolerance(self, force_error: float) -> float:
-        """The mechanism's."""
         return self.torsion.tolerance(force_error)
 
     def first_step(self, params: Params, scales: Array) -> Array:
@@ -383,7 +369,6 @@ class MovingString(StringModel):
         return self.torsion.breaks(params, end)
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
-        """Of the lumps."""
         return {f"lump[{i + 1}]": (i, self.count + i) for i in range(self.count)}
 
     @property

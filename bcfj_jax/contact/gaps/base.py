@@ -81,12 +81,10 @@ class Look(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
-        """Middle of the travel."""
         return 0.5 * (self.low + self.high)
 
     @property
     def half(self) -> np.ndarray:
-        """Half of the travel."""
         return 0.5 * (self.high - self.low)
 
 
@@ -204,7 +202,6 @@ class AbstractEdged(AbstractGap):
         return self.axial_by(a, b, c, self.faces(a, b, c)[0].normal)
 
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
-        """``axial``."""
         steep = jnp.square(dot(a.axes[2], normal)) > 0.5
         x, y, z = (jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))
         return x, y, z

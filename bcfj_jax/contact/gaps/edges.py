@@ -180,7 +180,6 @@ class CapsuleOnCapsule(AbstractEdged):
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
 
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
-        """``axial``."""
         return super().axial_by(a, b, c, normal) if self.members else a.axes[2]
 
     def carried(self, a: Vector, b: Vector) -> Vector:

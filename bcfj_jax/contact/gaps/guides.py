@@ -184,7 +184,6 @@ class PinInBearing(AbstractGap):
 
     @property
     def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """With pads."""
         return self.pads > 0
 
     @property
