@@ -9,10 +9,10 @@ Only arrays of floating-point numbers are parameters; others stay as they are.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import types
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.contact.part import Part
+from bcfj_jax.contact.part import Part, of
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import Quantity
@@ -136,16 +136,12 @@ def _filling(name: str) -> Any:
     return lambda self, *args: getattr(filled(self.part, args[-1], self.prefix), name)(*args)
 
 
-def _same(name: str) -> Any:
-    return property(lambda self: getattr(self.part, name))
-
-
 class HeldLaw(_Filled, AbstractLaw):
     """A normal-force law with arrays."""
 
     part: AbstractLaw
     prefix = "law."
-    states = _same("states")
+    states = of("part", "states")
     force, rates, sizes, stored = map(_filling, ("force", "rates", "sizes", "stored"))
 
 
@@ -154,7 +150,7 @@ class HeldFriction(_Filled, AbstractFriction):
 
     part: AbstractFriction
     prefix = "friction."
-    bristles, lags, span = map(_same, ("bristles", "lags", "span"))
+    bristles, lags, span = map(partial(of, "part"), ("bristles", "lags", "span"))
     mobility, bond, lag, reach = map(_filling, ("mobility", "bond", "lag", "reach"))
 
 
@@ -234,7 +230,7 @@ def _traced(x: Any, seen: set[int]) -> bool:
         inner = x
     elif isinstance(x, Mapping):
         inner = x.values()
-    elif isinstance(x, functools.partial):
+    elif isinstance(x, partial):
         inner = (x.func, x.args, x.keywords)
     elif isinstance(x, types.MethodType):
         inner = (x.__self__,)

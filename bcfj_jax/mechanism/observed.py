@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, looked, shares
 from bcfj_jax.mechanism.model import AbstractModel, Approaches, Bodies, Coarser, Params, Reading
@@ -25,8 +27,7 @@ class Shown(NamedTuple):
     friction: None = None
 
 
-def _of(name: str) -> Any:
-    return property(lambda self: getattr(self.inner, name))
+_of = partial(of, "inner")
 
 
 class Observed(AbstractModel):

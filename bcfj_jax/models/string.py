@@ -21,8 +21,8 @@ Left out: weight, what twist of segments changes in the loads, the moments 2 T t
 
 from __future__ import annotations
 
-import functools
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -32,6 +32,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -39,10 +40,8 @@ from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import (
     AbstractModel,
-    Bodies,
     Chain,
     Life,
-    ModelTraits,
     Params,
     Reading,
     Scenery,
@@ -102,7 +101,7 @@ def chord(params: Params) -> Array:
     return 2.0 * jnp.arcsin(0.5 * params["segment_length"] / params["hole_radius"])
 
 
-@functools.partial(jax.jit, static_argnums=(1, 2))
+@partial(jax.jit, static_argnums=(1, 2))
 def loads(params: Params, count: int, bending: bool = False) -> Loads:
     """The string's statics (module docstring), differentiable in every parameter.
 
@@ -208,27 +207,9 @@ class StringModel(AbstractModel):
     samples: int = eqx.field(static=True, default=301)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
-    @property
-    def contacts(self) -> tuple[Any, ...]:
-        return self.joint.contacts
-
+    contacts, traits, tolerance, bodies_at = map(partial(of, "joint"), ("contacts", "traits", "tolerance", "bodies_at"))  # pyright: ignore[reportAssignmentType]
     # Options whose default depends on others: a template of a scene file shows what they are.
-
-    @property
-    def spin(self) -> bool:
-        return self.joint.spin
-
-    @property
-    def window_ends(self) -> bool:
-        return self.joint.window_ends
-
-    @property
-    def bands(self) -> bool:
-        return self.joint.bands
-
-    @property
-    def traits(self) -> ModelTraits:
-        return self.joint.traits
+    spin, window_ends, bands = map(partial(of, "joint"), ("spin", "window_ends", "bands"))
 
     @property
     def title(self) -> str:
@@ -285,9 +266,6 @@ class StringModel(AbstractModel):
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         return jax.vmap(lambda p: self.joint.error_scale(p, end))(self.joints(params)).reshape(-1)
 
-    def tolerance(self, force_error: float) -> float:
-        return self.joint.tolerance(force_error)
-
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Joint after joint by one program: compilation does not grow with their number."""
 
@@ -314,9 +292,6 @@ class StringModel(AbstractModel):
 
     def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
         return self.joint.unit_pressure({name: x[0] for name, x in self.joints(params).items()}, contact, material)
-
-    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        return self.joint.bodies_at(params, contact, deepest)
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen."""

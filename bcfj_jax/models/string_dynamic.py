@@ -30,6 +30,7 @@ from jax import Array
 from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.mechanism.model import BodyMotion, Flows, Params
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import energy, system
@@ -124,7 +125,8 @@ class DynamicString(MovingString):
     """A string of joints in motion; made by ``string_motion.in_motion``. Its state is that of joint after joint."""
 
     # What StringModel has of joints is right of joints in motion.
-    observe, traits = StringModel.observe, StringModel.traits
+    observe, traits, tolerance = StringModel.observe, StringModel.traits, StringModel.tolerance
+    first_step, settled_when = of("joint", "first_step"), of("joint", "settled_when")
 
     @property
     def rates(self) -> slice:
@@ -217,19 +219,9 @@ class DynamicString(MovingString):
             scale = scale.at[0, np.stack(self.ends)[:, 0]].multiply(TOLD)
         return scale.ravel()
 
-    def tolerance(self, force_error: float) -> float:
-        return self.joint.tolerance(force_error)
-
-    def first_step(self, params: Params, scales: Array) -> ArrayLike:
-        return self.joint.first_step(params, scales)
-
     def settled_from(self, params: Params) -> float:
         """When what rises has risen and a ball's pitch has passed."""
         return super().settled_from(params) + float(self.joint.pitch(params))
-
-    @property
-    def settled_when(self) -> str:
-        return self.joint.settled_when
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """Of the lumps, which are the heads, and of all joints."""

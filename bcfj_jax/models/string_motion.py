@@ -24,6 +24,7 @@ Joints in full motion are those of ``models.string_dynamic``.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -35,6 +36,7 @@ from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction, Coulomb
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
@@ -70,11 +72,25 @@ NUMBERS: dict[str, tuple[float, str]] = {
 }
 
 
-class Shaft(CoordinateLoad):
-    """Springs and dampers between neighbouring members of one body, the first of them held by the drive."""
+class _OnLumps(CoordinateLoad):
+    """A load on the lumps whose numbers are the string's; ``over``: which of the programmes it follows, and its name there."""
 
+    over: ClassVar[tuple[str, str]]
     programmes: Programmes
     body: str = eqx.field(static=True, default="lump")
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        programme = getattr(self.programmes, self.over[0])
+        return [] if programme is None else programme.kinks(self.over[1], p)
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        return {}
+
+
+class Shaft(_OnLumps):
+    """Springs and dampers between neighbouring members of one body, the first of them held by the drive."""
+
+    over: ClassVar[tuple[str, str]] = ("drive", "seat")
     name: str = eqx.field(static=True, default="shaft")
 
     def torques(self, t: Array, position: Array, rate: Array, p: Params) -> tuple[Array, Array, Array, Array]:
@@ -96,32 +112,17 @@ class Shaft(CoordinateLoad):
         torque = elastic + damping
         return torque - jnp.append(torque[1:], 0.0)
 
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        drive = self.programmes.drive
-        return [] if drive is None else drive.kinks("seat", p)
 
-    def parameters(self, turns: bool = True) -> Parameters:
-        return {}
-
-
-class Wall(CoordinateLoad):
+class Wall(_OnLumps):
     """Coulomb's friction on every member, in proportion to the weight on the bit at the time."""
 
     dry: ClassVar[bool] = True
-    programmes: Programmes
-    body: str = eqx.field(static=True, default="lump")
+    over: ClassVar[tuple[str, str]] = ("axial", "axial_load")
     name: str = eqx.field(static=True, default="wall")
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
         told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p) + p["wall_kept"]}
         return -Coulomb().coefficient(rate, told | {"friction_speed": p["wall_speed"] / p["segment_radius"]})
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        axial = self.programmes.axial
-        return [] if axial is None else axial.kinks("axial_load", p)
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        return {}
 
 
 def weight(over: Programmes, t: Array, p: Params) -> Array:
@@ -129,7 +130,7 @@ def weight(over: Programmes, t: Array, p: Params) -> Array:
     return jnp.maximum(axial_at(over, t, {**p, "axial_load": p["weight_on_bit"]}), 0.0)
 
 
-class Bit(CoordinateLoad):
+class Bit(_OnLumps):
     """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law.
 
     The law's normal force is the torque T of a bit that turns fast, its mu_d 1 and its mu_s ``stick_ratio``. Bristles of
@@ -138,10 +139,9 @@ class Bit(CoordinateLoad):
         z' = w - |w| s0 z/g(w),   g = 1 + (stick_ratio - 1) exp(-(w/v_t)^2),   torque = T (s0 z + s1 z')
     """
 
-    programmes: Programmes
-    law: AbstractFriction | None = None
-    body: str = eqx.field(static=True, default="lump")
+    over: ClassVar[tuple[str, str]] = ("torque", "load_torque")
     name: str = eqx.field(static=True, default="bit")
+    law: AbstractFriction | None = None
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params, *bend: Any) -> Array:
         amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
@@ -174,12 +174,6 @@ class Bit(CoordinateLoad):
         """z of a bit that breaks away."""
         assert self.law is not None
         return self.law.reach(self._told(p))
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        return self.programmes.torque.kinks("load_torque", p)
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        return {}
 
 
 def inertias(p: Params, count: int) -> Array:
@@ -288,6 +282,11 @@ class MovingString(StringModel):
     names: tuple[tuple[str, float], ...] = eqx.field(static=True, kw_only=True)
     flexible: bool = eqx.field(static=True, default=False)
 
+    # At first every lump turns as the drive does, untwisted.
+    initial_state, vector_field, tolerance, breaks = map(
+        partial(of, "torsion"), ("initial_state", "vector_field", "tolerance", "breaks")
+    )  # pyright: ignore[reportAssignmentType]
+
     @property
     def traits(self) -> ModelTraits:
         """Friction of wall and bit is stiff; to look at the joints takes far longer than a step."""
@@ -338,13 +337,6 @@ class MovingString(StringModel):
         held = {"wall_arm": arms[1:], "wall_kept": kept[1:], "wall_arm_above": arms[0], "wall_kept_above": kept[0]}
         return {**params, **held, "coupling": each, "coupling_damping": damping}
 
-    def initial_state(self, params: Params) -> Array:
-        """Every lump turns as the drive does, untwisted."""
-        return self.torsion.initial_state(params)
-
-    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        return self.torsion.vector_field(t, y, prepared)
-
     def structure(self) -> AbstractStructure:
         return Row()
 
@@ -356,17 +348,10 @@ class MovingString(StringModel):
         bend = [jnp.full(self.count, self._bit.reach(params))] if self._bit.bristles else []
         return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count)), *bend])
 
-    def tolerance(self, force_error: float) -> float:
-        return self.torsion.tolerance(force_error)
-
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which a twist is gone at its speed."""
         del params
         return 1e-2 * scales[0] / scales[self.count]
-
-    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
-        """Ends of ramps, knots of tables."""
-        return self.torsion.breaks(params, end)
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         return {f"lump[{i + 1}]": (i, self.count + i) for i in range(self.count)}

@@ -22,7 +22,7 @@ from jax import Array
 
 from bcfj_jax.contact.normal import GAP
 from bcfj_jax.core.numerics import bisected
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, Proximity
 from bcfj_jax.solve.cubic import Cubic, hermite
 from bcfj_jax.solve.wrapped import AbstractControl
 
@@ -332,7 +332,7 @@ def restarted(control: tuple) -> tuple:
     return (restarted(first), *rest) if isinstance(first, tuple) else (*map(jnp.ones_like, control[:2]), *control[2:])
 
 
-def course(before: Look, now: Look, dt: Any) -> Cubic:
+def course(before: Look | Proximity, now: Look | Proximity, dt: Any) -> Cubic:
     """The penetrations (C,) in a step [m]."""
     return hermite((before.depth, now.depth), (before.rate, now.rate), dt)
 

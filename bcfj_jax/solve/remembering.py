@@ -109,8 +109,8 @@ class AtTouch(eqx.Module):
                 return jnp.where(change[k] * turned[k] > 0, change[k], jnp.inf)
 
             def closer(_: int, t: Array) -> Array:
-                (depth, _), (change, _) = moving(t)
-                return jnp.clip(t - depth[k] / steep(change), end - length, end)
+                now, change = moving(t)
+                return jnp.clip(t - now[0][k] / steep(change[0]), end - length, end)
 
             touch = jax.lax.fori_loop(0, _NEWTON, closer, end - 0.5 * length)
             rows, ((_, speed), (change, faster)) = read(touch), moving(touch)
