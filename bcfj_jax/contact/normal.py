@@ -167,7 +167,7 @@ class DampedStop(AbstractElasticLaw):
 class Restitution(AbstractElasticLaw):
     """F = f(d) (1 + chi(e) d'/v0), the family of ``restitution.FACTORS``; v0 is the approach speed of this impact.
 
-    Validity is the factor's: each docstring there says which e it delivers. ``exact`` delivers all.
+    Validity is the factor's: a comment there says which e each delivers. ``exact`` delivers all.
     Coefficients: those of the elastic part, ``restitution`` e [-] and ``approach_speed`` v0 [m/s] > 0, which
     the scene supplies (at least 1e-9 m/s, which keeps a resting contact finite).
     """

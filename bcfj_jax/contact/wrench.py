@@ -56,6 +56,7 @@ class ContactForce(NamedTuple):
 
     @property
     def slip_squared(self) -> Number:
+        """u . u."""
         return dot(self.slide, self.slide)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
@@ -58,6 +58,7 @@ class Held:
 
     @property
     def varies(self) -> bool:
+        """Whether it is a parameter."""
         return np.issubdtype(self.value.dtype, np.floating)
 
 
@@ -154,16 +155,10 @@ class HeldFriction(_Filled, AbstractFriction):
     mobility, bond, lag, reach = map(_filling, ("mobility", "bond", "lag", "reach"))
 
 
-def law(given: AbstractLaw) -> AbstractLaw:
-    """A law as a contact keeps it."""
-    found = taken("contact law", given)
-    return found if found is given else HeldLaw(found)
-
-
-def friction(given: AbstractFriction) -> AbstractFriction:
-    """A friction law as a contact keeps it."""
-    found = taken("contact friction", given)
-    return found if found is given else HeldFriction(found)
+def kept(where: str, part: Any, holder: Callable[..., Any]) -> Any:
+    """A part as a scene keeps it: in a ``holder`` where it has arrays."""
+    found = taken(where, part)
+    return part if found is part else holder(part=found)
 
 
 def defaults(*parts: Any) -> dict[str, np.ndarray]:

@@ -53,15 +53,8 @@ JOINTS: dict[str, tuple[tuple[str, str, int], ...]] = {
     "free": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "ball", 2)),
     "sphere": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "spin", 2)),
 }
-RATES = {
-    "position": "velocity",
-    "angle": "speed",
-    "x": "vx",
-    "y": "vy",
-    "z": "vz",
-    "first": "first_speed",
-    "second": "second_speed",
-}
+RATES = {"position": "velocity", "angle": "speed"} | {key: f"v{key}" for key in "xyz"}
+RATES |= {key: f"{key}_speed" for key in ("first", "second")}
 # Of a matrix of inertia: about its axes, and its entries beside the diagonal, which are less the integrals of x y dm.
 INERTIAS = ("x", "y", "z", "xy", "yz", "zx")
 QUATERNION, SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
@@ -128,6 +121,7 @@ class Drive(eqx.Module):
         return [sizes.value(self.over, body, "drive_ramp", p)] if self.kind == "ramp" else []
 
     def position(self, t: Array, body: str, p: Params) -> Number:
+        """Position [m or rad]."""
         if self.kind == "function":
             assert self.function is not None
             return self.function(t, p)
@@ -225,10 +219,6 @@ class Body(eqx.Module):
 
     def __check_init__(self):
         where = f"body {quoted(self.name)}"
-        if not isinstance(self.name, str) or not self.name.isidentifier() or self.name == GROUND:
-            raise InputError(
-                where, "is not a valid name of a body", "give a word of letters, digits and '_', other than 'ground'"
-            )
         if self.joint not in JOINTS:
             raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
         if self.parent == self.name:
@@ -294,6 +284,7 @@ class Body(eqx.Module):
         return any(kind != "slide" for _, kind, _ in JOINTS[self.joint])
 
     def starting(self, p: Params) -> tuple[list[Number], list[Number]]:
+        """Coordinates and velocities at time 0."""
         given = dict(self.start)
         q = [self._start(key, given, p) for key in self.coordinates]
         return q, [self._start(key, given, p) for key in self.rates]

@@ -73,12 +73,14 @@ class Channel(NamedTuple):
 
     @property
     def name(self) -> str:
+        """As users write it."""
         part = f"{self.part}_{self.member}" if self.member else self.part
         text = f"{part}.{self.what}" + (f".{self.axis}" if self.axis else "")
         return f"{text} in {self.frame}" if self.frame else text
 
     @property
     def unit(self) -> str:
+        """SI."""
         return unit_of(self.name)
 
 

@@ -95,8 +95,6 @@ class Contact(eqx.Module):
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
         where = f"contact {quoted(self.name)}"
-        if not isinstance(self.name, str) or not self.name.isidentifier():
-            raise InputError(where, "is not a valid name of a contact", "give a word of letters, digits and '_'")
         if len(self.between) != 2:
             raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
         if self.between[0] == self.between[1]:
@@ -169,6 +167,7 @@ class Contact(eqx.Module):
 
     @property
     def reads(self) -> tuple[str, ...]:
+        """Names of all its coefficients."""
         rub = self.friction.needs if self.friction is not None else ()
         names = (*self.law.needs, *rub, *(("smoothing",) if self.smoothing else ()), *self.gap.needs)
         names += RESISTING if self.rolling else ()
@@ -222,6 +221,7 @@ class Contact(eqx.Module):
         return add(part.place, turned(part.axes, self.marker(which, p)))
 
     def parts(self, parts: Mapping[str, Part]) -> tuple[Part, Part]:
+        """Its bodies in motion."""
         return parts[self.between[0]], parts[self.between[1]]
 
     def frames(self, parts: Mapping[str, Part], p: Params) -> tuple[Frame, Frame]:
@@ -241,12 +241,14 @@ class Contact(eqx.Module):
 def _law(law: Any) -> AbstractLaw:
     if isinstance(law, str):  # By its name it is made where the elastic part is known, too.
         return law  # pyright: ignore[reportReturnType]
-    return arrays.law(checked("contact law", law, AbstractLaw, "law", "give a law's name"))
+    return arrays.kept(
+        "contact law", checked("contact law", law, AbstractLaw, "law", "give a law's name"), arrays.HeldLaw
+    )
 
 
 def _friction(friction: Any) -> AbstractFriction | None:
     if friction is None or isinstance(friction, AbstractFriction):
-        return friction and arrays.friction(friction)
+        return friction and arrays.kept("contact friction", friction, arrays.HeldFriction)
     return laws.make_friction(friction)
 
 

@@ -96,9 +96,11 @@ class Dynamics(AbstractModel):
         return found
 
     def body(self, name: str) -> Body:
+        """A body by name."""
         return next(b for b in self.bodies if b.name == name)
 
     def contact(self, name: str) -> Contact:
+        """A contact by name."""
         return next(c for c in self.contacts if c.name == name)
 
     @property

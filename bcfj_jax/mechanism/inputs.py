@@ -8,7 +8,7 @@ the same numbers in another type would be another program.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,11 +20,25 @@ from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, check_order, number
 from bcfj_jax.mechanism.arrays import expanded
 
-if TYPE_CHECKING:  # It imports this.
-    from bcfj_jax.mechanism.model import AbstractModel
+
+class Described(Protocol):
+    """What is read of a model here; ``AbstractModel`` is one, and tells what each is."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def kind(self) -> str: ...
+        @property
+        def title(self) -> str: ...
+        @property
+        def quantities(self) -> dict[str, Quantity]: ...
+        @property
+        def defaults(self) -> tuple[tuple[str, Any], ...]: ...
+        def canonical(self, name: str) -> str: ...
+        def require(self, params: Mapping[str, Array], where: str = "") -> None: ...
 
 
-def named(scene: AbstractModel, given: Any, where: str) -> dict[str, Any]:
+def named(scene: Described, given: Any, where: str) -> dict[str, Any]:
     """Values by the scene's own names of parameters; of two names of one parameter the last counts."""
     if not isinstance(given, Mapping):
         raise InputError(where, f"{quoted(given)} is no table of parameters", "give scene.parameters(...)")
@@ -46,7 +60,7 @@ def exponents_first(name: str) -> bool:
     return not name.endswith("exponent")
 
 
-def exponent(scene: AbstractModel, name: str, *tables: Mapping[str, Any]) -> float | None:
+def exponent(scene: Described, name: str, *tables: Mapping[str, Any]) -> float | None:
     """The exponent that goes with a parameter, from the first table that has it: its contact's, or the shared one; else 1.
 
     None where it is traced, or one of many: then the unit itself says it.
@@ -60,7 +74,7 @@ def exponent(scene: AbstractModel, name: str, *tables: Mapping[str, Any]) -> flo
     return None if is_traced(value) or np.ndim(value) else float(value)
 
 
-def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
+def values(scene: Described, given: Any, where: str = "") -> dict[str, Any]:
     """Values of some of the scene's parameters: float64, SI, each in its range; arrays stand for a batch.
 
     ``given`` has by name numbers, arrays, traced values, or texts with a unit such as "20 um".
@@ -78,7 +92,7 @@ def values(scene: AbstractModel, given: Any, where: str = "") -> dict[str, Any]:
     return {name: found[name] for name in by_name}
 
 
-def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
+def parameters(scene: Described, given: Any, where: str = "", traced: bool = True) -> dict[str, Array]:
     """All parameters of one run: ``values``, each a scalar, and none missing; ``traced``: whether traced values pass."""
     where = where or f"scene '{scene.kind}'"
     found = values(scene, given, where)
@@ -95,7 +109,7 @@ def parameters(scene: AbstractModel, given: Any, where: str = "", traced: bool =
     return found
 
 
-def poison(scene: AbstractModel, given: Mapping[str, Array]) -> ArrayLike:
+def poison(scene: Described, given: Mapping[str, Array]) -> ArrayLike:
     """What the values of one run and all that comes of them are multiplied by: NaN where a traced one is out of range, else 1.
 
     Under jit and vmap nothing can be refused. A run whose parameters are not finite ends in some twenty attempts.
@@ -109,7 +123,7 @@ def _misshapen(where: str, name: str, shape: tuple[int, ...], remedy: str) -> In
     return InputError(where, f"{name} has shape {shape}", remedy)
 
 
-def require_defaults(scene: AbstractModel, given: Mapping[str, Any], where: str) -> None:
+def require_defaults(scene: Described, given: Mapping[str, Any], where: str) -> None:
     """Refuse parameters among which one with a default has no value, neither its own nor the shared one."""
     for name in dict(scene.defaults):
         shared = name.rpartition(".")[2]

@@ -208,6 +208,7 @@ class Coupling(CoordinateLoad):
 
     @property
     def body(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The second."""
         return self.joints[1]
 
     @property

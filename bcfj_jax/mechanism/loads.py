@@ -105,6 +105,7 @@ class Force(AbstractLoad):
 
     @property
     def programme(self) -> Programme:
+        """Its size over time."""
         return Programme(
             self.size, self.ramp, self.shape, self.table, self.amplitude, self.frequency, self.reversal,
             self.reversal_ramp,
@@ -318,8 +319,7 @@ def kept(load: Any) -> Any:
     """A load as a mechanism keeps it; what is no load stays as it is."""
     if not isinstance(load, AbstractLoad):
         return load
-    found = arrays.taken(f"load {quoted(load.name)}", load)
-    return found if found is load else HeldLoad(part=found)  # pyright: ignore[reportCallIssue]
+    return arrays.kept(f"load {quoted(load.name)}", load, HeldLoad)
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:

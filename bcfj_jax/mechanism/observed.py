@@ -15,7 +15,7 @@ from jax import Array
 from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, looked, shares
-from bcfj_jax.mechanism.model import AbstractModel, Approaches, Bodies, Coarser, Params, Reading
+from bcfj_jax.mechanism.model import AbstractModel, Bodies, Coarser, Params, Reading
 from bcfj_jax.mechanism.structure import AbstractStructure
 
 
@@ -143,6 +143,8 @@ class _Later(AbstractStructure):
     inner: AbstractStructure
     model: AbstractModel
 
+    solve = of("inner", "solve")
+
     def field(self, t: Any, y: Array, args: Any) -> Array:
         prepared, begin = args[1]
         return self.inner.field(t + begin, y, (self.model, prepared))
@@ -151,12 +153,13 @@ class _Later(AbstractStructure):
         prepared, begin = args[1]
         return self.inner.factor(t + begin, y, (self.model, prepared), scale)
 
-    def solve(self, factors: Any, right: Array) -> Array:
-        return self.inner.solve(factors, right)
-
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         prepared, begin = args[1]
         return self.inner.time_derivative(t + begin, y, (self.model, prepared))
+
+
+def _later(name: str) -> Any:
+    return lambda self, t, y, prepared: getattr(self.inner, name)(t + prepared[1], y, prepared[0])
 
 
 class Onward(Observed):
@@ -170,17 +173,10 @@ class Onward(Observed):
     def initial_state(self, params: Params) -> Array:
         return jnp.asarray(params[START])
 
-    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        return self.inner.vector_field(t + prepared[1], y, prepared[0])
-
-    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.inner.approaches(t + prepared[1], y, prepared[0])
+    vector_field, approaches, observe = map(_later, ("vector_field", "approaches", "observe"))  # pyright: ignore[reportAssignmentType]
 
     def structure(self) -> AbstractStructure:
         return _Later(self.inner.structure(), self.inner)
-
-    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Any]:
-        return self.inner.observe(t + prepared[1], y, prepared[0])
 
 
 def _own(params: Params) -> Params:

@@ -128,6 +128,7 @@ class Programme(eqx.Module):
         return times(share, size)
 
     def share(self, t: ArrayLike, name: str, p: Params) -> Number:
+        """r(t)."""
         rise = SHAPES[self.shape]
         found = 1.0 if self.ramp is None else rise(t / sizes.value(self.ramp, name, "ramp", p))
         if self.reversal is not None:

@@ -51,6 +51,7 @@ class Row(NamedTuple):
         return jax.tree.map(lambda *x: side_by_side(x), *map(read, self.each))
 
     def apart(self, found: Any) -> dict[str, Any]:
+        """What was found of it, by body."""
         if len(self.each) == 1:
             return {self.name: found}
         return {b.name: jax.tree.map(lambda x, k=k: own(x, k), found) for k, b in enumerate(self.each)}

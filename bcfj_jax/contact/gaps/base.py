@@ -81,10 +81,12 @@ class Look(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
+        """Middle of the travel."""
         return 0.5 * (self.low + self.high)
 
     @property
     def half(self) -> np.ndarray:
+        """Half of the travel."""
         return 0.5 * (self.high - self.low)
 
 
