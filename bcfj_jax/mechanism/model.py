@@ -227,8 +227,10 @@ class AbstractModel(eqx.Module):
         """Times (B,) at which a step until ``end`` [s] has to end: amounts over time have a kink there; None for none."""
         return None
 
-    # Longest step that a solver may take [s]; None: as long as its errors allow.
-    longest_step: ClassVar[float | None] = None
+    @property
+    def longest_step(self) -> float | None:
+        """Longest step that a solver may take [s]; None: as long as its errors allow."""
+        return None
 
     # Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does.
     unweighed: ClassVar[bool] = False

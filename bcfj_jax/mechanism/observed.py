@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,40 +26,21 @@ class Shown(NamedTuple):
     friction: None = None
 
 
-_of = partial(of, "inner")
+# What a model works out from its contacts, or as a whole: here from those with readings. All else is the inner model's.
+_OWN = ("alike", "read", "by_contact", "accounts", "parameters", "suspects", "only_law", "with_law", "first_touch")
+_OWN += ("warnings", "chain")
+_TOLD = {*vars(AbstractModel), "kind", "samples", "defaults", "horizon"}
+_TOLD = sorted(name for name in _TOLD if not name.startswith("_") and name not in _OWN)
+_Within: Any = type(AbstractModel)(  # pyright: ignore[reportGeneralTypeIssues]
+    "_Within", (AbstractModel,), {"__module__": __name__, **{name: of("inner", name) for name in _TOLD}}
+)
 
 
-class Observed(AbstractModel):
+class Observed(_Within):
     """``inner`` with readings (``channels``) as further contacts: their values stand where a normal force does."""
 
     inner: AbstractModel
     channels: tuple[Channel, ...] = eqx.field(static=True)
-
-    kind, samples, defaults, horizon, traits, quantities, title = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("kind", "samples", "defaults", "horizon", "traits", "quantities", "title")
-    )
-    initial_state, vector_field, error_scale, tolerance, life, unit_pressure = map(
-        _of, ("initial_state", "vector_field", "error_scale", "tolerance", "life", "unit_pressure")
-    )  # pyright: ignore[reportAssignmentType]
-    first_step, structure, origin, instants, motions, flows = map(
-        _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
-    )
-    proximity, shows_proximity, unsure, unweighed, breaks, longest_step = map(
-        _of, ("proximity", "shows_proximity", "unsure", "unweighed", "breaks", "longest_step")
-    )  # pyright: ignore[reportAssignmentType]
-    load_names, efforts, corners, onsets = map(_of, ("load_names", "efforts", "corners", "onsets"))  # pyright: ignore[reportAssignmentType]
-    body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")
-    )
-    check, require, period, coordinates, neutral, envelope, settled_from = map(
-        _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
-    )
-    recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
-    choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
-    coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")
-    )
-    drawing, carriers, scenery, level, completed = map(_of, ("drawing", "carriers", "scenery", "level", "completed"))
 
     def __getattr__(self, name: str) -> Any:
         # What a model's own code asks of it beyond the interface: its structure solves with it.
