@@ -76,21 +76,18 @@ def _check_tree(scene: Dynamics, where: str) -> None:
             raise InputError(f"{where} body '{b.name}'", f"two bodies have the name '{b.name}'", remedy)
         parents[b.name] = b.parent
     for b in scene.bodies:
-        if b.parent != GROUND and b.parent not in parents:
-            raise InputError(
-                f"{where} body '{b.name}' parent", f"no body '{b.parent}'", nearest(b.parent, [*parents, GROUND])
-            )
-        if b.parent != GROUND and scene.body(b.parent).members:
-            raise InputError(
-                f"{where} body '{b.name}' parent", f"'{b.parent}' has members", "give a parent without members"
-            )
-        if b.parent != GROUND and scene.body(b.parent).joint == "sphere":
-            raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' is a {_SPHERE}", _FREE)
+        place, parent = f"{where} body '{b.name}' parent", None if b.parent == GROUND else b.parent
+        if parent is not None and parent not in parents:
+            raise InputError(place, f"no body '{parent}'", nearest(parent, [*parents, GROUND]))
+        if parent is not None and scene.body(parent).members:
+            raise InputError(place, f"'{parent}' has members", "give a parent without members")
+        if parent is not None and scene.body(parent).joint == "sphere":
+            raise InputError(place, f"'{parent}' is a {_SPHERE}", _FREE)
         chain, at = [b.name], b.parent
         while at != GROUND:
             if at in chain:
                 found = f"the parents form a circle: {' on '.join([*chain, at])}"
-                raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
+                raise InputError(place, found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = parents[at]
     heavy = {one.name for b in scene.bodies if not b.massless for one in scene.ancestry(b.name)}

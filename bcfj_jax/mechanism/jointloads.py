@@ -17,7 +17,7 @@ from bcfj_jax.core.vectors import Number, minus, times
 from bcfj_jax.mechanism import sizes, springs
 from bcfj_jax.mechanism.acting import CoordinateLoad, Onset
 from bcfj_jax.mechanism.bodies import Drive
-from bcfj_jax.mechanism.programmes import Table, given_table
+from bcfj_jax.mechanism.programmes import Table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
 # A friction law's coefficients and the keys of ``JointFriction`` for them.
@@ -44,7 +44,7 @@ class JointSpring(CoordinateLoad):
     damping: Size = sizes.field("joint spring damping", default=0.0)
     rest: Size = sizes.field("joint spring rest", default=0.0)
     drive: Drive | None = None
-    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("joint spring table", x))
+    table: Table | None = springs.field("joint spring table")
     side: str = eqx.field(static=True, default="both")
 
     def __check_init__(self):

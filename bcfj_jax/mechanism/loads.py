@@ -194,7 +194,7 @@ class Spring(_BetweenPoints):
     damping: Size = sizes.field("spring damping", default=0.0)
     free_length: Size = sizes.field("spring free_length", default=0.0)
     at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
-    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("spring table", x))
+    table: Table | None = springs.field("spring table")
     side: str = eqx.field(static=True, default="both")
 
     def __check_init__(self):

@@ -376,10 +376,8 @@ class AbstractModel(eqx.Module):
         """By name, where a coordinate and its velocity are in the flat state."""
         return {}
 
-    @property
-    def drive_coordinate(self) -> str:
-        """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
-        return ""
+    # Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns.
+    drive_coordinate: ClassVar[str] = ""
 
     def recurs(self, params: Params) -> bool:
         """Whether steady motion repeats itself after a ``pitch``. Decided on the host."""
@@ -457,10 +455,8 @@ class AbstractModel(eqx.Module):
         """Other choices of the model, one change each, whose effect is the error of the model form; on the host."""
         return ()
 
-    @property
-    def model_form(self) -> str:
-        """What is known of the error of the model form, to go on "the error is that of the computation; "."""
-        return "laws, coefficients and rigid bodies are taken as given"
+    # What is known of the error of the model form, to go on "the error is that of the computation; ".
+    model_form: ClassVar[str] = "laws, coefficients and rigid bodies are taken as given"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]

@@ -89,8 +89,11 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             if isinstance(c, alike.Alike) and (places := c.places(parts)) is not None:
                 mass = felt.beside(parts, places, way, arms)
             elif scattered:
-                own_arms = alike.apart(c, (way, *arms))
-                mass = jnp.stack([felt.apart(one.parts(parts), *own_arms[one.name]) for one in c.each])
+                own_arms = alike.apart(c, (way, arms))
+                each = (
+                    (felt.partials(one.parts(parts), own_arms[one.name][1]), own_arms[one.name][0]) for one in c.each
+                )
+                mass = jnp.stack([felt.mass(*pair) for pair in each])
             else:
                 mass = felt.mass(partials, way)
             pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
@@ -200,10 +203,6 @@ class _Felt(NamedTuple):
                 self.levers[j].extend(where.spread(_size(v)))
             found = plus(found, _compliance(self.gathered, row, self.count, lambda x, where=where: taken(x, where.at)))
         return _mass(found)
-
-    def apart(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
-        """Of one of several contacts side by side."""
-        return self.mass(self.partials(bodies, (arms[0], arms[1])), way)
 
 
 def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:

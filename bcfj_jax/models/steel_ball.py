@@ -62,6 +62,11 @@ def picked(values: Mapping[str, float], names: Iterable[str]) -> dict[str, float
     return {name: value for name, value in values.items() if name in wanted}
 
 
+def loaded_turn(p: Params) -> Array:
+    """A turn after the load has risen [s]."""
+    return p["load_ramp"] + 2.0 * jnp.pi / jnp.maximum(jnp.abs(p["drive_speed"]), 1e-3)
+
+
 @cache
 def half(length: str, sign: float = 1.0) -> Any:
     """Place of a rod's end from its middle, or of its middle from its end, by the name of its length."""

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -50,6 +50,7 @@ from bcfj_jax.mechanism.model import (
 from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.scene import OF_A_BALL
+from bcfj_jax.models.steel_ball import loaded_turn
 from bcfj_jax.models.string_bending import BENDING, Bent, bent, check_length, rigidity, swayed
 
 WHERE = "scene 'string'"
@@ -204,6 +205,7 @@ class StringModel(AbstractModel):
     count: int = eqx.field(static=True)
     kind: str = eqx.field(static=True, default="string")
     bending: bool = eqx.field(static=True, default=False)
+    settled_when: ClassVar[str] = "the load has risen"
     samples: int = eqx.field(static=True, default=301)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
@@ -242,9 +244,7 @@ class StringModel(AbstractModel):
         return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
 
     def horizon(self, params: Params) -> Array:
-        """A turn after the load has risen."""
-        speed = jnp.maximum(jnp.abs(params["drive_speed"]), 1e-3)
-        return params["load_ramp"] + 2.0 * jnp.pi / speed
+        return loaded_turn(params)
 
     def joints(self, params: Params) -> Params:
         """Parameters of the joints, each (n,)."""
@@ -260,7 +260,6 @@ class StringModel(AbstractModel):
         return jax.vmap(self.joint.initial_state)(self.joints(params)).reshape(-1)
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        del t, prepared
         return jnp.zeros_like(y)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
@@ -296,11 +295,6 @@ class StringModel(AbstractModel):
     def settled_from(self, params: Params) -> float:
         """When the load has risen."""
         return float(params["load_ramp"])
-
-    @property
-    def settled_when(self) -> str:
-        """As ``settled_from``."""
-        return "the load has risen"
 
     def check(self, params: Params, where: str = "") -> None:
         """Refuse a string that does not pass, bend or turn, with the number that would do; then joints as joints are."""
@@ -365,12 +359,10 @@ class StringModel(AbstractModel):
 
     def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
         """The string has sizes of its own."""
-        del size, travel
         return string_drawing.drawing(params, self.count)
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """Every segment turns as the drive does."""
-        del y
         turns = jnp.full(self.count + 1, params["drive_speed"] * t)
         return string_drawing.scenery(params, chord(params), turns)
 

@@ -37,7 +37,7 @@ from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.programmes import drive_at
 from bcfj_jax.models.joint.scales import TOLD
 from bcfj_jax.models.string import StringModel, loads, polar
-from bcfj_jax.models.string_motion import MovingString, weight
+from bcfj_jax.models.string_motion import MovingString, above, below, weight
 
 
 class _Factors(NamedTuple):
@@ -89,7 +89,7 @@ class Chained(AbstractStructure):
         by_place = scale * held["coupling"]
         by_speed = by_place + held["coupling_damping"]
         seat, head = (jnp.moveaxis(answer[:, k][:, at], -1, 0) for k in (0, 1))
-        bands = jnp.stack([-_above(seat[1]), seat[0] + _above(head[1]), -head[0].at[-1].set(0.0)])
+        bands = jnp.stack([-above(seat[1]), seat[0] + above(head[1]), -head[0].at[-1].set(0.0)])
         return _Factors(own, answer, slope, by_place, by_speed, (by_speed * bands).at[1].add(1.0))
 
     def solve(self, factors: Any, right: Array) -> Array:
@@ -98,27 +98,16 @@ class Chained(AbstractStructure):
         right = right.reshape(n, -1)
         found = jax.vmap(self.string.joint.structure().solve)(factors.own, right)
         found = found + (factors.slope * found[:, at[1]])[:, None] * factors.answer[:, 1]
-        known, closing = (_above(x[:, k[1]]) - x[:, k[0]] for x, k in ((right, place), (found, at)))
-        below, on, above = factors.bands
+        known, closing = (above(x[:, k[1]]) - x[:, k[0]] for x, k in ((right, place), (found, at)))
         known = factors.by_place * known + factors.by_speed * closing
-        torque = tridiagonal_solve(below, on, above, known[:, None])
-        return (found + torque * factors.answer[:, 0] - _below(torque) * factors.answer[:, 1]).ravel()
+        torque = tridiagonal_solve(factors.bands[0], factors.bands[1], factors.bands[2], known[:, None])
+        return (found + torque * factors.answer[:, 0] - below(torque) * factors.answer[:, 1]).ravel()
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """Of what acts on the joints: by themselves they do not depend on time."""
         string, (_, held) = self.string, args
         rate = jax.jvp(lambda t: string.pushed(t, y, held), (t,), (jnp.ones_like(t),))[1]
         return jnp.zeros((string.count, string.joint.states)).at[:, string.rates].set(rate).ravel()
-
-
-def _above(x: Array) -> Array:
-    """Of the joint above each, 0 above the first."""
-    return jnp.concatenate([jnp.zeros_like(x[:1]), x[:-1]])
-
-
-def _below(x: Array) -> Array:
-    """Of the joint below each, 0 below the last."""
-    return jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
 
 
 class DynamicString(MovingString):
@@ -188,7 +177,7 @@ class DynamicString(MovingString):
         axial = -self.axial(t, prepared)[:, None] * c.axes[:, 1]
         parts = {"head": axial, "cage": jnp.zeros((self.count, 3)), "cage_turn": jnp.zeros((self.count, 3))}
         parts["seat_turn"] = torque[:, None]
-        parts["head_turn"] = (self.rubbed(t, speed[:, 1], prepared) - _below(torque))[:, None]
+        parts["head_turn"] = (self.rubbed(t, speed[:, 1], prepared) - below(torque))[:, None]
         found = self.joint.coupled(parts) * c.coupling_inverse_mass
         if self.flexible or over.drive is None:
             return found
@@ -237,7 +226,7 @@ class DynamicString(MovingString):
         """Of what turns each seat: elastic and damping torque, twist, speed of the drive."""
         place, rate = self.turns(y)
         turn, speed = self._shaft.drive(t, prepared)
-        twist, closing = (_above(x[:, 1]).at[0].set(x0) - x[:, 0] for x, x0 in ((place, turn), (rate, speed)))
+        twist, closing = (above(x[:, 1]).at[0].set(x0) - x[:, 0] for x, x0 in ((place, turn), (rate, speed)))
         return prepared["coupling"] * twist, prepared["coupling_damping"] * closing, twist, jnp.asarray(speed)
 
     def _split(self, y: Array) -> tuple[Array, Array, list[Array]]:
@@ -271,7 +260,7 @@ class DynamicString(MovingString):
         both = jax.vmap(lambda y, c: (energy.power(self.joint, c, t, y), energy.stored(self.joint, c, t, y)))
         power, stored = jax.tree.map(jnp.sum, both(y.reshape(self.count, -1), c))
         elastic, damping, twist, top = self._springs(t, y, prepared)
-        closing = _above(rate[:, 1]).at[0].set(top) - rate[:, 0]
+        closing = above(rate[:, 1]).at[0].set(top) - rate[:, 0]
         wall, bit = (-load.on_coordinate(t, None, rate[:, 1], prepared) @ rate[:, 1] for load in self._rubbing)
         _, given, rubs = self._top(t, y, prepared)
         taken = {"bit": bit, "wall": rubs * top + wall, "axial": power.axial, "friction": power.friction}

@@ -254,19 +254,22 @@ class Row(AbstractStructure):
         push, bends, kept = bent or (0.0, 0.0, 1.0)
         angle, speed, *bend = jnp.split(right, 3 if bent else 2)
         speed = sum((push / kept * x for x in bend), speed)
-        pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
-        below, on, above = whole
-        rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
+        pushed = by_angle[1] * angle + by_angle[0] * above(angle) + by_angle[2] * below(angle)
+        rate = tridiagonal_solve(whole[0], whole[1], whole[2], (speed + s * pushed)[:, None])[:, 0]
         return jnp.concatenate([s * (angle + rate), rate, *((x + bends * rate) / kept for x in bend)])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         return jax.jvp(lambda t: self.field(t, y, args), (t,), (jnp.ones_like(t),))[1]
 
 
-def _shifted(x: Array, by: int) -> Array:
-    """The neighbour's entries, 0 beyond the end."""
-    none = jnp.zeros(1)
-    return jnp.concatenate([none, x[:-1]] if by > 0 else [x[1:], none])
+def above(x: Array) -> Array:
+    """Of the neighbour above each, 0 above the first."""
+    return jnp.concatenate([jnp.zeros_like(x[:1]), x[:-1]])
+
+
+def below(x: Array) -> Array:
+    """Of the neighbour below each, 0 below the last."""
+    return jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
 
 
 class MovingString(StringModel):
@@ -294,7 +297,6 @@ class MovingString(StringModel):
 
     @property
     def title(self) -> str:
-        """That it moves."""
         return f"torsional {super().title}"
 
     @property
@@ -342,7 +344,6 @@ class MovingString(StringModel):
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         """Twist of a segment under the bit's torque, and the speed that this swings at."""
-        del end
         k = torsional_stiffness(params)
         twist = (params["bit_torque"] + 1e-3 * params["drive_torque"]) / k
         bend = [jnp.full(self.count, self._bit.reach(params))] if self._bit.bristles else []
@@ -350,7 +351,6 @@ class MovingString(StringModel):
 
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which a twist is gone at its speed."""
-        del params
         return 1e-2 * scales[0] / scales[self.count]
 
     def coordinates(self) -> dict[str, tuple[int, int]]:

@@ -412,7 +412,7 @@ BAD = {
     "an option of the gap": (
         'gap = "pin_in_bearing"', 'gap = "pin_in_bearing"\npads = 6', ["'journal' pads", 'gap = { kind = "pin_in_bearing", pads']
     ),
-    "a coefficient": (
+    "a coefficient among the keys": (
         'gap = "pin_in_bearing"', 'gap = "pin_in_bearing"\nstiffness = 1', ["'journal' stiffness", '"journal.stiffness" in']
     ),
     "parts of a scene that has its own": ('kind = "mechanism"', 'kind = "impact"', ["[[body]]", "'impact' has its own parts"]),

@@ -90,11 +90,7 @@ class CylinderOnPlane(CapsuleOnPlane):
             stands, tips and slides, and rolls as a prism does.
     """
 
-    points: int = eqx.field(static=True, default=0, converter=lambda n: counted("points", n))
-
-    def __check_init__(self):
-        if self.points in (1, 2):
-            raise InputError("gap, option 'points'", f"{self.points} points hold no rim", "give 3 or more, or 0")
+    points: int = eqx.field(static=True, default=0, converter=lambda n: counted("points", n, "rim"))
 
     @property
     def members(self) -> int:
