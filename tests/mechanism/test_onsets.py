@@ -23,7 +23,7 @@ def mass(**start):
     return Body("a", "slide", axis="x", mass=1.0, start=start)
 
 
-def after(scene, name, value, names, end, accuracy="balanced"):
+def after(scene, name, value, names, end, accuracy: str | float = "balanced"):
     """Readings at the end, and their derivatives by a parameter."""
     params = scene.parameters()
 
