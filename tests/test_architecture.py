@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from bcfj_jax.mechanism.model import AbstractModel
+
 ROOT = Path(__file__).resolve().parent.parent
 # A folder (or a module at the top of a package) may import from those before it. The front door, ``__init__``, may
 # name everything.
@@ -37,12 +39,15 @@ ASKS = re.compile(
 )
 INSIDES = re.compile(r"bcfj_jax\.(models\.(?!scenes\b)|mechanism\.(equations|scales)\b)")
 # What fulfils a documented abstract method or property is documented there: of a law, a gap and a load, of diffrax's
-# solvers and interpolations, of a structure.
+# solvers and interpolations, of a structure, of equations, and of a model.
 INHERITED = {"force", "needs", "mobility", "rates", "sizes", "stored", "unloading", "bond", "lag", "reach"}
 INHERITED |= {"faces", "bends", "axial", "drawn", "members", "quantities", "carried", "radius", "size", "misread"}
 INHERITED |= {"actions", "touches", "damps", "kinks", "parameters", "on_coordinate", "on_coordinates"}
 INHERITED |= {"order", "error_order", "init", "func", "step", "evaluate"}
-INHERITED |= {"field", "factor", "solve", "time_derivative"}
+INHERITED |= {"field", "factor", "solve", "solve_transposed", "time_derivative", "push", "act", "wrench"}
+INHERITED |= {"axial_by", "preloads", "bristles", "bending", "holding", "corners", "onsets", "onsets_on", "acts_on"}
+INHERITED |= {name for name, x in vars(AbstractModel).items() if not name.startswith("_") and x.__doc__}
+INHERITED |= {"defaults", "horizon"}
 SOURCES = sorted(path for package in LAYERS for path in (ROOT / package).rglob("*.py"))
 FRONT = [path for path in SOURCES if path.relative_to(ROOT).parts[1] != "__init__.py"]
 

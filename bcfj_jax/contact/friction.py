@@ -284,13 +284,7 @@ class LuGre(AbstractFriction):
     ``bristle_stiffness`` sigma0 [1/m], ``bristle_damping`` sigma1 [s/m].
     """
 
-    needs: ClassVar[tuple[str, ...]] = (
-        "friction_static",
-        "friction_dynamic",
-        "friction_speed",
-        "bristle_stiffness",
-        "bristle_damping",
-    )
+    needs: ClassVar[tuple[str, ...]] = (*BrownMcPhee.needs, "bristle_stiffness", "bristle_damping")
     bristles: ClassVar[bool] = True
 
     def _steady(self, speed_squared: Array, c: Coefficients) -> Array:

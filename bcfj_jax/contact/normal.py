@@ -44,12 +44,13 @@ class AbstractLaw(Part):
     """Normal force F(d, d') >= 0 of one contact; ``states`` names the numbers that the law remembers of it.
 
     ``bends`` says whether the force has a corner over the penetration where that turns, from approach to departure; ``ends``
-    whether it may end, with a corner, before the surfaces part.
+    whether it may end, with a corner, before the surfaces part, and ``jumps`` whether it may be above 0 where they touch.
     """
 
     states: ClassVar[tuple[str, ...]] = ()
     bends: ClassVar[bool] = False
     ends: ClassVar[bool] = False
+    jumps: ClassVar[bool] = True
     example: ClassVar[str] = """
 class Linear(bj.laws.AbstractLaw):
     needs = ("stiffness",)
@@ -96,6 +97,7 @@ def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: 
 class AbstractElasticLaw(AbstractLaw):
     """A law f(d) with a loss; ``reads`` names the coefficients of the loss, beside those of the elastic part f."""
 
+    jumps: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ()
     elastic: AbstractElastic = Power()
 
@@ -120,6 +122,7 @@ class KelvinVoigt(AbstractElasticLaw):
     """
 
     ends: ClassVar[bool] = True
+    jumps: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("dashpot",)
     elastic: AbstractElastic = Linear()
     tension: bool = eqx.field(static=True, default=False)
@@ -164,7 +167,7 @@ class DampedStop(AbstractElasticLaw):
 class Restitution(AbstractElasticLaw):
     """F = f(d) (1 + chi(e) d'/v0), the family of ``restitution.FACTORS``; v0 is the approach speed of this impact.
 
-    Validity is the factor's: each docstring there says which e it delivers. ``exact`` delivers all.
+    Validity is the factor's: a comment there says which e each delivers. ``exact`` delivers all.
     Coefficients: those of the elastic part, ``restitution`` e [-] and ``approach_speed`` v0 [m/s] > 0, which
     the scene supplies (at least 1e-9 m/s, which keeps a resting contact finite).
     """
@@ -204,6 +207,7 @@ class ElastoGap(AbstractElasticLaw):
     """
 
     ends: ClassVar[bool] = True
+    jumps: ClassVar[bool] = True
     reads: ClassVar[tuple[str, ...]] = ("dashpot",)
 
     def force(self, penetration: Array, rate: Array, c: Coefficients) -> Array:

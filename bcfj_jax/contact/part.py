@@ -37,6 +37,11 @@ class Part(eqx.Module):
         return super().__new__(cls)
 
 
+def of(field: str, name: str) -> Any:
+    """A property that is the one of what an object has in a field."""
+    return property(lambda self: getattr(getattr(self, field), name))
+
+
 def checked(where: str, given: Any, kind: type[Any], what: str, by_name: str) -> Any:
     """A part that was given as itself, of an abstract class; ``what`` it is called, and ``by_name`` what else may be given."""
     if isinstance(given, kind):

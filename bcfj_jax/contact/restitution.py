@@ -11,6 +11,7 @@ meant to deliver the restitution e. What each one really delivers follows for an
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import jax.numpy as jnp
 from jax import Array
@@ -79,76 +80,38 @@ def _floored(restitution: ArrayLike) -> Array:
     return jnp.where(e < LOWEST_RESTITUTION, LOWEST_RESTITUTION, e)
 
 
-def hunt_crossley(restitution: ArrayLike) -> Array:
-    """chi = 3 (1 - e) / 2. Hunt and Crossley 1975; right in the limit e -> 1."""
-    return 1.5 * (1.0 - _floored(restitution))
+# By name chi(e) of the family; whose it is, and where it delivers the e that was asked for.
+_CHI: dict[str, Callable[[Array], Array]] = {
+    # Hunt and Crossley 1975; right in the limit e -> 1.
+    "hunt_crossley": lambda e: 1.5 * (1.0 - e),
+    # Herbert and McWhannell 1977; e >= about 0.9.
+    "herbert_mcwhannell": lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0),
+    # Lee and Wang 1983; half the exact slope, so e is missed even at e -> 1.
+    "lee_wang": lambda e: 0.75 * (1.0 - e),
+    # Lankarani and Nikravesh 1990; e >= about 0.9 (delivers .796 for .7).
+    "lankarani_nikravesh": lambda e: 0.75 * (1.0 - e**2),
+    # Gonthier et al. 2004, first approximation; e within 4.4 % for e >= .1.
+    "gonthier": lambda e: (1.0 - e * e) / e,
+    # Zhiying and Qishao 2006; e within 4 % for e >= .4.
+    "zhiying_qishao": lambda e: 0.75 * (1.0 - e * e) * jnp.exp(2.0 * (1.0 - e)),
+    # Flores et al. 2011; e within 6 % for e >= .5, -31 % at .1.
+    "flores": lambda e: 1.6 * (1.0 - e) / e,
+    # Hu and Guo 2015; e within 2.5 % for e >= .5.
+    "hu_guo": lambda e: 1.5 * (1.0 - e) / e,
+    # Carvalho and Martins 2019; e within .3 % for e >= .4.
+    "carvalho_martins": lambda e: 1.5 * (1.0 - e) * (11.0 - e) / (1.0 + 9.0 * e),
+    # Zhang et al. 2020; e within 1.6 % for e >= .3, 5 % at .1.
+    "zhang": lambda e: 1.5 * (1.0 - e) / e**0.89,
+    # Safaeifar and Farshidianfar 2020; +7 % at .4 to .5, wrong slope at 1.
+    "safaeifar_farshidianfar": lambda e: 1.25 * (1.0 - e) / e,
+}
 
 
-def herbert_mcwhannell(restitution: ArrayLike) -> Array:
-    """chi = 6 (1 - e) / ((2 e - 1)^2 + 3). Herbert and McWhannell 1977; e >= about 0.9."""
-    e = _floored(restitution)
-    return 6.0 * (1.0 - e) / ((2.0 * e - 1.0) ** 2 + 3.0)
+def _chi(name: str, restitution: ArrayLike) -> Array:
+    return _CHI[name](_floored(restitution))
 
 
-def lee_wang(restitution: ArrayLike) -> Array:
-    """chi = 3 (1 - e) / 4. Lee and Wang 1983; half the exact slope, so e is missed even at e -> 1."""
-    return 0.75 * (1.0 - _floored(restitution))
-
-
-def lankarani_nikravesh(restitution: ArrayLike) -> Array:
-    """chi = 3 (1 - e^2) / 4. Lankarani and Nikravesh 1990; e >= about 0.9 (delivers .796 for .7)."""
-    return 0.75 * (1.0 - _floored(restitution) ** 2)
-
-
-def gonthier(restitution: ArrayLike) -> Array:
-    """chi = (1 - e^2) / e. Gonthier et al. 2004, first approximation; e within 4.4 % for e >= .1."""
-    e = _floored(restitution)
-    return (1.0 - e * e) / e
-
-
-def zhiying_qishao(restitution: ArrayLike) -> Array:
-    """chi = (3/4)(1 - e^2) exp(2 (1 - e)). Zhiying and Qishao 2006; e within 4 % for e >= .4."""
-    e = _floored(restitution)
-    return 0.75 * (1.0 - e * e) * jnp.exp(2.0 * (1.0 - e))
-
-
-def flores(restitution: ArrayLike) -> Array:
-    """chi = 8 (1 - e) / (5 e). Flores et al. 2011; e within 6 % for e >= .5, -31 % at .1."""
-    e = _floored(restitution)
-    return 1.6 * (1.0 - e) / e
-
-
-def hu_guo(restitution: ArrayLike) -> Array:
-    """chi = 3 (1 - e) / (2 e). Hu and Guo 2015; e within 2.5 % for e >= .5."""
-    e = _floored(restitution)
-    return 1.5 * (1.0 - e) / e
-
-
-def carvalho_martins(restitution: ArrayLike) -> Array:
-    """chi = (3/2)(1 - e)(11 - e) / (1 + 9 e). Carvalho and Martins 2019; e within .3 % for e >= .4."""
-    e = _floored(restitution)
-    return 1.5 * (1.0 - e) * (11.0 - e) / (1.0 + 9.0 * e)
-
-
-def zhang(restitution: ArrayLike) -> Array:
-    """chi = 3 (1 - e) / (2 e^0.89). Zhang et al. 2020; e within 1.6 % for e >= .3, 5 % at .1."""
-    e = _floored(restitution)
-    return 1.5 * (1.0 - e) / e**0.89
-
-
-def safaeifar_farshidianfar(restitution: ArrayLike) -> Array:
-    """chi = 5 (1 - e) / (4 e). Safaeifar and Farshidianfar 2020; +7 % at .4 to .5, wrong slope at 1."""
-    e = _floored(restitution)
-    return 1.25 * (1.0 - e) / e
-
-
-FACTORS: dict[str, Callable[[ArrayLike], Array]] = {
-    f.__name__: f
-    for f in (
-        exact, hunt_crossley, herbert_mcwhannell, lee_wang, lankarani_nikravesh, gonthier,
-        zhiying_qishao, flores, hu_guo, carvalho_martins, zhang, safaeifar_farshidianfar,
-    )
-}  # fmt: skip
+FACTORS: dict[str, Callable[[ArrayLike], Array]] = {"exact": exact, **{name: partial(_chi, name) for name in _CHI}}
 
 
 def undamped_penetration(stiffness: ArrayLike, exponent: ArrayLike, mass: ArrayLike, speed: ArrayLike) -> Array:

@@ -283,6 +283,7 @@ class _Builder:
             return Drive(**given)
 
     def _contact(self, table: Mapping[str, Any], place: str) -> tuple[Contact, dict[str, Any]]:
+        _check_misplaced(table, place)
         entry = _checked(keys.ContactTable, table, place)
         gap, gap_table = _gap(entry.gap, f"{place} gap")
         # A law of its own has its own elastic part, whatever the other contacts have.
@@ -393,6 +394,19 @@ def _said_of(part: str, place: str) -> contextlib.AbstractContextManager[None]:
 def _axis(axis: Any, place: str) -> Any:
     sizes.axis(axis, place)
     return axis if isinstance(axis, str) else tuple(float(x) for x in axis)
+
+
+def _check_misplaced(table: Mapping[str, Any], place: str) -> None:
+    """Refuse an option of the gap, or a coefficient, that stands among the keys of a contact, and say where it belongs."""
+    kind = table.get("gap")
+    gap = GAPS.get(kind) if isinstance(kind, str) else None
+    options = [field.name for field in dataclasses.fields(gap)] if isinstance(gap, type) else []
+    for key in table.keys() - keys.ContactTable.model_fields.keys():
+        remedy = f'it is an option of the gap: gap = {{ kind = "{kind}", {key} = ... }}'
+        if key not in options:
+            remedy = f'it is a coefficient: values = {{ {key} = ... }}, or "{table.get("name")}.{key}" in [parameters]'
+        if key in options or key in CATALOGUE:
+            raise InputError(f"{place} {key}", f"unknown key '{key}'", remedy)
 
 
 def _gap(given: str | dict[str, Any], place: str) -> tuple[AbstractGap, Any]:

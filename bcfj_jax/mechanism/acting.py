@@ -97,7 +97,6 @@ class Pull(bj.loads.AbstractLoad):
         """Forces and torques now; the powers of an action and of its reaction may differ, which is what it stores."""
 
     def parameters(self) -> Parameters:
-        """Its parameters with their defaults."""
         return {}
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
@@ -124,12 +123,10 @@ class Pull(bj.loads.AbstractLoad):
         return ()
 
     def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
-        """Of each of ``corners``."""
         return []
 
     @property
     def damps(self) -> bool:
-        """Whether it may oppose a velocity."""
         return any(not sizes.nothing(getattr(self, name, 0.0)) for name in ("damping", "turning_damping"))
 
 

@@ -9,10 +9,10 @@ Only arrays of floating-point numbers are parameters; others stay as they are.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -24,7 +24,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.normal import AbstractLaw
-from bcfj_jax.contact.part import Part
+from bcfj_jax.contact.part import Part, of
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import Quantity
@@ -137,16 +137,12 @@ def _filling(name: str) -> Any:
     return lambda self, *args: getattr(filled(self.part, args[-1], self.prefix), name)(*args)
 
 
-def _same(name: str) -> Any:
-    return property(lambda self: getattr(self.part, name))
-
-
 class HeldLaw(_Filled, AbstractLaw):
     """A normal-force law with arrays."""
 
     part: AbstractLaw
     prefix = "law."
-    states = _same("states")
+    states = of("part", "states")
     force, rates, sizes, stored = map(_filling, ("force", "rates", "sizes", "stored"))
 
 
@@ -155,20 +151,14 @@ class HeldFriction(_Filled, AbstractFriction):
 
     part: AbstractFriction
     prefix = "friction."
-    bristles, lags, span = map(_same, ("bristles", "lags", "span"))
+    bristles, lags, span = map(partial(of, "part"), ("bristles", "lags", "span"))
     mobility, bond, lag, reach = map(_filling, ("mobility", "bond", "lag", "reach"))
 
 
-def law(given: AbstractLaw) -> AbstractLaw:
-    """A law as a contact keeps it."""
-    found = taken("contact law", given)
-    return found if found is given else HeldLaw(found)
-
-
-def friction(given: AbstractFriction) -> AbstractFriction:
-    """A friction law as a contact keeps it."""
-    found = taken("contact friction", given)
-    return found if found is given else HeldFriction(found)
+def kept(where: str, part: Any, holder: Callable[..., Any]) -> Any:
+    """A part as a scene keeps it: in a ``holder`` where it has arrays."""
+    found = taken(where, part)
+    return part if found is part else holder(part=found)
 
 
 def defaults(*parts: Any) -> dict[str, np.ndarray]:
@@ -235,7 +225,7 @@ def _traced(x: Any, seen: set[int]) -> bool:
         inner = x
     elif isinstance(x, Mapping):
         inner = x.values()
-    elif isinstance(x, functools.partial):
+    elif isinstance(x, partial):
         inner = (x.func, x.args, x.keywords)
     elif isinstance(x, types.MethodType):
         inner = (x.__self__,)

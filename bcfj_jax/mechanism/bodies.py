@@ -8,7 +8,8 @@ its partial velocities (Kane and Levinson, Dynamics, 1985). Accelerations are  s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -52,15 +53,8 @@ JOINTS: dict[str, tuple[tuple[str, str, int], ...]] = {
     "free": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "ball", 2)),
     "sphere": (("x", "slide", 0), ("y", "slide", 1), ("z", "slide", 2), ("", "spin", 2)),
 }
-RATES = {
-    "position": "velocity",
-    "angle": "speed",
-    "x": "vx",
-    "y": "vy",
-    "z": "vz",
-    "first": "first_speed",
-    "second": "second_speed",
-}
+RATES = {"position": "velocity", "angle": "speed"} | {key: f"v{key}" for key in "xyz"}
+RATES |= {key: f"{key}_speed" for key in ("first", "second")}
 # Of a matrix of inertia: about its axes, and its entries beside the diagonal, which are less the integrals of x y dm.
 INERTIAS = ("x", "y", "z", "xy", "yz", "zx")
 QUATERNION, SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
@@ -104,7 +98,6 @@ class Drive(eqx.Module):
             )
 
     def needs(self, body: str, turns: bool) -> Parameters:
-        """Its parameters."""
         unit = "rad" if turns else "m"
         found: Parameters = {}
         if self.kind in ("constant", "ramp"):
@@ -216,7 +209,9 @@ class Body(eqx.Module):
     center: Place = sizes.field("body center", default=ORIGIN)
     mass: Size = sizes.field("body mass", default=None)
     inertia: Any = sizes.field("body inertia", default=None)
-    start: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda s: _items(s))
+    start: tuple[tuple[str, Size], ...] = eqx.field(
+        static=True, default=(), converter=partial(sizes.items, "body start")
+    )
     drive: Drive | None = None
     members: int = eqx.field(
         static=True, default=0, converter=lambda n: whole("body members", n, least=0, most=limits.MEMBERS)
@@ -224,10 +219,6 @@ class Body(eqx.Module):
 
     def __check_init__(self):
         where = f"body {quoted(self.name)}"
-        if not isinstance(self.name, str) or not self.name.isidentifier() or self.name == GROUND:
-            raise InputError(
-                where, "is not a valid name of a body", "give a word of letters, digits and '_', other than 'ground'"
-            )
         if self.joint not in JOINTS:
             raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
         if self.parent == self.name:
@@ -277,7 +268,6 @@ class Body(eqx.Module):
 
     @property
     def rates(self) -> tuple[str, ...]:
-        """Names of its velocities in the state."""
         if self.drive is not None:
             return ()
         parts = ((RATES[name],) if kind in ("slide", "hinge") else SPINS for name, kind, _ in JOINTS[self.joint])
@@ -328,11 +318,6 @@ class Body(eqx.Module):
         if self.drive is not None:
             found |= self.drive.needs(name, self.joint == "hinge")
         return found
-
-
-def _items(start: Any) -> tuple[tuple[str, Size], ...]:
-    items = start.items() if isinstance(start, Mapping) else start
-    return tuple((key, sizes.plain(f"body start {key}", size)) for key, size in items)
 
 
 def principal(inertia: Sequence[Any]) -> tuple[float, ...]:
@@ -398,6 +383,12 @@ class Part(NamedTuple):
         return self._replace(
             place=add(self.place, arm), velocity=self.velocity_at(arm), partials=partials, drift=self.drift_at(arm)
         )
+
+    def gained(self, rates: Sequence[Number]) -> tuple[Vector, Vector]:
+        """Acceleration of its origin and its angular one, at accelerations of the free velocities; world."""
+        own = [(rates[j], w, v) for j, (w, v) in self.partials.items() if j < len(rates)]
+        drift = add(self.drift, *(scale(rate, v) for rate, _, v in own))
+        return drift, add(self.swirl, *(scale(rate, w) for rate, w, _ in own))
 
 
 STILL = Part(WORLD, ZERO, ZERO, ZERO, {}, ZERO, ZERO)

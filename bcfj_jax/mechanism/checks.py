@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import is_traced, positive
 from bcfj_jax.core.vectors import spread
 from bcfj_jax.mechanism import inputs
@@ -38,13 +38,17 @@ def check_structure(scene: Dynamics) -> None:
     where = f"mechanism '{scene.kind}'"
     if not scene.bodies:
         raise InputError(where, "has no bodies", "list at least one")
-    _check_tree(scene, where)
     for load in scene.loads:
         checked(f"{where} load", load)
-    for part in (*scene.contacts, *scene.loads):
-        _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
+    parts = [*((b, "body") for b in scene.bodies), *((c, "contact") for c in scene.contacts)]
+    for part, what in parts:
+        if not isinstance(part.name, str) or not part.name.isidentifier() or part.name == GROUND:
+            remedy = f"give a word of letters, digits and '_', other than '{GROUND}'"
+            raise InputError(f"{where} {what} {quoted(part.name)}", f"is not a valid name of a {what}", remedy)
+    _check_tree(scene, where)
     names: dict[str, str] = {b.name: "body" for b in scene.bodies}
-    for part, what in [(c, "contact") for c in scene.contacts] + [(x, "load") for x in scene.loads]:
+    for part, what in [*parts[len(names) :], *((x, "load") for x in scene.loads)]:
+        _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
         if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
             found = f"the name '{part.name}' already belongs to a {names[part.name]}"
             raise InputError(f"{where} {what}", found, "give another name")
@@ -68,21 +72,18 @@ def _check_tree(scene: Dynamics, where: str) -> None:
             raise InputError(f"{where} body '{b.name}'", f"two bodies have the name '{b.name}'", remedy)
         parents[b.name] = b.parent
     for b in scene.bodies:
-        if b.parent != GROUND and b.parent not in parents:
-            raise InputError(
-                f"{where} body '{b.name}' parent", f"no body '{b.parent}'", nearest(b.parent, [*parents, GROUND])
-            )
-        if b.parent != GROUND and scene.body(b.parent).members:
-            raise InputError(
-                f"{where} body '{b.name}' parent", f"'{b.parent}' has members", "give a parent without members"
-            )
-        if b.parent != GROUND and scene.body(b.parent).joint == "sphere":
-            raise InputError(f"{where} body '{b.name}' parent", f"'{b.parent}' is a {_SPHERE}", _FREE)
+        place, parent = f"{where} body '{b.name}' parent", None if b.parent == GROUND else b.parent
+        if parent is not None and parent not in parents:
+            raise InputError(place, f"no body '{parent}'", nearest(parent, [*parents, GROUND]))
+        if parent is not None and scene.body(parent).members:
+            raise InputError(place, f"'{parent}' has members", "give a parent without members")
+        if parent is not None and scene.body(parent).joint == "sphere":
+            raise InputError(place, f"'{parent}' is a {_SPHERE}", _FREE)
         chain, at = [b.name], b.parent
         while at != GROUND:
             if at in chain:
                 found = f"the parents form a circle: {' on '.join([*chain, at])}"
-                raise InputError(f"{where} body '{b.name}' parent", found, f"give one of them the parent '{GROUND}'")
+                raise InputError(place, found, f"give one of them the parent '{GROUND}'")
             chain.append(at)
             at = parents[at]
     heavy = {one.name for b in scene.bodies if not b.massless for one in scene.ancestry(b.name)}
@@ -94,12 +95,19 @@ def _check_tree(scene: Dynamics, where: str) -> None:
             )
 
 
-def _check_contacts(scene: Dynamics, where: str) -> None:
+def _check_known(scene: Dynamics, where: str) -> None:
+    """Refuse contacts and loads between bodies that are not there."""
     known = [*(b.name for b in scene.bodies), GROUND]
-    for c in scene.contacts:
-        for body in c.between:
+    named = [(f"contact '{c.name}' between", c.between) for c in scene.contacts]
+    for what, bodies in [*named, *((f"load '{load.name}'", load.touches) for load in scene.loads)]:
+        for body in bodies:
             if body not in known:
-                raise InputError(f"{where} contact '{c.name}' between", f"no body '{body}'", nearest(body, known))
+                raise InputError(f"{where} {what}", f"no body '{body}'", nearest(body, known))
+
+
+def _check_contacts(scene: Dynamics, where: str) -> None:
+    _check_known(scene, where)
+    for c in scene.contacts:
         for body, place in zip(c.between, c.at, strict=True):
             round_ = body != GROUND and scene.body(body).joint == "sphere"
             faces = body == c.between[0] and not isinstance(c.gap, (SphereOnSphere, SphereInSocket))
@@ -114,11 +122,7 @@ def _check_contacts(scene: Dynamics, where: str) -> None:
 
 
 def _check_loads(scene: Dynamics, where: str) -> None:
-    known = [*(b.name for b in scene.bodies), GROUND]
     for load in scene.loads:
-        for body in load.touches:
-            if body not in known:
-                raise InputError(f"{where} load '{load.name}'", f"no body '{body}'", nearest(body, known))
         if isinstance(load, CoordinateLoad):
             bodies = [None if name == GROUND else scene.body(name) for name in load.coordinates]
             moves = any(b is not None and b.drive is None for b in bodies)

@@ -8,7 +8,7 @@ bristles their deflection (three numbers a face, world axes), friction that lags
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -83,7 +83,9 @@ class Contact(eqx.Module):
     elastic: str | None = eqx.field(static=True, default=None)
     smoothing: bool = eqx.field(static=True, default=True)
     at: tuple[Place, Place] = sizes.field("contact at", default=(ORIGIN, ORIGIN))
-    values: tuple[tuple[str, Size], ...] = eqx.field(static=True, default=(), converter=lambda x: _items(x))
+    values: tuple[tuple[str, Size], ...] = eqx.field(
+        static=True, default=(), converter=partial(sizes.items, "contact values")
+    )
     approach: Any = eqx.field(static=True, default=Approach())
     rolling: bool = eqx.field(static=True, default=False)
 
@@ -93,8 +95,6 @@ class Contact(eqx.Module):
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
         where = f"contact {quoted(self.name)}"
-        if not isinstance(self.name, str) or not self.name.isidentifier():
-            raise InputError(where, "is not a valid name of a contact", "give a word of letters, digits and '_'")
         if len(self.between) != 2:
             raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
         if self.between[0] == self.between[1]:
@@ -232,27 +232,23 @@ class Contact(eqx.Module):
 
     @property
     def faces(self) -> int:
-        """Number of its faces."""
         try:
             return _faces(self.gap)
         except InputError as error:
             raise InputError(f"contact '{self.name}' {error.where}", error.found, error.remedy) from error
 
 
-def _items(values: Any) -> tuple[tuple[str, Size], ...]:
-    items = values.items() if isinstance(values, Mapping) else values
-    return tuple((key, sizes.plain(f"contact values {key}", size)) for key, size in items)
-
-
 def _law(law: Any) -> AbstractLaw:
     if isinstance(law, str):  # By its name it is made where the elastic part is known, too.
         return law  # pyright: ignore[reportReturnType]
-    return arrays.law(checked("contact law", law, AbstractLaw, "law", "give a law's name"))
+    return arrays.kept(
+        "contact law", checked("contact law", law, AbstractLaw, "law", "give a law's name"), arrays.HeldLaw
+    )
 
 
 def _friction(friction: Any) -> AbstractFriction | None:
     if friction is None or isinstance(friction, AbstractFriction):
-        return friction and arrays.friction(friction)
+        return friction and arrays.kept("contact friction", friction, arrays.HeldFriction)
     return laws.make_friction(friction)
 
 

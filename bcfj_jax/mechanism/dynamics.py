@@ -126,7 +126,6 @@ class Dynamics(AbstractModel):
 
     @property
     def alike(self) -> tuple[tuple[str, ...], ...]:
-        """As ``AbstractModel``."""
         return _alike(self) if len(self.contacts) > 1 else super().alike
 
     def side_by_side(self, c: Contact) -> int:
@@ -185,7 +184,6 @@ class Dynamics(AbstractModel):
         return tuple((name, values[name]) for name in known if name in values)
 
     def horizon(self, params: Params) -> Array:
-        """``end``."""
         return jnp.asarray(
             self.end if isinstance(self.end, (int, float)) else sizes.value(self.end, self.kind, "end", params)
         )
@@ -453,7 +451,6 @@ class Dynamics(AbstractModel):
 
     @cached_property
     def corners(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Of all loads."""
         return sum(len(load.corners) * (self._beside(load) or 1) for load in self.loads)
 
     def _beside(self, load: AbstractLoad) -> int:
@@ -473,7 +470,6 @@ class Dynamics(AbstractModel):
         return found
 
     def onsets(self, t: Array, y: Array, prepared: Params) -> tuple[Array, Array, Array]:
-        """By ``begun``."""
         found = self.begun(t, self.instant(t, y, prepared, laws=False), prepared)
         depth, rate, _, force, _ = map(jnp.concatenate, zip(*found, strict=True))
         return depth, rate, force

@@ -22,7 +22,7 @@ from bcfj_jax.core.vectors import ZERO, Vector, add, cross, dot, length, scale, 
 from bcfj_jax.mechanism import equations, sizes
 from bcfj_jax.mechanism.bodies import GROUND, Part, rotated
 from bcfj_jax.mechanism.dynamics import Dynamics, Instant
-from bcfj_jax.mechanism.instruments import gained, power
+from bcfj_jax.mechanism.instruments import power
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad
 from bcfj_jax.mechanism.model import Effort, Params
 
@@ -89,7 +89,7 @@ def _reactions(
     borne: dict[str, tuple[Vector, Vector]] = {}
     for b in reversed(m.ordered):
         part, arm, inertia = bodies.parts[b.name], bodies.center[b.name], m.inertia(b, p)
-        gain, swirl = gained(part.shifted(arm), rates)
+        gain, swirl = part.shifted(arm).gained(rates)
         push = scale(bodies.mass[b.name], gain)
         turn = cross(arm, push)
         if inertia is not None:

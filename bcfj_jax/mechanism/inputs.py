@@ -27,15 +27,15 @@ class Described(Protocol):
     if TYPE_CHECKING:
 
         @property
-        def kind(self) -> str: ...  # noqa: D102
+        def kind(self) -> str: ...
         @property
-        def title(self) -> str: ...  # noqa: D102
+        def title(self) -> str: ...
         @property
-        def quantities(self) -> dict[str, Quantity]: ...  # noqa: D102
+        def quantities(self) -> dict[str, Quantity]: ...
         @property
-        def defaults(self) -> tuple[tuple[str, Any], ...]: ...  # noqa: D102
-        def canonical(self, name: str) -> str: ...  # noqa: D102
-        def require(self, params: Mapping[str, Array], where: str = "") -> None: ...  # noqa: D102
+        def defaults(self) -> tuple[tuple[str, Any], ...]: ...
+        def canonical(self, name: str) -> str: ...
+        def require(self, params: Mapping[str, Array], where: str = "") -> None: ...
 
 
 def named(scene: Described, given: Any, where: str) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
     for row in m.rows:
         b, part, arm, k = row.body, now.bodies.parts[row.name], now.bodies.center[row.name], row.members
         at, turns = part.shifted(arm), m.turning(b.name)
-        gain, swirl = gained(at, rates)
+        gain, swirl = at.gained(rates)
         drive, joint = None, {key: now.q[i] for i, (name, key, _) in enumerate(m._coordinates) if name == row.name}
         joint |= {key: now.v[j] for j, (name, key, _) in enumerate(m._velocities) if name == row.name}
         if b.drive is not None:
@@ -107,14 +107,6 @@ def motions(m: Dynamics, t: Array, y: Array, p: Params) -> dict[str, BodyMotion]
             joint={key: spread(jnp.asarray(x), k) for key, x in joint.items()},
         ))  # fmt: skip
     return {b.name: found[b.name] for b in m.ordered}
-
-
-def gained(at: Part, rates: Sequence[Number]) -> tuple[Vector, Vector]:
-    """Acceleration of a body's origin and its angular one, at accelerations of the free velocities; world."""
-    own = [(rates[j], w, v) for j, (w, v) in at.partials.items() if j < len(rates)]
-    return add(at.drift, *(scale(rate, v) for rate, _, v in own)), add(
-        at.swirl, *(scale(rate, w) for rate, w, _ in own)
-    )
 
 
 def flows(m: Dynamics, t: Array, y: Array, p: Params) -> Flows:
@@ -195,17 +187,14 @@ class Forces(equations.Equations):
         self.sizes: list[Number] = [0.0 for _ in members]
 
     def push(self, j: int, force: Number, of: tuple[int, int] | None = None) -> None:
-        """And its size."""
         super().push(j, force, of)
         self._add(j, jnp.abs(jnp.asarray(force)), of)
 
     def act(self, part: Part, arm: Vector, force: Vector, torque: Vector = ZERO) -> None:
-        """And its size."""
         super().act(part, arm, force, torque)
         self._rounded(part, arm, force)
 
     def wrench(self, part: Part, force: Vector, moment: Vector, arm: Vector) -> None:
-        """And its size."""
         super().wrench(part, force, moment, arm)
         self._rounded(part, arm, force)
 

@@ -17,7 +17,7 @@ from bcfj_jax.core.vectors import Number, minus, times
 from bcfj_jax.mechanism import sizes, springs
 from bcfj_jax.mechanism.acting import CoordinateLoad, Onset
 from bcfj_jax.mechanism.bodies import Drive
-from bcfj_jax.mechanism.programmes import Table, given_table
+from bcfj_jax.mechanism.programmes import Table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
 # A friction law's coefficients and the keys of ``JointFriction`` for them.
@@ -44,7 +44,7 @@ class JointSpring(CoordinateLoad):
     damping: Size = sizes.field("joint spring damping", default=0.0)
     rest: Size = sizes.field("joint spring rest", default=0.0)
     drive: Drive | None = None
-    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("joint spring table", x))
+    table: Table | None = springs.field("joint spring table")
     side: str = eqx.field(static=True, default="both")
 
     def __check_init__(self):
@@ -66,11 +66,9 @@ class JointSpring(CoordinateLoad):
 
     @property
     def corners(self) -> tuple[tuple[float, Any], ...]:
-        """The spring's."""
         return springs.corners(self.table, self.side)
 
     def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
-        """The spring's."""
         x, v = self._extended(t, positions[0], rates[0], p)
         k, c = sizes.values(self, ("stiffness", "damping"), p)
         return springs.onsets(x, v, (k, c, self.table, self.side), (jnp.abs(v), np.inf))
@@ -139,7 +137,6 @@ class JointFriction(CoordinateLoad):
 
     @property
     def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law's."""
         return self._law.bristles
 
     def _told(self, p: Params) -> dict[str, Array]:
@@ -163,7 +160,6 @@ class JointFriction(CoordinateLoad):
         return self._law.reach(self._told(p))
 
     def holding(self, slip: Array, p: Params, time: float) -> tuple[Array, Array]:
-        """The law's."""
         return self._law.holding(slip * slip, self._told(p), time)
 
     def parameters(self, turns: bool = True) -> Parameters:
@@ -217,7 +213,6 @@ class Coupling(CoordinateLoad):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Both."""
         return self.joints
 
     @property
@@ -249,7 +244,6 @@ class Coupling(CoordinateLoad):
         return () if sizes.nothing(self.backlash) else ((1.0, 0.5), (-1.0, -0.5))
 
     def onsets_on(self, t: Array, positions: Sequence[Number], rates: Sequence[Number], p: Params) -> list[Onset]:
-        """Of both ends."""
         (_, apart, gone), keys = self._apart(positions, rates, p), ("stiffness", "damping", "backlash")
         (k, c, gap), more = sizes.values(self, keys, p), (jnp.abs(gone), np.inf)
         above = springs.onsets(apart - 0.5 * gap, gone, (k, c, None, "pull"), more)

@@ -6,6 +6,7 @@ To add one in a file of your own: ``Load(name, function)`` with a function (t, b
 # No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves, and would
 # take ``name`` for the first field of every load.
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.part import checked as checked_part
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import (
@@ -73,10 +75,7 @@ class Force(AbstractLoad):
     Attributes:
         body, at: where; the point in the body's axes [m].
         direction: "x", "-y" or three numbers; of the world, or of the body where ``follows``.
-        size: [N]; ramp: rise time [s] or None; table: linear between its points, in place of ``size``.
-        shape: of the rise, a name of ``programmes.SHAPES``.
-        amplitude, frequency: of a fluctuation about ``size`` [N, Hz]; None for none.
-        reversal, reversal_ramp: when the force begins to change its sign, and over what time [s]; None for never.
+        size: [N]; table: linear between its points, in place of it; the others are ``programmes.Programme``'s.
     """
 
     name: str = eqx.field(static=True)
@@ -142,7 +141,6 @@ class Torque(Force):
 
     @property
     def acts_on(self) -> str:
-        """``body``."""
         return self.body
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
@@ -196,7 +194,7 @@ class Spring(_BetweenPoints):
     damping: Size = sizes.field("spring damping", default=0.0)
     free_length: Size = sizes.field("spring free_length", default=0.0)
     at: tuple[Place, Place] = sizes.field("spring at", default=(ORIGIN, ORIGIN))
-    table: Table | None = eqx.field(static=True, default=None, converter=lambda x: given_table("spring table", x))
+    table: Table | None = springs.field("spring table")
     side: str = eqx.field(static=True, default="both")
 
     def __check_init__(self):
@@ -211,11 +209,9 @@ class Spring(_BetweenPoints):
 
     @property
     def corners(self) -> tuple[tuple[float, Any], ...]:
-        """The spring's."""
         return springs.corners(self.table, self.side)
 
     def onsets(self, bodies: Moving, p: Params) -> list[Onset]:
-        """The spring's."""
         _, arm, rate = self._apart(bodies, p)
         (k, c, free), far = sizes.values(self, self.units, p), length(arm)
         more = length(rate), far
@@ -303,17 +299,13 @@ class Load(AbstractLoad):
         return {quantity.name: (quantity, arrays.plain(default)) for quantity, default in self.quantities}
 
 
-def _of(name: str) -> Any:
-    return property(lambda self: getattr(self.part, name))
-
-
 class HeldLoad(AbstractLoad):
     """A load with arrays, which are parameters: ``<name>.<path>`` (``mechanism.arrays``)."""
 
     part: AbstractLoad
 
     name, touches, acts_on, damps, corners, apart, onsets, kinks = map(
-        _of, ("name", "touches", "acts_on", "damps", "corners", "apart", "onsets", "kinks")
+        partial(of, "part"), ("name", "touches", "acts_on", "damps", "corners", "apart", "onsets", "kinks")
     )  # pyright: ignore[reportAssignmentType]
 
     def actions(self, t: Array, bodies: Moving, p: Params) -> list[Action]:
@@ -327,8 +319,7 @@ def kept(load: Any) -> Any:
     """A load as a mechanism keeps it; what is no load stays as it is."""
     if not isinstance(load, AbstractLoad):
         return load
-    found = arrays.taken(f"load {quoted(load.name)}", load)
-    return found if found is load else HeldLoad(part=found)  # pyright: ignore[reportCallIssue]
+    return arrays.kept(f"load {quoted(load.name)}", load, HeldLoad)
 
 
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:

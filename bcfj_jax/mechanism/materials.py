@@ -16,27 +16,23 @@ from jax import Array
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.mechanism.model import AbstractModel, Life, Params
 
-# Of a hardened bearing steel that slides on itself, lubricated at the boundary.
-STEEL: dict[str, float] = {
-    "wear_coefficient": 1e-6,  # k of V = k N s/H [-]
-    "hardness": 7.0e9,  # H [Pa]
-    "effective_modulus": 113.0e9,  # E* [Pa]
-    "load_rating": 30e3,  # C [N]
-    "yield_stress": 1.7e9,  # of uniaxial tension [Pa]
-    "fatigue_stress": 0.7e9,  # stress range at ``fatigue_cycles`` [Pa]
-    "fatigue_cycles": 2e6,
-    "fatigue_exponent": 5.0,  # m of N = N0 (S0/S)^m
-}
-SOURCES: dict[str, str] = {
-    "wear_coefficient": "GUESS, of 1e-7 to 1e-5: lubricated steel (Rabinowicz 1995, Friction and Wear of Materials)",
-    "hardness": "60 HRC, about 700 HV (ISO 18265)",
-    "effective_modulus": "steel on steel: 207 GPa, 0.29 (paper)",
-    "load_rating": "GUESS: some Lundberg-Palmgren rating of a 16 mm ball in a groove of conformity 0.52",
-    "yield_stress": "GUESS: some 0.2 % proof stress of 100Cr6 at 60 HRC",
-    "fatigue_stress": "GUESS",
-    "fatigue_cycles": "GUESS: knee of the line",
-    "fatigue_exponent": "GUESS: 5 of unnotched steel, 3 of welds (EN 1993-1-9)",
-}
+# Of a hardened bearing steel that slides on itself, lubricated at the boundary: numbers and where they are from.
+_STEEL: dict[str, tuple[float, str]] = {
+    # k of V = k N s/H [-]
+    "wear_coefficient": (
+        1e-6, "GUESS, of 1e-7 to 1e-5: lubricated steel (Rabinowicz 1995, Friction and Wear of Materials)"
+    ),
+    "hardness": (7.0e9, "60 HRC, about 700 HV (ISO 18265)"),  # H [Pa]
+    "effective_modulus": (113.0e9, "steel on steel: 207 GPa, 0.29 (paper)"),  # E* [Pa]
+    # C [N]
+    "load_rating": (30e3, "GUESS: some Lundberg-Palmgren rating of a 16 mm ball in a groove of conformity 0.52"),
+    "yield_stress": (1.7e9, "GUESS: some 0.2 % proof stress of 100Cr6 at 60 HRC"),  # of uniaxial tension [Pa]
+    "fatigue_stress": (0.7e9, "GUESS"),  # stress range at ``fatigue_cycles`` [Pa]
+    "fatigue_cycles": (2e6, "GUESS: knee of the line"),
+    "fatigue_exponent": (5.0, "GUESS: 5 of unnotched steel, 3 of welds (EN 1993-1-9)"),  # m of N = N0 (S0/S)^m
+}  # fmt: skip
+STEEL = {name: value for name, (value, _) in _STEEL.items()}
+SOURCES = {name: source for name, (_, source) in _STEEL.items()}
 # What [life] may give, with its unit.
 GIVEN = {
     "wear_coefficient": "1", "hardness": "Pa", "effective_modulus": "Pa", "load_rating": "N",

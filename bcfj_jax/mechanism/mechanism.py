@@ -84,7 +84,6 @@ class Mechanism(Dynamics):
         return self if self.implicit is not None else replace(self, implicit=stiff.implicit(self, params, end))
 
     def only_law(self) -> AbstractLaw | None:
-        """As ``AbstractModel``."""
         return self.contacts[0].law if len(self.contacts) == 1 else None
 
     def with_law(self, law: AbstractLaw, more: Mapping[str, float]) -> Mechanism:
@@ -96,7 +95,6 @@ class Mechanism(Dynamics):
         return replace(self, contacts=(other,), given=own | given)
 
     def first_touch(self, params: Mapping[str, float]) -> float | None:
-        """``touch``."""
         return None if self.touch is None else self.touch(params)
 
     @property
@@ -156,17 +154,14 @@ class Mechanism(Dynamics):
 
     @property
     def body_names(self) -> tuple[str, ...]:
-        """All bodies."""
         return tuple(b.name for b in self.ordered)
 
     @property
     def body_members(self) -> dict[str, int]:
-        """As bodies say."""
         return {b.name: b.members for b in self.bodies}
 
     @property
     def load_names(self) -> tuple[str, ...]:
-        """All loads."""
         return tuple(load.name for load in self.loads)
 
     def coefficient(self, params: Params, owner: str, name: str) -> Array:

@@ -11,7 +11,7 @@ import dataclasses
 import textwrap
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -106,15 +106,15 @@ class AbstractModel(eqx.Module):
     if TYPE_CHECKING:
         # Fields, properties or methods of every model; as fields of this class they would come first in every model's.
         @property
-        def kind(self) -> str: ...  # noqa: D102
+        def kind(self) -> str: ...
         @property
-        def contacts(self) -> tuple[Any, ...]: ...  # noqa: D102
+        def contacts(self) -> tuple[Any, ...]: ...
         @property
-        def samples(self) -> int: ...  # noqa: D102
+        def samples(self) -> int: ...
         @property
-        def defaults(self) -> tuple[tuple[str, float], ...]: ...  # noqa: D102
+        def defaults(self) -> tuple[tuple[str, float], ...]: ...
         @property
-        def horizon(self) -> Callable[[Params], Array]: ...  # noqa: D102
+        def horizon(self) -> Callable[[Params], Array]: ...
 
     # Equinox also compares what a model has computed of itself and keeps; one made anew is still the same program.
     def __eq__(self, other: object) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -200,7 +200,6 @@ class AbstractModel(eqx.Module):
         """States of a model without a history at times (T,), and from where to search those of similar parameters.
 
         Args:
-            params, times: as ever.
             near: the second of these of an earlier call for the same number of times, or ``origin``'s.
             rates: whether velocities are wanted; those of a search cost a second derivative where it is differentiated.
         """
@@ -208,15 +207,10 @@ class AbstractModel(eqx.Module):
             f"scene '{self.kind}'", "has a history: it is integrated", "this is an error in bcfj-jax: please report it"
         )
 
-    @property
-    def shows_proximity(self) -> bool:
-        """Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one."""
-        return False
-
-    @property
-    def unsure(self) -> bool:
-        """Whether steps are looked at between their ends, too, since what bends a penetration's course is not known."""
-        return False
+    # Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one.
+    shows_proximity: ClassVar[bool] = False
+    # Whether steps are looked at between their ends, too, since what bends a penetration's course is not known.
+    unsure: ClassVar[bool] = False
 
     def proximity(self, t: Array, y: Array, prepared: Any) -> Proximity:
         """How near all surfaces are to each other in one state. Only of a model that ``shows_proximity``."""
@@ -238,15 +232,10 @@ class AbstractModel(eqx.Module):
         """Longest step that a solver may take [s]; None: as long as its errors allow."""
         return None
 
-    @property
-    def unweighed(self) -> bool:
-        """Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does."""
-        return False
-
-    @property
-    def remembered(self) -> tuple[int, ...]:
-        """Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``)."""
-        return ()
+    # Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does.
+    unweighed: ClassVar[bool] = False
+    # Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``).
+    remembered: ClassVar[tuple[int, ...]] = ()
 
     def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:
         """What every speed of ``remembered`` is at a touch in this state."""
@@ -285,24 +274,17 @@ class AbstractModel(eqx.Module):
                 parted[name] = one if len(names) == 1 else jax.tree.map(lambda x, k=k: at(x, k), one)
         return {c.name: parted[c.name] for c in self.contacts}
 
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Names of the bodies whose ``motions`` can be read."""
-        return ()
-
-    @property
-    def body_members(self) -> dict[str, int]:
-        """By body, the number of its members; a body without need not be named."""
-        return {}
+    # Names of the bodies whose ``motions`` can be read.
+    body_names: ClassVar[tuple[str, ...]] = ()
+    # By body, the number of its members; a body without need not be named.
+    body_members: ClassVar[dict[str, int]] = {}
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
         return {}
 
-    @property
-    def load_names(self) -> tuple[str, ...]:
-        """Names of the loads whose ``efforts`` can be read."""
-        return ()
+    # Names of the loads whose ``efforts`` can be read.
+    load_names: ClassVar[tuple[str, ...]] = ()
 
     def efforts(self, t: Array, y: Array, prepared: Any) -> dict[str, Effort]:
         """By body what its joint does, and by load what that does, in one state."""
@@ -394,10 +376,8 @@ class AbstractModel(eqx.Module):
         """By name, where a coordinate and its velocity are in the flat state."""
         return {}
 
-    @property
-    def drive_coordinate(self) -> str:
-        """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
-        return ""
+    # Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns.
+    drive_coordinate: ClassVar[str] = ""
 
     def recurs(self, params: Params) -> bool:
         """Whether steady motion repeats itself after a ``pitch``. Decided on the host."""
@@ -448,10 +428,8 @@ class AbstractModel(eqx.Module):
         """
         return 0.0
 
-    @property
-    def settled_when(self) -> str:
-        """What has happened by ``settled_from``, in words."""
-        return "the start is forgotten"
+    # What has happened by ``settled_from``, in words.
+    settled_when: ClassVar[str] = "the start is forgotten"
 
     def full(self) -> AbstractModel:
         """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
@@ -477,10 +455,8 @@ class AbstractModel(eqx.Module):
         """Other choices of the model, one change each, whose effect is the error of the model form; on the host."""
         return ()
 
-    @property
-    def model_form(self) -> str:
-        """What is known of the error of the model form, to go on "the error is that of the computation; "."""
-        return "laws, coefficients and rigid bodies are taken as given"
+    # What is known of the error of the model form, to go on "the error is that of the computation; ".
+    model_form: ClassVar[str] = "laws, coefficients and rigid bodies are taken as given"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
@@ -491,10 +467,8 @@ class AbstractModel(eqx.Module):
         """
         return run(self, times)
 
-    @property
-    def tables(self) -> tuple[str, ...]:
-        """Names of the files of ``whole``'s tables."""
-        return ()
+    # Names of the files of ``whole``'s tables.
+    tables: ClassVar[tuple[str, ...]] = ()
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """What a run says of the model as a whole: entries of the summary, and by file name tables.

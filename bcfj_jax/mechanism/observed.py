@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.mechanism.channels import READ_BY, Channel, channel, is_reading, looked, shares
-from bcfj_jax.mechanism.model import AbstractModel, Approaches, Bodies, Coarser, Params, Reading
+from bcfj_jax.mechanism.model import AbstractModel, Bodies, Coarser, Params, Reading
 from bcfj_jax.mechanism.structure import AbstractStructure
 
 
@@ -25,41 +26,21 @@ class Shown(NamedTuple):
     friction: None = None
 
 
-def _of(name: str) -> Any:
-    return property(lambda self: getattr(self.inner, name))
+# What a model works out from its contacts, or as a whole: here from those with readings. All else is the inner model's.
+_OWN = ("alike", "read", "by_contact", "accounts", "parameters", "suspects", "only_law", "with_law", "first_touch")
+_OWN += ("warnings", "chain")
+_TOLD = {*vars(AbstractModel), "kind", "samples", "defaults", "horizon"}
+_TOLD = sorted(name for name in _TOLD if not name.startswith("_") and name not in _OWN)
+_Within: Any = type(AbstractModel)(  # pyright: ignore[reportGeneralTypeIssues]
+    "_Within", (AbstractModel,), {"__module__": __name__, **{name: of("inner", name) for name in _TOLD}}
+)
 
 
-class Observed(AbstractModel):
+class Observed(_Within):
     """``inner`` with readings (``channels``) as further contacts: their values stand where a normal force does."""
 
     inner: AbstractModel
     channels: tuple[Channel, ...] = eqx.field(static=True)
-
-    kind, samples, defaults, horizon, traits, quantities, title = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("kind", "samples", "defaults", "horizon", "traits", "quantities", "title")
-    )
-    initial_state, vector_field, error_scale, tolerance, life, unit_pressure = map(
-        _of, ("initial_state", "vector_field", "error_scale", "tolerance", "life", "unit_pressure")
-    )  # pyright: ignore[reportAssignmentType]
-    first_step, structure, origin, instants, motions, flows = map(
-        _of, ("first_step", "structure", "origin", "instants", "motions", "flows")
-    )
-    proximity, shows_proximity, unsure, unweighed, breaks, longest_step = map(
-        _of, ("proximity", "shows_proximity", "unsure", "unweighed", "breaks", "longest_step")
-    )  # pyright: ignore[reportAssignmentType]
-    load_names, efforts, corners, onsets = map(_of, ("load_names", "efforts", "corners", "onsets"))  # pyright: ignore[reportAssignmentType]
-    body_names, body_members, drive_coordinate, settled_when, tables, model_form = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("body_names", "body_members", "drive_coordinate", "settled_when", "tables", "model_form")
-    )
-    check, require, period, coordinates, neutral, envelope, settled_from = map(
-        _of, ("check", "require", "period", "coordinates", "neutral", "envelope", "settled_from")
-    )
-    recurs, pitch, pitch_before, turned = map(_of, ("recurs", "pitch", "pitch_before", "turned"))
-    choice_options, whole, orbits, variants = map(_of, ("choice_options", "whole", "orbits", "variants"))
-    coefficient, canonical, remembered, approaches, misremembered = map(  # pyright: ignore[reportAssignmentType]
-        _of, ("coefficient", "canonical", "remembered", "approaches", "misremembered")
-    )
-    drawing, carriers, scenery, level, completed = map(_of, ("drawing", "carriers", "scenery", "level", "completed"))
 
     def __getattr__(self, name: str) -> Any:
         # What a model's own code asks of it beyond the interface: its structure solves with it.
@@ -93,25 +74,20 @@ class Observed(AbstractModel):
         return {**found, **shown}
 
     def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """The model's; a reading has none."""
         return self.inner.bodies_at(params, contact, deepest) if contact in self.inner.members else Bodies()
 
     def full(self) -> AbstractModel:
-        """The model's, with the same readings."""
         return Observed(self.inner.full(), self.channels)
 
     def suited(self, params: Params, end: float, solver: str | None = None) -> AbstractModel:
-        """The model's, observed likewise."""
         return Observed(self.inner.suited(params, end, solver), self.channels)
 
     def coarser(self) -> tuple[Coarser, ...]:
-        """The model's."""
         return self.inner.coarser()
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
     ) -> Any:
-        """The model's choice."""
         return self.inner.choose(params, times, budget, lambda level, at: run(Observed(level, self.channels), at))
 
 
@@ -147,6 +123,8 @@ class _Later(AbstractStructure):
     inner: AbstractStructure
     model: AbstractModel
 
+    solve = of("inner", "solve")
+
     def field(self, t: Any, y: Array, args: Any) -> Array:
         prepared, begin = args[1]
         return self.inner.field(t + begin, y, (self.model, prepared))
@@ -155,12 +133,13 @@ class _Later(AbstractStructure):
         prepared, begin = args[1]
         return self.inner.factor(t + begin, y, (self.model, prepared), scale)
 
-    def solve(self, factors: Any, right: Array) -> Array:
-        return self.inner.solve(factors, right)
-
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         prepared, begin = args[1]
         return self.inner.time_derivative(t + begin, y, (self.model, prepared))
+
+
+def _later(name: str) -> Any:
+    return lambda self, t, y, prepared: getattr(self.inner, name)(t + prepared[1], y, prepared[0])
 
 
 class Onward(Observed):
@@ -169,28 +148,15 @@ class Onward(Observed):
     channels: tuple = eqx.field(static=True, default=())
 
     def prepare(self, params: Params) -> Any:
-        """The model's, and the time of the start."""
         return self.inner.prepare(_own(params)), jnp.asarray(params[BEGIN])
 
     def initial_state(self, params: Params) -> Array:
-        """The given one."""
         return jnp.asarray(params[START])
 
-    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The model's, later."""
-        return self.inner.vector_field(t + prepared[1], y, prepared[0])
-
-    def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The model's, later."""
-        return self.inner.approaches(t + prepared[1], y, prepared[0])
+    vector_field, approaches, observe = map(_later, ("vector_field", "approaches", "observe"))  # pyright: ignore[reportAssignmentType]
 
     def structure(self) -> AbstractStructure:
-        """The model's, later."""
         return _Later(self.inner.structure(), self.inner)
-
-    def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Any]:
-        """The model's, later."""
-        return self.inner.observe(t + prepared[1], y, prepared[0])
 
 
 def _own(params: Params) -> Params:

@@ -43,29 +43,29 @@ def checked_shape(where: str, shape: Any) -> None:
         raise InputError(where, f"no shape {quoted(shape)}", nearest(str(shape), SHAPES))
 
 
-def checked_table(where: str, table: Any, least: int = 2) -> Table:
+def checked_table(where: str, table: Any, least: int = 2, what: str = "times") -> Table:
     """A table as two rows of plain numbers."""
-    remedy = "give [[times], [values]]"
+    remedy = f"give [[{what}], [values]]"
     try:
         knots, values = (np.asarray(row, dtype=float) for row in table)
     except (TypeError, ValueError):
         raise InputError(where, f"{quoted(table)} is no table", remedy) from None
     if knots.ndim != 1 or knots.shape != values.shape or knots.size < least:
-        raise InputError(where, f"{knots.size} times beside {values.size} values", f"{remedy}, {least} or more")
+        raise InputError(where, f"{knots.size} {what} beside {values.size} values", f"{remedy}, {least} or more")
     if not (np.isfinite(knots).all() and np.isfinite(values).all()):
         raise InputError(where, "its numbers are not finite", "give finite numbers")
     late = np.flatnonzero(np.diff(knots) <= 0)
     if late.size:
         k = int(late[0])
-        found = f"its times do not increase: time {k + 2} is {knots[k + 1]:g} s after {knots[k]:g} s"
-        raise InputError(where, found, "give times that increase")
+        found = f"its {what} do not increase: number {k + 2} is {knots[k + 1]:g}, after {knots[k]:g}"
+        raise InputError(where, found, f"give {what} that increase")
     return tuple(knots.tolist()), tuple(values.tolist())
 
 
-def given_table(where: str, table: Any) -> Table | None:
+def given_table(where: str, table: Any, what: str = "times") -> Table | None:
     """``checked_table`` of a table that may be None."""
     refuse_traced(where, table)
-    return None if table is None else checked_table(where, table)
+    return None if table is None else checked_table(where, table, what=what)
 
 
 def given_breaks(times: Any) -> tuple[float, ...] | None:
@@ -147,7 +147,6 @@ class Programme(eqx.Module):
         return found
 
     def parameters(self, name: str, unit: str) -> Parameters:
-        """Its parameters with their defaults."""
         if self.table is not None:
             return {}
         found = sizes.own(self.size, name, "size", unit, f"size of {name}")

@@ -65,7 +65,8 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
     rates = gathered.accelerations(count)
     felt = _Felt(gathered, count, [[] for _ in range(count)])
     parts = now.bodies.parts
-    free = lambda part: _freed(part, rates)  # noqa: E731
+    # Bodies with their accelerations without contact forces for their drifts.
+    free = lambda part: part._replace(**dict(zip(("drift", "swirl"), part.gained(rates), strict=True)))  # noqa: E731
     freed: Mapping[str, Part] = {}
     if any(map(alike.scattered, scene.bundles)):
         freed = parts.changed(free) if isinstance(parts, ByName) else {n: free(part) for n, part in parts.items()}
@@ -88,8 +89,11 @@ def expected(scene: Dynamics, params: Params, inside: bool = True) -> Expected:
             if isinstance(c, alike.Alike) and (places := c.places(parts)) is not None:
                 mass = felt.beside(parts, places, way, arms)
             elif scattered:
-                own_arms = alike.apart(c, (way, *arms))
-                mass = jnp.stack([felt.apart(one.parts(parts), *own_arms[one.name]) for one in c.each])
+                own_arms = alike.apart(c, (way, arms))
+                each = (
+                    (felt.partials(one.parts(parts), own_arms[one.name][1]), own_arms[one.name][0]) for one in c.each
+                )
+                mass = jnp.stack([felt.mass(*pair) for pair in each])
             else:
                 mass = felt.mass(partials, way)
             pull, rate = jnp.abs(jnp.asarray(dot(way, gain))), jnp.asarray(dot(way, moving))
@@ -151,13 +155,6 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
     return scene.state(places, [speed / x for x in found.levers], kept)
 
 
-def _freed(part: Part, rates: list[Number]) -> Part:
-    """A body with its accelerations without contact forces for its drifts."""
-    own = [(rates[j], w, v) for j, (w, v) in part.partials.items() if j < len(rates)]
-    drift = add(part.drift, *(scale(rate, v) for rate, _, v in own))
-    return part._replace(drift=drift, swirl=add(part.swirl, *(scale(rate, w) for rate, w, _ in own)))
-
-
 class _Felt(NamedTuple):
     """The mass that a face feels, by the mass matrix of so many free velocities; ``levers``: how far contacts moved by each."""
 
@@ -206,10 +203,6 @@ class _Felt(NamedTuple):
                 self.levers[j].extend(where.spread(_size(v)))
             found = plus(found, _compliance(self.gathered, row, self.count, lambda x, where=where: taken(x, where.at)))
         return _mass(found)
-
-    def apart(self, bodies: tuple[Part, Part], way: Vector, *arms: Vector) -> Array:
-        """Of one of several contacts side by side."""
-        return self.mass(self.partials(bodies, (arms[0], arms[1])), way)
 
 
 def _of_each(most: Callable[[Array], Array], values: Array, count: int) -> Array:

@@ -59,6 +59,12 @@ def field(where: str, **more: Any) -> Any:
     return eqx.field(static=True, converter=partial(plain, where), metadata={"size": True}, **more)
 
 
+def items(where: str, given: Any) -> tuple[tuple[str, Size], ...]:
+    """Sizes by name, as ``plain``."""
+    pairs = given.items() if isinstance(given, Mapping) else given
+    return tuple((key, plain(f"{where} {key}", size)) for key, size in pairs)
+
+
 def given(part: Any) -> list[Any]:
     """What a part has in its fields that are sizes."""
     return [getattr(part, f.name) for f in dataclasses.fields(part) if "size" in f.metadata]

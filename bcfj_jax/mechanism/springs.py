@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,21 +13,24 @@ from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.vectors import Axes, Number, Vector, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.acting import Onset
-from bcfj_jax.mechanism.programmes import Table, checked_table
+from bcfj_jax.mechanism.programmes import Table, given_table
 
 SIDES = ("both", "pull", "push")
 # So many inner knots of a table are looked at, from its first on; the others are passed as if the table were smooth there.
 _KNOTS = 16
 
 
+def field(where: str) -> Any:
+    """A field that is a table of extensions and forces, or None."""
+    return eqx.field(static=True, default=None, converter=lambda x: given_table(where, x, "extensions"))
+
+
 def check(where: str, side: str, table: Table | None, stiffness: Any) -> None:
-    """Refuse a side that is none, and a table that is none or stands beside a stiffness."""
+    """Refuse a side that is none, and a table that stands beside a stiffness."""
     if side not in SIDES:
         raise InputError(f"{where} side", f"no side '{side}'", nearest(side, SIDES))
-    if table is not None:
-        checked_table(f"{where} table", table, 2)
-        if not sizes.nothing(stiffness):
-            raise InputError(f"{where} table", "is given beside a stiffness", "give one of them")
+    if table is not None and not sizes.nothing(stiffness):
+        raise InputError(f"{where} table", "is given beside a stiffness", "give one of them")
 
 
 def force(x: Number, rate: Number, k: Number, c: Number, table: Table | None, side: str) -> Number:

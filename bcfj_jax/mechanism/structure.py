@@ -45,22 +45,17 @@ class Dense(AbstractStructure):
     function: Any = eqx.field(static=True)
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
-        """The function itself."""
         return self.function(t, y, args)
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Any:
-        """LU of the dense matrix."""
         jacobian = jax.jacfwd(lambda y: self.function(t, y, args))(y)
         return jax.scipy.linalg.lu_factor(jnp.eye(y.size) / scale - jacobian)
 
     def solve(self, factors: Any, right: Array) -> Array:
-        """Forward and back substitution."""
         return jax.scipy.linalg.lu_solve(factors, right)
 
     def solve_transposed(self, factors: Any, right: Array) -> Array:
-        """The same of the transpose."""
         return jax.scipy.linalg.lu_solve(factors, right, trans=1)
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
-        """By forward differentiation."""
         return jax.jvp(lambda t: self.function(t, y, args), (t,), (jnp.ones_like(t),))[1]

@@ -24,7 +24,7 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import Action, Gravity, Load, Moving
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, half, picked
 
 CONTROLLERS = ("siconos", "corrected", "none")
 _LENGTHS = {"ground_length": 3.0, "crank_length": 1.0, "coupler_length": 4.0, "rocker_length": 2.5}
@@ -125,12 +125,6 @@ def _entry(function: Callable[[Params], tuple], i: int) -> Callable[[Params], Ar
 
 
 @cache
-def _half(name: str, sign: float = 1.0) -> Any:
-    """Place of a rod's end from its middle, or of its middle from its end."""
-    return (lambda p: 0.5 * sign * p[f"{name}_length"], 0, 0)
-
-
-@cache
 def _slender(name: str) -> Callable[[Params], Array]:
     """Inertia of a uniform rod about its middle."""
     return lambda p: p[f"{name}.mass"] * p[f"{name}_length"] ** 2 / 12.0
@@ -160,7 +154,12 @@ def four_bar(
         )
     rods = (
         Body(
-            "crank", "hinge", center=_half("crank"), mass=1.0, inertia=_slender("crank"), start={"angle": "crank_angle"}
+            "crank",
+            "hinge",
+            center=half("crank_length"),
+            mass=1.0,
+            inertia=_slender("crank"),
+            start={"angle": "crank_angle"},
         ),
         *(
             Body(
@@ -177,11 +176,21 @@ def four_bar(
     how: dict[str, Any] = {"law": law, "elastic": elastic, "friction": friction, "smoothing": smoothing}
     pins = (
         Contact(
-            "pin_1", ("coupler", "crank"), PinInBearing(), at=(_half("coupler", -1.0), ("crank_length", 0, 0)), **how
+            "pin_1",
+            ("coupler", "crank"),
+            PinInBearing(),
+            at=(half("coupler_length", -1.0), ("crank_length", 0, 0)),
+            **how,
         ),
-        Contact("pin_2", ("rocker", "coupler"), PinInBearing(), at=(_half("rocker"), _half("coupler")), **how),
         Contact(
-            "pin_3", ("ground", "rocker"), PinInBearing(), at=(("ground_length", 0, 0), _half("rocker", -1.0)), **how
+            "pin_2", ("rocker", "coupler"), PinInBearing(), at=(half("rocker_length"), half("coupler_length")), **how
+        ),
+        Contact(
+            "pin_3",
+            ("ground", "rocker"),
+            PinInBearing(),
+            at=(("ground_length", 0, 0), half("rocker_length", -1.0)),
+            **how,
         ),
     )
     loads = (Gravity("-y"), *(() if controller == "none" else (_control(controller),)))

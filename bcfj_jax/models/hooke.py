@@ -33,7 +33,7 @@ from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.programmes import SHAPES
 from bcfj_jax.models.joint.defaults import DEFAULTS as JOINT
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, loaded_turn, picked
 
 _OF_JOINT = ("joint_angle", "drive_speed", "load_torque", "load_ramp")
 _INERTIAS = ("inertia_x", "inertia_y", "inertia_z")
@@ -113,13 +113,7 @@ def _across(double: bool, sign: float) -> Any:
 
 def _kept(turn: Array, angle: Array) -> Array:
     """After a second cross the turn is the input's."""
-    del angle
     return turn
-
-
-def _once(p: Params) -> Array:
-    """A turn after the load has risen [s]."""
-    return p["load_ramp"] + 2.0 * jnp.pi / jnp.maximum(jnp.abs(p["drive_speed"]), 1e-3)
 
 
 @cache
@@ -206,6 +200,6 @@ def hooke(
     reads = [*pins[0].reads, *(f"clearance_{pin.name}" for pin in pins)] if pins else []
     own = (*_OWN, _LINK) if double else _OWN
     return Mechanism(
-        "hooke", _bodies(double, ideal), pins, loads, own, picked(_PINS, reads), end=_once, samples=2001,
+        "hooke", _bodies(double, ideal), pins, loads, own, picked(_PINS, reads), end=loaded_turn, samples=2001,
         implicit=None if ideal else True,
     )  # fmt: skip

@@ -17,7 +17,7 @@ from bcfj_jax.mechanism.loads import Gravity
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
 from bcfj_jax.mechanism.scales import expected_scale
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked, touching
+from bcfj_jax.models.steel_ball import STEEL_BALL, arriving, picked
 from bcfj_jax.xla.programs import ask
 
 # Contacts until the end of a run whose errors, all of one sign at worst, the tolerance already allows for.
@@ -72,10 +72,8 @@ def _met(p: Mapping[str, float]) -> float | None:
 
 
 def _impact_end(p: Params) -> Array:
-    """Flight to the surface and one and a half undamped contacts."""
-    speed = jnp.maximum(p["approach_speed"], 1e-6)
     mass = p["mass"] * p["struck_mass"] / (p["mass"] + p["struck_mass"]) if "struck_mass" in p else p["mass"]
-    return p["clearance_contact"] / speed + 1.5 * touching(STEEL_BALL, p, mass, speed)
+    return arriving(STEEL_BALL, p, mass, p["approach_speed"])
 
 
 class _Fall(Approach):

@@ -21,7 +21,7 @@ from bcfj_jax.mechanism.bodies import Body
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked, touching
+from bcfj_jax.models.steel_ball import STEEL_BALL, arriving, picked
 
 _ANGLE = Quantity("impact_angle", "rad", "angle of the approach from the plane's normal", -1.57, 1.57)
 _OWN = (
@@ -62,9 +62,7 @@ def _inertia(p: Params) -> Array:
 
 
 def _end(p: Params) -> Array:
-    """Flight to the plane and one and a half undamped contacts."""
-    speed = jnp.maximum(_closing(p), 1e-6)
-    return p["clearance_contact"] / speed + 1.5 * touching(_BALL, p, p["mass"], speed)
+    return arriving(_BALL, p, p["mass"], _closing(p))
 
 
 def oblique_impact(

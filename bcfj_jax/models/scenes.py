@@ -34,19 +34,9 @@ from bcfj_jax.models.string_motion import NUMBERS as STRING_IN_MOTION
 from bcfj_jax.models.string_options import string as string
 from bcfj_jax.models.string_options import string_of_keys
 
-SCENES: dict[str, Callable[..., AbstractModel]] = {
-    "impact": impact,
-    "bounce": bounce,
-    "oblique_impact": oblique_impact,
-    "backlash": backlash,
-    "chain": chain,
-    "slider_crank": slider_crank,
-    "slider_guide": slider_guide,
-    "four_bar": four_bar,
-    "hooke": hooke,
-    "joint": joint_of_keys,
-    "string": string_of_keys,
-}
+_MECHANISMS = impact, bounce, oblique_impact, backlash, chain, slider_crank, slider_guide, four_bar, hooke
+SCENES: dict[str, Callable[..., AbstractModel]] = {scene.__name__: scene for scene in _MECHANISMS}
+SCENES |= {"joint": joint_of_keys, "string": string_of_keys}
 
 # Scenes of two free bodies: [scene.spheres] in a scene file may give their stiffness, exponent and mass.
 OF_SPHERES = ("impact",)
@@ -59,21 +49,17 @@ class Sources(NamedTuple):
     legend: str = ""
 
 
+def _told(numbers: Mapping[str, tuple[float, str]]) -> Sources:
+    return Sources({name: source for name, (_, source) in numbers.items()}, joint_numbers.LEGEND)
+
+
 # Of scenes whose files to start from say it number by number.
 SOURCES: dict[str, Sources] = {
     "impact": Sources(steel_ball.SOURCES),
     "bounce": Sources(steel_ball.SOURCES),
-    "joint": Sources({name: source for name, (_, source) in joint_numbers.DEFAULTS.items()}, joint_numbers.LEGEND),
+    "joint": _told(joint_numbers.DEFAULTS),
     "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
-    "string": Sources(
-        {
-            name: source
-            for name, (_, source) in (
-                joint_numbers.DEFAULTS | STRING_NUMBERS | BENDING | STRING_IN_MOTION | LUGRE
-            ).items()
-        },
-        joint_numbers.LEGEND,
-    ),
+    "string": _told(joint_numbers.DEFAULTS | STRING_NUMBERS | BENDING | STRING_IN_MOTION | LUGRE),
 }
 
 

@@ -19,7 +19,7 @@ from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.bodies import Body, Drive
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.mechanism import Mechanism
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, half, picked
 
 SIZES = {"crank_length": 0.05, "rod_length": 0.12, "crank_speed": 5000.0 * 2.0 * math.pi / 60.0}
 _OWN = (
@@ -38,10 +38,6 @@ _STEEL = {
 def _turns(p: Any) -> Array:
     """Time of one turn [s]."""
     return 2.0 * jnp.pi / jnp.abs(p["crank_speed"])
-
-
-def _half_rod(p: Any) -> Array:
-    return 0.5 * p["rod_length"]
 
 
 def _outmost(p: Any) -> Array:
@@ -85,7 +81,7 @@ def slider_crank(
     """
     crank = Body("crank", "hinge", mass=0.30, inertia=1.0e-4, drive=Drive("constant", speed="crank_speed"))
     rod: dict[str, Any] = {"parent": "crank", "at": ("crank_length", 0, 0), "mass": 0.21, "inertia": 2.5e-4}
-    rod["center"] = (_half_rod, 0, 0)
+    rod["center"] = half("rod_length")
     if ideal:
         moved = [Drive("function", function=motion, breaks=()) for motion in (_rod_angle, _slider_place)]
         parts = (

@@ -9,9 +9,6 @@ rigid with a restitution of 0.4. The stiffness here is a GUESS; the damping give
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 from jax import Array
 
 from bcfj_jax.contact.gaps import SliderInGuide
@@ -21,7 +18,7 @@ from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import Gravity
 from bcfj_jax.mechanism.mechanism import Mechanism
 from bcfj_jax.mechanism.model import Params
-from bcfj_jax.models.steel_ball import STEEL_BALL, picked
+from bcfj_jax.models.steel_ball import STEEL_BALL, half, picked
 
 _OWN = (
     (Quantity("crank_length", "m", "distance of the crank's pins", 0.0, open_low=True), 0.153),
@@ -34,12 +31,6 @@ _WALL = {
     "friction_static": 0.01, "friction_dynamic": 0.01, "friction_speed": 0.01,
     "half_length": 0.05, "half_width": 0.025, "clearance_guide": 1e-3, "gravity": 9.81,
 }  # fmt: skip
-
-
-@cache
-def _half(length: str) -> tuple[Any, int, int]:
-    """Place of a centre of mass at half a length."""
-    return (lambda p: 0.5 * p[length], 0, 0)
 
 
 def _bend(p: Params) -> Array:
@@ -61,9 +52,9 @@ def slider_guide(
         friction: False for none, True for Brown-McPhee, or a name of ``laws.FRICTION``.
     """
     parts = (
-        Body("crank", "hinge", mass=0.038, inertia=7.4e-5, center=_half("crank_length"), start={"speed": "crank_speed"}),
+        Body("crank", "hinge", mass=0.038, inertia=7.4e-5, center=half("crank_length"), start={"speed": "crank_speed"}),
         Body(
-            "rod", "hinge", "crank", ("crank_length", 0, 0), mass=0.038, inertia=5.9e-4, center=_half("rod_length"),
+            "rod", "hinge", "crank", ("crank_length", 0, 0), mass=0.038, inertia=5.9e-4, center=half("rod_length"),
             start={"speed": _bend},
         ),
         Body(

@@ -9,6 +9,8 @@ yielding.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -58,6 +60,23 @@ def picked(values: Mapping[str, float], names: Iterable[str]) -> dict[str, float
     """Those of the values that are read."""
     wanted = set(names)
     return {name: value for name, value in values.items() if name in wanted}
+
+
+def loaded_turn(p: Params) -> Array:
+    """A turn after the load has risen [s]."""
+    return p["load_ramp"] + 2.0 * jnp.pi / jnp.maximum(jnp.abs(p["drive_speed"]), 1e-3)
+
+
+@cache
+def half(length: str, sign: float = 1.0) -> Any:
+    """Place of a rod's end from its middle, or of its middle from its end, by the name of its length."""
+    return (lambda p: 0.5 * sign * p[length], 0, 0)
+
+
+def arriving(values: Mapping[str, float], p: Params, mass: Array, speed: Array) -> Array:
+    """Time of a flight across ``clearance_contact`` at a speed [m/s], and of one and a half undamped contacts [s]."""
+    speed = jnp.maximum(speed, 1e-6)
+    return p["clearance_contact"] / speed + 1.5 * touching(values, p, mass, speed)
 
 
 def touching(values: Mapping[str, float], p: Params, mass: Array, speed: Array) -> Array:

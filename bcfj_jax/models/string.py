@@ -21,9 +21,9 @@ Left out: weight, what twist of segments changes in the loads, the moments 2 T t
 
 from __future__ import annotations
 
-import functools
 import math
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,6 +32,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
@@ -39,10 +40,8 @@ from bcfj_jax.core.shapes import Drawing
 from bcfj_jax.core.status import OK
 from bcfj_jax.mechanism.model import (
     AbstractModel,
-    Bodies,
     Chain,
     Life,
-    ModelTraits,
     Params,
     Reading,
     Scenery,
@@ -51,6 +50,7 @@ from bcfj_jax.mechanism.model import (
 from bcfj_jax.models import string_drawing
 from bcfj_jax.models.joint.model import JointModel
 from bcfj_jax.models.joint.scene import OF_A_BALL
+from bcfj_jax.models.steel_ball import loaded_turn
 from bcfj_jax.models.string_bending import BENDING, Bent, bent, check_length, rigidity, swayed
 
 WHERE = "scene 'string'"
@@ -102,7 +102,7 @@ def chord(params: Params) -> Array:
     return 2.0 * jnp.arcsin(0.5 * params["segment_length"] / params["hole_radius"])
 
 
-@functools.partial(jax.jit, static_argnums=(1, 2))
+@partial(jax.jit, static_argnums=(1, 2))
 def loads(params: Params, count: int, bending: bool = False) -> Loads:
     """The string's statics (module docstring), differentiable in every parameter.
 
@@ -205,39 +205,16 @@ class StringModel(AbstractModel):
     count: int = eqx.field(static=True)
     kind: str = eqx.field(static=True, default="string")
     bending: bool = eqx.field(static=True, default=False)
+    settled_when: ClassVar[str] = "the load has risen"
     samples: int = eqx.field(static=True, default=301)
     life: Life = eqx.field(static=True, default=())  # pyright: ignore[reportIncompatibleMethodOverride]
 
-    @property
-    def contacts(self) -> tuple[Any, ...]:
-        """The joint's."""
-        return self.joint.contacts
-
+    contacts, traits, tolerance, bodies_at = map(partial(of, "joint"), ("contacts", "traits", "tolerance", "bodies_at"))  # pyright: ignore[reportAssignmentType]
     # Options whose default depends on others: a template of a scene file shows what they are.
-
-    @property
-    def spin(self) -> bool:
-        """The joint's."""
-        return self.joint.spin
-
-    @property
-    def window_ends(self) -> bool:
-        """The joint's."""
-        return self.joint.window_ends
-
-    @property
-    def bands(self) -> bool:
-        """The joint's."""
-        return self.joint.bands
-
-    @property
-    def traits(self) -> ModelTraits:
-        """Each instant is solved for itself."""
-        return self.joint.traits
+    spin, window_ends, bands = map(partial(of, "joint"), ("spin", "window_ends", "bands"))
 
     @property
     def title(self) -> str:
-        """How many joints."""
         return f"string of {self.count} joint{'s' if self.count > 1 else ''}, {self.joint.fidelity}"
 
     @property
@@ -263,14 +240,11 @@ class StringModel(AbstractModel):
 
     @property
     def defaults(self) -> tuple[tuple[str, float], ...]:
-        """As ``quantities``."""
         own = tuple((name, value) for name, (value, _) in self._own.items())
         return own + tuple((name, value) for name, value in self.joint.defaults if name not in _TOLD)
 
     def horizon(self, params: Params) -> Array:
-        """A turn after the load has risen."""
-        speed = jnp.maximum(jnp.abs(params["drive_speed"]), 1e-3)
-        return params["load_ramp"] + 2.0 * jnp.pi / speed
+        return loaded_turn(params)
 
     def joints(self, params: Params) -> Params:
         """Parameters of the joints, each (n,)."""
@@ -280,25 +254,16 @@ class StringModel(AbstractModel):
         return told | {name: jnp.broadcast_to(value, (self.count,)) for name, value in shared.items()}
 
     def prepare(self, params: Params) -> Any:
-        """Of all joints."""
         return {"joints": jax.vmap(self.joint.prepare)(self.joints(params))}
 
     def initial_state(self, params: Params) -> Array:
-        """Of all joints, one after the other."""
         return jax.vmap(self.joint.initial_state)(self.joints(params)).reshape(-1)
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """None: nothing is integrated."""
-        del t, prepared
         return jnp.zeros_like(y)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """Of all joints."""
         return jax.vmap(lambda p: self.joint.error_scale(p, end))(self.joints(params)).reshape(-1)
-
-    def tolerance(self, force_error: float) -> float:
-        """The joint's."""
-        return self.joint.tolerance(force_error)
 
     def instants(self, params: Params, times: Array, near: Any = None, rates: bool = True) -> tuple[Solution, Any]:
         """Joint after joint by one program: compilation does not grow with their number."""
@@ -313,7 +278,6 @@ class StringModel(AbstractModel):
         return Solution(states, status, end, jnp.sum(found.accepted), jnp.sum(found.rejected)), near
 
     def observe(self, t: Array, y: Array, prepared: Any) -> dict[str, Reading]:
-        """Of all joints side by side."""
         return self.side_by_side(
             jax.vmap(lambda y, c: self.joint.observe(t, y, c))(y.reshape(self.count, -1), prepared["joints"])
         )
@@ -326,21 +290,11 @@ class StringModel(AbstractModel):
         return {name: jax.tree.map(lambda x, name=name: of_a_ball(name, x), reading) for name, reading in found.items()}
 
     def unit_pressure(self, params: Params, contact: str, material: Any) -> Array | None:
-        """The joint's: all have the same radii."""
         return self.joint.unit_pressure({name: x[0] for name, x in self.joints(params).items()}, contact, material)
-
-    def bodies_at(self, params: Params, contact: str, deepest: float) -> Bodies:
-        """The joint's."""
-        return self.joint.bodies_at(params, contact, deepest)
 
     def settled_from(self, params: Params) -> float:
         """When the load has risen."""
         return float(params["load_ramp"])
-
-    @property
-    def settled_when(self) -> str:
-        """As ``settled_from``."""
-        return "the load has risen"
 
     def check(self, params: Params, where: str = "") -> None:
         """Refuse a string that does not pass, bend or turn, with the number that would do; then joints as joints are."""
@@ -405,12 +359,10 @@ class StringModel(AbstractModel):
 
     def drawing(self, params: Params, size: float = 1.0, travel: Any = None) -> Drawing:
         """The string has sizes of its own."""
-        del size, travel
         return string_drawing.drawing(params, self.count)
 
     def scenery(self, t: Array, y: Array, params: Params) -> Scenery:
         """Every segment turns as the drive does."""
-        del y
         turns = jnp.full(self.count + 1, params["drive_speed"] * t)
         return string_drawing.scenery(params, chord(params), turns)
 

@@ -36,13 +36,10 @@ def drawing(params: Params, count: int) -> Drawing:
     outline = np.stack([around + wide * np.cos(half), wide * np.sin(half)], -1)
     wall = shapes.revolved(outline, begin=-0.5 * bend, end=(count + 0.5) * bend, pieces=round(2.0 * np.pi / bend) * 6)
     axes = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T
-    found.append(Shape("ground", wall.moved(_middle(around, bend), axes.T), "clear"))
+    # To the centre of the hole's curve, from the upper end of the upper connection [m].
+    middle = around * np.array([np.cos(0.5 * bend), 0.0, -np.sin(0.5 * bend)])
+    found.append(Shape("ground", wall.moved(middle, axes.T), "clear"))
     return Drawing(tuple(found), (0.1, -1.0, 0.2), (0.0, 0.0, 1.0), _NOTES)
-
-
-def _middle(around: float, bend: float) -> np.ndarray:
-    """Centre of the hole's curve, from the upper end of the upper connection [m]."""
-    return around * np.array([np.cos(0.5 * bend), 0.0, -np.sin(0.5 * bend)])
 
 
 def scenery(params: Params, bend: Array, turns: Array) -> Scenery:

@@ -30,13 +30,14 @@ from jax import Array
 from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.part import of
 from bcfj_jax.mechanism.model import BodyMotion, Flows, Params
 from bcfj_jax.mechanism.structure import AbstractStructure
 from bcfj_jax.models.joint import energy, system
 from bcfj_jax.models.joint.programmes import drive_at
 from bcfj_jax.models.joint.scales import TOLD
 from bcfj_jax.models.string import StringModel, loads, polar
-from bcfj_jax.models.string_motion import MovingString, weight
+from bcfj_jax.models.string_motion import MovingString, above, below, weight
 
 
 class _Factors(NamedTuple):
@@ -70,7 +71,6 @@ class Chained(AbstractStructure):
     string: Any = eqx.field(static=True)
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
-        """The string's."""
         return self.string.vector_field(t, y, args[1])
 
     def factor(self, t: Any, y: Array, args: Any, scale: Any) -> _Factors:
@@ -89,7 +89,7 @@ class Chained(AbstractStructure):
         by_place = scale * held["coupling"]
         by_speed = by_place + held["coupling_damping"]
         seat, head = (jnp.moveaxis(answer[:, k][:, at], -1, 0) for k in (0, 1))
-        bands = jnp.stack([-_above(seat[1]), seat[0] + _above(head[1]), -head[0].at[-1].set(0.0)])
+        bands = jnp.stack([-above(seat[1]), seat[0] + above(head[1]), -head[0].at[-1].set(0.0)])
         return _Factors(own, answer, slope, by_place, by_speed, (by_speed * bands).at[1].add(1.0))
 
     def solve(self, factors: Any, right: Array) -> Array:
@@ -98,11 +98,10 @@ class Chained(AbstractStructure):
         right = right.reshape(n, -1)
         found = jax.vmap(self.string.joint.structure().solve)(factors.own, right)
         found = found + (factors.slope * found[:, at[1]])[:, None] * factors.answer[:, 1]
-        known, closing = (_above(x[:, k[1]]) - x[:, k[0]] for x, k in ((right, place), (found, at)))
-        below, on, above = factors.bands
+        known, closing = (above(x[:, k[1]]) - x[:, k[0]] for x, k in ((right, place), (found, at)))
         known = factors.by_place * known + factors.by_speed * closing
-        torque = tridiagonal_solve(below, on, above, known[:, None])
-        return (found + torque * factors.answer[:, 0] - _below(torque) * factors.answer[:, 1]).ravel()
+        torque = tridiagonal_solve(factors.bands[0], factors.bands[1], factors.bands[2], known[:, None])
+        return (found + torque * factors.answer[:, 0] - below(torque) * factors.answer[:, 1]).ravel()
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
         """Of what acts on the joints: by themselves they do not depend on time."""
@@ -111,21 +110,12 @@ class Chained(AbstractStructure):
         return jnp.zeros((string.count, string.joint.states)).at[:, string.rates].set(rate).ravel()
 
 
-def _above(x: Array) -> Array:
-    """Of the joint above each, 0 above the first."""
-    return jnp.concatenate([jnp.zeros_like(x[:1]), x[:-1]])
-
-
-def _below(x: Array) -> Array:
-    """Of the joint below each, 0 below the last."""
-    return jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
-
-
 class DynamicString(MovingString):
     """A string of joints in motion; made by ``string_motion.in_motion``. Its state is that of joint after joint."""
 
     # What StringModel has of joints is right of joints in motion.
-    observe, traits = StringModel.observe, StringModel.traits
+    observe, traits, tolerance = StringModel.observe, StringModel.traits, StringModel.tolerance
+    first_step, settled_when = of("joint", "first_step"), of("joint", "settled_when")
 
     @property
     def rates(self) -> slice:
@@ -175,7 +165,6 @@ class DynamicString(MovingString):
         return StringModel.initial_state(self, {**params, "drive_speed": first})
 
     def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The joints', and what acts on them."""
         states = y.reshape(self.count, -1)
         rates = jax.vmap(lambda y, c: self.joint.structure().field(t, y, (self.joint, c)))(states, prepared["joints"])
         return rates.at[:, self.rates].add(self.pushed(t, y, prepared)).ravel()
@@ -188,7 +177,7 @@ class DynamicString(MovingString):
         axial = -self.axial(t, prepared)[:, None] * c.axes[:, 1]
         parts = {"head": axial, "cage": jnp.zeros((self.count, 3)), "cage_turn": jnp.zeros((self.count, 3))}
         parts["seat_turn"] = torque[:, None]
-        parts["head_turn"] = (self.rubbed(t, speed[:, 1], prepared) - _below(torque))[:, None]
+        parts["head_turn"] = (self.rubbed(t, speed[:, 1], prepared) - below(torque))[:, None]
         found = self.joint.coupled(parts) * c.coupling_inverse_mass
         if self.flexible or over.drive is None:
             return found
@@ -204,15 +193,12 @@ class DynamicString(MovingString):
 
     @property
     def _rubbing(self) -> list[Any]:
-        """Wall and bit."""
         return list(self.torsion.loads[1:])
 
     def structure(self) -> AbstractStructure:
-        """Arrowheads in a row."""
         return Chained(self)
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
-        """The joints' under the greatest loads."""
         over = self._shaft.programmes
         told = {**params, "load_torque": params["bit_torque"], "axial_load": params["weight_on_bit"]}
         most = {"bit_torque": over.largest_torque(told, end), "weight_on_bit": over.largest_axial(told)}
@@ -222,22 +208,9 @@ class DynamicString(MovingString):
             scale = scale.at[0, np.stack(self.ends)[:, 0]].multiply(TOLD)
         return scale.ravel()
 
-    def tolerance(self, force_error: float) -> float:
-        """The joint's."""
-        return self.joint.tolerance(force_error)
-
-    def first_step(self, params: Params, scales: Array) -> ArrayLike:
-        """The joint's."""
-        return self.joint.first_step(params, scales)
-
     def settled_from(self, params: Params) -> float:
         """When what rises has risen and a ball's pitch has passed."""
         return super().settled_from(params) + float(self.joint.pitch(params))
-
-    @property
-    def settled_when(self) -> str:
-        """The joint's."""
-        return self.joint.settled_when
 
     def coordinates(self) -> dict[str, tuple[int, int]]:
         """Of the lumps, which are the heads, and of all joints."""
@@ -253,7 +226,7 @@ class DynamicString(MovingString):
         """Of what turns each seat: elastic and damping torque, twist, speed of the drive."""
         place, rate = self.turns(y)
         turn, speed = self._shaft.drive(t, prepared)
-        twist, closing = (_above(x[:, 1]).at[0].set(x0) - x[:, 0] for x, x0 in ((place, turn), (rate, speed)))
+        twist, closing = (above(x[:, 1]).at[0].set(x0) - x[:, 0] for x, x0 in ((place, turn), (rate, speed)))
         return prepared["coupling"] * twist, prepared["coupling_damping"] * closing, twist, jnp.asarray(speed)
 
     def _split(self, y: Array) -> tuple[Array, Array, list[Array]]:
@@ -287,7 +260,7 @@ class DynamicString(MovingString):
         both = jax.vmap(lambda y, c: (energy.power(self.joint, c, t, y), energy.stored(self.joint, c, t, y)))
         power, stored = jax.tree.map(jnp.sum, both(y.reshape(self.count, -1), c))
         elastic, damping, twist, top = self._springs(t, y, prepared)
-        closing = _above(rate[:, 1]).at[0].set(top) - rate[:, 0]
+        closing = above(rate[:, 1]).at[0].set(top) - rate[:, 0]
         wall, bit = (-load.on_coordinate(t, None, rate[:, 1], prepared) @ rate[:, 1] for load in self._rubbing)
         _, given, rubs = self._top(t, y, prepared)
         taken = {"bit": bit, "wall": rubs * top + wall, "axial": power.axial, "friction": power.friction}

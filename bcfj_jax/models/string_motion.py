@@ -24,6 +24,7 @@ Joints in full motion are those of ``models.string_dynamic``.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -35,6 +36,7 @@ from jax.lax.linalg import tridiagonal_solve
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.friction import AbstractFriction, Coulomb
+from bcfj_jax.contact.part import of
 from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.bodies import Body
@@ -70,11 +72,25 @@ NUMBERS: dict[str, tuple[float, str]] = {
 }
 
 
-class Shaft(CoordinateLoad):
-    """Springs and dampers between neighbouring members of one body, the first of them held by the drive."""
+class _OnLumps(CoordinateLoad):
+    """A load on the lumps whose numbers are the string's; ``over``: which of the programmes it follows, and its name there."""
 
+    over: ClassVar[tuple[str, str]]
     programmes: Programmes
     body: str = eqx.field(static=True, default="lump")
+
+    def kinks(self, p: Params) -> list[ArrayLike] | None:
+        programme = getattr(self.programmes, self.over[0])
+        return [] if programme is None else programme.kinks(self.over[1], p)
+
+    def parameters(self, turns: bool = True) -> Parameters:
+        return {}
+
+
+class Shaft(_OnLumps):
+    """Springs and dampers between neighbouring members of one body, the first of them held by the drive."""
+
+    over: ClassVar[tuple[str, str]] = ("drive", "seat")
     name: str = eqx.field(static=True, default="shaft")
 
     def torques(self, t: Array, position: Array, rate: Array, p: Params) -> tuple[Array, Array, Array, Array]:
@@ -96,37 +112,17 @@ class Shaft(CoordinateLoad):
         torque = elastic + damping
         return torque - jnp.append(torque[1:], 0.0)
 
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The drive's."""
-        drive = self.programmes.drive
-        return [] if drive is None else drive.kinks("seat", p)
 
-    def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
-        return {}
-
-
-class Wall(CoordinateLoad):
+class Wall(_OnLumps):
     """Coulomb's friction on every member, in proportion to the weight on the bit at the time."""
 
     dry: ClassVar[bool] = True
-    programmes: Programmes
-    body: str = eqx.field(static=True, default="lump")
+    over: ClassVar[tuple[str, str]] = ("axial", "axial_load")
     name: str = eqx.field(static=True, default="wall")
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params) -> Array:
-        """Against the turning of every member."""
         told = {"friction_dynamic": p["wall_arm"] * weight(self.programmes, t, p) + p["wall_kept"]}
         return -Coulomb().coefficient(rate, told | {"friction_speed": p["wall_speed"] / p["segment_radius"]})
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The weight's."""
-        axial = self.programmes.axial
-        return [] if axial is None else axial.kinks("axial_load", p)
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
-        return {}
 
 
 def weight(over: Programmes, t: Array, p: Params) -> Array:
@@ -134,7 +130,7 @@ def weight(over: Programmes, t: Array, p: Params) -> Array:
     return jnp.maximum(axial_at(over, t, {**p, "axial_load": p["weight_on_bit"]}), 0.0)
 
 
-class Bit(CoordinateLoad):
+class Bit(_OnLumps):
     """Torque of the rock on the last member: over time, by the speed (``joint.programmes.torque_at``), or by a friction law.
 
     The law's normal force is the torque T of a bit that turns fast, its mu_d 1 and its mu_s ``stick_ratio``. Bristles of
@@ -143,13 +139,11 @@ class Bit(CoordinateLoad):
         z' = w - |w| s0 z/g(w),   g = 1 + (stick_ratio - 1) exp(-(w/v_t)^2),   torque = T (s0 z + s1 z')
     """
 
-    programmes: Programmes
-    law: AbstractFriction | None = None
-    body: str = eqx.field(static=True, default="lump")
+    over: ClassVar[tuple[str, str]] = ("torque", "load_torque")
     name: str = eqx.field(static=True, default="bit")
+    law: AbstractFriction | None = None
 
     def on_coordinate(self, t: Array, position: Any, rate: Any, p: Params, *bend: Any) -> Array:
-        """On the last member, against its turning."""
         amount = torque_at(self.programmes, t, rate[-1], {**p, "load_torque": p["bit_torque"]})
         if self.law is not None and self.bristles:
             _, stick, viscous = self.law.bond(rate[-1] ** 2, self._told(p))
@@ -160,7 +154,6 @@ class Bit(CoordinateLoad):
 
     @property
     def bristles(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law's."""
         return self.law is not None and self.law.bristles
 
     def _told(self, p: Params) -> dict[str, Array]:
@@ -181,14 +174,6 @@ class Bit(CoordinateLoad):
         """z of a bit that breaks away."""
         assert self.law is not None
         return self.law.reach(self._told(p))
-
-    def kinks(self, p: Params) -> list[ArrayLike] | None:
-        """The torque's."""
-        return self.programmes.torque.kinks("load_torque", p)
-
-    def parameters(self, turns: bool = True) -> Parameters:
-        """None of its own: the string's."""
-        return {}
 
 
 def inertias(p: Params, count: int) -> Array:
@@ -239,7 +224,6 @@ class Row(AbstractStructure):
     """
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
-        """The model's."""
         model, prepared = args
         return model.vector_field(t, y, prepared)
 
@@ -270,20 +254,22 @@ class Row(AbstractStructure):
         push, bends, kept = bent or (0.0, 0.0, 1.0)
         angle, speed, *bend = jnp.split(right, 3 if bent else 2)
         speed = sum((push / kept * x for x in bend), speed)
-        pushed = by_angle[1] * angle + by_angle[0] * _shifted(angle, 1) + by_angle[2] * _shifted(angle, -1)
-        below, on, above = whole
-        rate = tridiagonal_solve(below, on, above, (speed + s * pushed)[:, None])[:, 0]
+        pushed = by_angle[1] * angle + by_angle[0] * above(angle) + by_angle[2] * below(angle)
+        rate = tridiagonal_solve(whole[0], whole[1], whole[2], (speed + s * pushed)[:, None])[:, 0]
         return jnp.concatenate([s * (angle + rate), rate, *((x + bends * rate) / kept for x in bend)])
 
     def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
-        """By forward differentiation."""
         return jax.jvp(lambda t: self.field(t, y, args), (t,), (jnp.ones_like(t),))[1]
 
 
-def _shifted(x: Array, by: int) -> Array:
-    """The neighbour's entries, 0 beyond the end."""
-    none = jnp.zeros(1)
-    return jnp.concatenate([none, x[:-1]] if by > 0 else [x[1:], none])
+def above(x: Array) -> Array:
+    """Of the neighbour above each, 0 above the first."""
+    return jnp.concatenate([jnp.zeros_like(x[:1]), x[:-1]])
+
+
+def below(x: Array) -> Array:
+    """Of the neighbour below each, 0 below the last."""
+    return jnp.concatenate([x[1:], jnp.zeros_like(x[:1])])
 
 
 class MovingString(StringModel):
@@ -299,6 +285,11 @@ class MovingString(StringModel):
     names: tuple[tuple[str, float], ...] = eqx.field(static=True, kw_only=True)
     flexible: bool = eqx.field(static=True, default=False)
 
+    # At first every lump turns as the drive does, untwisted.
+    initial_state, vector_field, tolerance, breaks = map(
+        partial(of, "torsion"), ("initial_state", "vector_field", "tolerance", "breaks")
+    )  # pyright: ignore[reportAssignmentType]
+
     @property
     def traits(self) -> ModelTraits:
         """Friction of wall and bit is stiff; to look at the joints takes far longer than a step."""
@@ -306,7 +297,6 @@ class MovingString(StringModel):
 
     @property
     def title(self) -> str:
-        """That it moves."""
         return f"torsional {super().title}"
 
     @property
@@ -349,41 +339,21 @@ class MovingString(StringModel):
         held = {"wall_arm": arms[1:], "wall_kept": kept[1:], "wall_arm_above": arms[0], "wall_kept_above": kept[0]}
         return {**params, **held, "coupling": each, "coupling_damping": damping}
 
-    def initial_state(self, params: Params) -> Array:
-        """Every lump turns as the drive does, untwisted."""
-        return self.torsion.initial_state(params)
-
-    def vector_field(self, t: Array, y: Array, prepared: Any) -> Array:
-        """The mechanism's."""
-        return self.torsion.vector_field(t, y, prepared)
-
     def structure(self) -> AbstractStructure:
-        """Neighbours alone."""
         return Row()
 
     def error_scale(self, params: Params, end: ArrayLike = jnp.inf) -> Array:
         """Twist of a segment under the bit's torque, and the speed that this swings at."""
-        del end
         k = torsional_stiffness(params)
         twist = (params["bit_torque"] + 1e-3 * params["drive_torque"]) / k
         bend = [jnp.full(self.count, self._bit.reach(params))] if self._bit.bristles else []
         return jnp.concatenate([jnp.full(self.count, twist), twist * jnp.sqrt(k / inertias(params, self.count)), *bend])
 
-    def tolerance(self, force_error: float) -> float:
-        """The mechanism's."""
-        return self.torsion.tolerance(force_error)
-
     def first_step(self, params: Params, scales: Array) -> Array:
         """A hundredth of the time in which a twist is gone at its speed."""
-        del params
         return 1e-2 * scales[0] / scales[self.count]
 
-    def breaks(self, params: Params, end: ArrayLike) -> Array | None:
-        """Ends of ramps, knots of tables."""
-        return self.torsion.breaks(params, end)
-
     def coordinates(self) -> dict[str, tuple[int, int]]:
-        """Of the lumps."""
         return {f"lump[{i + 1}]": (i, self.count + i) for i in range(self.count)}
 
     @property

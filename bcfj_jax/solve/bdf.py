@@ -345,14 +345,11 @@ class _Run(NamedTuple):
         assert memory is not None
         kept = _tail(s.differences)
         apart = memory.before(s.t, kept[0, 0], args)
-        there, at, setting = before & ~apart, jnp.asarray(memory.places), memory.set
-
-        def put(d: Array) -> Array:
-            rows = setting(s.t, s.h, lambda time: jnp.tensordot(_weights(s, time), kept, axes=1), args, changes)
-            fresh = jnp.zeros((ROWS, *rows.shape)).at[0].set(rows)
-            return d.at[:, :, at].set(jnp.where(there, fresh, d[:, :, at]))
-
-        return s._replace(differences=jax.lax.cond(jnp.any(there), put, lambda d: d, s.differences)), apart
+        turned = before.astype(int) - apart
+        read = lambda time: jnp.tensordot(_weights(s, time), kept, axes=1)  # noqa: E731
+        posed = self.posed.solver.structure.field, args, changes
+        put = lambda d: memory.after(d, turned, (s.t, s.h), read, posed)  # noqa: E731
+        return s._replace(differences=jax.lax.cond(jnp.any(turned), put, lambda d: d, s.differences)), apart
 
     def step(self, carry: _Carry) -> _Carry:
         """One attempt, and what is noted of it."""

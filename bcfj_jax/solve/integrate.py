@@ -153,7 +153,7 @@ def integrate(
     if traits.stiff and differentiable:
         if mode == "forward":
             return _with_tangents(posed, times, how)
-        if model.remembered:
+        if at_touch(model) is not None:
             return _by_directions(posed, times, how)
         return _with_adjoint(posed, _anywhere(model, params) if how.tangents else None, times, how)
     if traits.stiff and how.solver == "bdf" and not differentiable:
@@ -191,8 +191,9 @@ def _landed(
         others = channels + len(model.remembered) + model.corners + len(bristled(model))
         near = near * jnp.concatenate([jnp.ones(others), speeds])
     since = jax.lax.stop_gradient(times[0]) if whole else None
-    control = Landing(controller(problem, how), near, most, size, since)
+    control = controller(problem, how, lambda inner: Landing(inner, near, most, size, since))
     end, memory = _by_diffrax(problem, times, how, mode, control, memory=True)
+    memory = memory if problem.breaks is None else memory[0]
     if whole:
         impulse, work = (end.states[-1] - end.states[0])[size:].reshape(2, channels)
         _, time, state, before, after = jax.tree.map(lambda x: x[:, :channels], memory.tops)
@@ -267,11 +268,15 @@ def limits(problem: Problem, solver: Sdirk) -> bdf.Limits:
     return bdf.Limits(problem.longest, problem.breaks, find)
 
 
-def controller(problem: Problem, how: Plan) -> dfx.AbstractStepSizeController:
-    """How steps are chosen: by their errors, for no hidden contact, and to end at breaks."""
+def controller(problem: Problem, how: Plan, landing: Callable[[Any], Any] | None = None) -> Any:
+    """How steps are chosen: by their errors, for no hidden contact, to end on contacts by ``landing``, and to end at breaks.
+
+    Breaks stay where they are as a landing moves with the parameters, so that they have the last word.
+    """
     control: dfx.AbstractStepSizeController = _by_errors(problem, how)
     control = control if problem.stiff else Limited(control, problem.longest, problem.shortest_step)
     control = Seeking(control) if problem.seeks else control
+    control = control if landing is None else landing(control)
     return control if problem.breaks is None else Breaking(control, problem.breaks)
 
 
@@ -485,7 +490,7 @@ def _with_tangents(problem: Problem, times: Array, how: Plan) -> Solution:
     """A run whose forward tangents are solved beside it (``solve.tangents``)."""
     model, _ = problem.args
     # What is remembered of a touch has its derivative from BDF alone, whose tangents are good at tight tolerances.
-    controlled = how.tangents or bool(model.remembered)
+    controlled = how.tangents or at_touch(model) is not None
     if not how.tangents and controlled:
         how = replace(how, tolerance=jnp.minimum(how.tolerance, model.tolerance(_REMEMBERED)))
 

@@ -22,9 +22,8 @@ from jax import Array
 
 from bcfj_jax.contact.normal import GAP
 from bcfj_jax.core.numerics import bisected
-from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.mechanism.model import AbstractModel, Proximity
 from bcfj_jax.solve.cubic import Cubic, hermite
-from bcfj_jax.solve.remembering import close
 from bcfj_jax.solve.wrapped import AbstractControl
 
 # A step ends on the surface when it is this share of the tolerated error of a penetration from it.
@@ -42,6 +41,15 @@ _PART, _FINEST = 0.5, 3e-4
 _NEWTON, _ENDED = 0.999, 1e-7
 # Pieces of a step in which its crossing is sought, and halvings of the piece.
 PIECES, _HALVINGS = 16, 50
+
+
+# The clock's rounding, relative; beside it the tolerated distance counts.
+ROUNDING = 5e-15
+
+
+def close(near: Any, t: Any, rate: Array) -> Array:
+    """Distance from a surface within which a step ends on it [m]: no nearer than the clock's rounding lets a step end."""
+    return jax.lax.stop_gradient(jnp.maximum(near, ROUNDING * jnp.abs(t * rate)))
 
 
 class Instants(NamedTuple):
@@ -131,6 +139,13 @@ def bristled(model: AbstractModel) -> tuple[int, ...]:
     return _channels(model, lambda contact: contact.friction is not None and contact.friction.bristles)
 
 
+def jumping(model: AbstractModel) -> tuple[int, ...]:
+    """Channels of ``felt`` whose force may begin with a jump: of laws that say so, and where loads begin."""
+    contacts = sum(max(1, count) for count in model.members.values())
+    jumps = _channels(model, lambda contact: getattr(contact.law, "jumps", False))
+    return (*jumps, *range(contacts, contacts + model.corners))
+
+
 def _channels(model: AbstractModel, which: Callable[[Any], bool]) -> tuple[int, ...]:
     counts = [max(1, model.members[contact.name]) for contact in model.contacts]
     every = [which(contact) for contact, count in zip(model.contacts, counts, strict=True) for _ in range(count)]
@@ -202,7 +217,7 @@ class Landing(AbstractControl):
         return first, _Memory(inner, seen, inside, found, jnp.asarray(0), jnp.asarray(0.0), none, none, top, tops)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
-        """The inner control's decision; of a step that it keeps and that crosses, another one to the surface."""
+        """The inner control's decision; of a step that crosses, and is kept or meets a jump, another one to the surface."""
         memory = controller_state
         keep, start, end, jump, inner, result = self.inner.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, memory.inner
@@ -213,7 +228,8 @@ class Landing(AbstractControl):
         reach = close(self.near, t1, now.rate)
         near, heading = jnp.abs(now.depth) <= reach, jnp.where(memory.inside, -now.rate, now.rate) > 0
         beyond = jnp.where(memory.inside, -now.depth, now.depth) > 0
-        crossing = keep & beyond & ~near
+        # A step across a jump is rejected until it is as short as rounding: the way to the surface is known before.
+        crossing = (keep | np.isin(np.arange(beyond.size), jumping(model))) & beyond & ~near
         share = jax.lax.cond(
             jnp.any(crossing),
             lambda: jnp.min(jnp.where(crossing, crossed_at(memory.before, now, memory.inside, dt, 0.5 * reach), 1.0)),
@@ -316,7 +332,7 @@ def restarted(control: tuple) -> tuple:
     return (restarted(first), *rest) if isinstance(first, tuple) else (*map(jnp.ones_like, control[:2]), *control[2:])
 
 
-def course(before: Look, now: Look, dt: Any) -> Cubic:
+def course(before: Look | Proximity, now: Look | Proximity, dt: Any) -> Cubic:
     """The penetrations (C,) in a step [m]."""
     return hermite((before.depth, now.depth), (before.rate, now.rate), dt)
 

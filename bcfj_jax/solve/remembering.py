@@ -19,20 +19,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from bcfj_jax.mechanism.model import AbstractModel, Approaches
+from bcfj_jax.mechanism.model import AbstractModel
+from bcfj_jax.solve.landing import close, felt, jumping
 from bcfj_jax.solve.wrapped import AbstractWrapped
 from bcfj_jax.xla import batched_jvp
 
-# Newton steps to a touch within a step.
-_NEWTON = 6
-
-# The clock's rounding, relative; beside it the tolerated distance counts.
-ROUNDING = 5e-15
-
-
-def close(near: Any, t: Any, rate: Array) -> Array:
-    """Distance from a surface within which a step ends on it [m]: no nearer than the clock's rounding lets a step end."""
-    return jax.lax.stop_gradient(jnp.maximum(near, ROUNDING * jnp.abs(t * rate)))
+# Newton steps to a touch within a step; states on either side are apart by this share of the step, or of the time until then.
+_NEWTON, _ASIDE, _LATER = 6, 1e-6, 1e-12
 
 
 def constant(field: Callable, places: tuple[int, ...]) -> Callable:
@@ -72,51 +65,80 @@ class Remembering(AbstractWrapped):
 
 
 class AtTouch(eqx.Module):
-    """Approach speeds in runs by BDF: states ``places`` that a touch within a step sets, and that do not change until the next.
+    """What touches within a step do to runs by BDF: they set approach speeds, and forces that begin with a jump move tangents.
 
-    After it they have no differences. The arguments of the field are (model, what it has prepared).
+    ``places`` are the states that are approach speeds, which do not change until the next touch and have no differences.
+    ``jumps`` are channels of ``landing.felt``. Where the field jumps from f- to f+ at a time t, the tangents gain
+
+        (f- - f+) dt,    dt = -(dd/dp)/(dd/dt),
+
+    d being the penetration (Galan, Feehery and Barton, Appl. Numer. Math. 31 (1999) 17): no matrix of a step has that. The
+    arguments of the field are (model, what it has prepared).
     """
 
     places: tuple[int, ...] = eqx.field(static=True)
+    jumps: tuple[int, ...] = eqx.field(static=True)
+
+    def _seen(self, t: Array, y: Array, args: Any) -> tuple[Array, Array]:
+        """Of each place and each jump the penetration, and of each place its speed; in the state (n,)."""
+        model, prepared = args
+        depth = speed = jnp.zeros(0)
+        if self.places:
+            depth, _, speed = model.approaches(t, y, prepared)
+        if self.jumps:
+            depth = jnp.append(depth, felt(model, t, y, prepared).depth[jnp.asarray(self.jumps)])
+        return depth, speed
 
     def before(self, t: Array, y: Array, args: Any) -> Array:
-        """Of each place, whether its surfaces are apart (k,), in the state (n,)."""
-        model, prepared = args
-        return model.approaches(t, y, prepared).depth < 0.0
+        """Of each place and each jump, whether its surfaces are apart, in the state (n,)."""
+        return self._seen(t, y, args)[0] < 0.0
 
-    def set(self, end: Array, length: Array, read: Callable[[Array], Array], args: Any, changes: Any) -> Array:
-        """What each place is (1 + k, m) after a touch in the step that ended at ``end`` [s]: its value, and its tangents.
+    def after(self, d: Array, turned: Array, step: tuple[Array, Array], read: Callable, posed: tuple) -> Array:
+        """Differences (rows, 1 + k, n) after a ``step``, told by its end and length [s], in which surfaces met, or parted.
 
-        Speeds are those at the roots of the penetrations, whose shift is dt = -(dd/dp)/(dd/dt). ``read`` gives rows (1 + k, n)
-        at a time within the step, at fixed times.
+        ``turned``: 1 where they met, -1 where they parted, else 0. ``read`` gives rows (1 + k, n) at a time within the step, at
+        fixed times; ``posed`` is (field, args, changes).
         """
-        model = args[0]
+        (end, length), (field, args, changes), count = step, posed, len(self.places)
 
-        def seen(t: Array, y: Array, args: Any) -> Approaches:
-            return model.approaches(t, y, args[1])
+        def at(k: Array) -> tuple[Array, Array]:
+            def moving(t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+                return jax.jvp(lambda t: self._seen(t, read(t)[0], args), (t,), (jnp.ones_like(t),))
 
-        def at(k: Array) -> Array:
-            def moving(t: Array) -> tuple[Approaches, Approaches]:
-                return jax.jvp(lambda t: seen(t, read(t)[0], args), (t,), (jnp.ones_like(t),))
+            def steep(change: Array) -> Array:
+                return jnp.where(change[k] * turned[k] > 0, change[k], jnp.inf)
 
             def closer(_: int, t: Array) -> Array:
                 now, change = moving(t)
-                return jnp.clip(
-                    t - now.depth[k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf), end - length, end
-                )
+                return jnp.clip(t - now[0][k] / steep(change[0]), end - length, end)
 
             touch = jax.lax.fori_loop(0, _NEWTON, closer, end - 0.5 * length)
-            rows, (now, change) = read(touch), moving(touch)
-            if rows.shape[0] == 1:
-                return now.speed[k][None]
-            function = lambda x: seen(touch, *x)  # noqa: E731
-            _, by = batched_jvp.along(function, (rows[0], args), (rows[1:], changes))
-            shift = -by.depth[:, k] / jnp.where(change.depth[k] > 0, change.depth[k], jnp.inf)
-            return jnp.concatenate([now.speed[k][None], by.speed[:, k] + change.speed[k] * shift])
+            rows, ((_, speed), (change, faster)) = read(touch), moving(touch)
+            by, more = jnp.zeros((2, rows.shape[0] - 1, 0))
+            if rows.shape[0] > 1:
+                function = lambda x: self._seen(touch, *x)  # noqa: E731
+                _, (by, more) = batched_jvp.along(function, (rows[0], args), (rows[1:], changes))
+                by = -by[:, k] / steep(change)
+            own = jnp.minimum(k, count - 1)
+            speeds = jnp.append(speed[own], more[:, own] + faster[own] * by) if count else jnp.zeros(rows.shape[0])
+            gained = jnp.zeros(rows.shape[1])
+            if self.jumps:
+                along = jax.jvp(lambda t: read(t)[0], (touch,), (jnp.ones_like(touch),))[1]
+                aside = jnp.maximum(_ASIDE * length, _LATER * touch) * along
+                gained = field(touch, rows[0] - aside, args) - field(touch, rows[0] + aside, args)
+            return speeds, jnp.zeros_like(rows).at[1:].set(jnp.reshape(by, (-1, 1)) * gained)
 
-        return jax.vmap(at, out_axes=1)(jnp.arange(len(self.places)))
+        speeds, gained = jax.vmap(at)(jnp.arange(turned.size))
+        if self.jumps:
+            d = d.at[0].add(jnp.sum(jnp.where(turned[count:, None, None] != 0, gained[count:], 0.0), axis=0))
+        if count:
+            at_ = jnp.asarray(self.places)
+            fresh = jnp.zeros((d.shape[0], *speeds[:count].T.shape)).at[0].set(speeds[:count].T)
+            d = d.at[:, :, at_].set(jnp.where(turned[:count] > 0, fresh, d[:, :, at_]))
+        return d
 
 
 def at_touch(model: AbstractModel) -> AtTouch | None:
-    """What a model's contacts remember of their approaches; None for nothing."""
-    return AtTouch(model.remembered) if model.remembered else None
+    """What touches do to a model's runs by BDF; None for nothing."""
+    places, jumps = model.remembered, jumping(model)
+    return AtTouch(places, jumps) if places or jumps else None

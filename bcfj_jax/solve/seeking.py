@@ -26,7 +26,8 @@ from jax import Array
 
 from bcfj_jax.core.numerics import bisected
 from bcfj_jax.mechanism.model import AbstractModel, Proximity
-from bcfj_jax.solve.cubic import Cubic, Extreme, hermite
+from bcfj_jax.solve.cubic import Cubic, Extreme
+from bcfj_jax.solve.landing import course
 from bcfj_jax.solve.wrapped import AbstractControl, AbstractWrapped
 
 # Speeds within a step are taken to be up to this multiple of the greater one at its ends.
@@ -79,7 +80,7 @@ def allowed(
         small = jnp.where(bends > 0.0, small, _agrees(a, inner, b, h, near))
         fit = jnp.where(bends > 0.0, fit, 0.5)
     band = jnp.where(bends > 0.0, _BAND * moved * jnp.minimum(bent, _SHARE) ** 3, 0.0)
-    cubic = _between(a, b, h)
+    cubic = course(a, b, h)
     high, low = cubic.extremes()
     # What both ends know; of surfaces that part at the end a damped law may not.
     known = jnp.maximum(jnp.maximum(a.depth, jnp.where(b.rate >= 0.0, b.depth, 0.0)), near)
@@ -114,11 +115,6 @@ def _doubt(extreme: Extreme, band: Array, p: Array, q: Array) -> Array:
     return jnp.where(steep >= 8.0 * band, 0.0, band)
 
 
-def _between(a: Proximity, b: Proximity, h: Array) -> Cubic:
-    """The penetrations (C,) in a step [m]."""
-    return hermite((a.depth, b.depth), (a.rate, b.rate), h)
-
-
 def _over(x: Array, y: Array) -> Array:
     """x / y where x is positive, else 0."""
     return jnp.where(x > 0.0, x / y, 0.0)
@@ -137,7 +133,7 @@ def _touch(cubic: Cubic, high: Extreme, level: Array, exact: bool) -> Array:
 
 def _agrees(a: Proximity, inner: tuple[Proximity, ...], b: Proximity, h: Array, near: Array) -> Array:
     """Whether the cubic through both ends of a step of length h [s] describes what is seen at ``_INNER``, of each face."""
-    cubic = _between(a, b, h)
+    cubic = course(a, b, h)
     sizes, good = jnp.maximum(jnp.abs(a.depth), jnp.abs(b.depth)), jnp.ones(a.depth.shape, bool)
     for turn in cubic.extremes():
         sizes = jnp.where((turn.at > 0.0) & (turn.at < 1.0), jnp.minimum(sizes, jnp.abs(turn.depth)), sizes)

@@ -33,7 +33,7 @@ from exudyn.utilities import (
 
 import bcfj_jax as bj
 import benchmarks.common as harness
-from bcfj_jax.contact.restitution import carvalho_martins, gonthier
+from bcfj_jax.contact.restitution import FACTORS
 from benchmarks.clock import clocked
 from benchmarks.common import publish, save
 
@@ -60,7 +60,7 @@ class Ramp(bj.laws.AbstractFriction):
 
 def mixed(e: Any) -> Any:
     """Exudyn's impactModel 2."""
-    return jnp.where(jnp.asarray(e) <= 1 / 3, gonthier(e), carvalho_martins(e))
+    return jnp.where(jnp.asarray(e) <= 1 / 3, FACTORS["gonthier"](e), FACTORS["carvalho_martins"](e))
 
 
 LAWS = {1: bj.laws.make("hunt_crossley"), 2: bj.laws.Restitution(factor=mixed)}

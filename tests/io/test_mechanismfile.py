@@ -409,6 +409,12 @@ BAD = {
     "no kind of load": ("[[contact]]", '[[load]]\nname = "f"\n[[contact]]', ["[[load]] 1 'f' kind", "is missing"]),
     "bounds": ('unit = "m"\ndefault = "50', 'unit = "m"\nlower = 1\ndefault = "50', ["[quantity.crank_length] default"]),
     "a default in words": ('default = "50 mm"', 'default = "short"', ["[quantity.crank_length] default", "'short'"]),
+    "an option of the gap": (
+        'gap = "pin_in_bearing"', 'gap = "pin_in_bearing"\npads = 6', ["'journal' pads", 'gap = { kind = "pin_in_bearing", pads']
+    ),
+    "a coefficient among the keys": (
+        'gap = "pin_in_bearing"', 'gap = "pin_in_bearing"\nstiffness = 1', ["'journal' stiffness", '"journal.stiffness" in']
+    ),
     "parts of a scene that has its own": ('kind = "mechanism"', 'kind = "impact"', ["[[body]]", "'impact' has its own parts"]),
 }  # fmt: skip
 

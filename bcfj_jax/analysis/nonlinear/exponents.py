@@ -13,7 +13,7 @@ steps, so that their distance is never below the tolerance, which at a force err
 that is too near to the size of the play itself. The tangent takes the state's own steps and one matrix serves both
 (``solve.tangents``): SDIRK2 on the arrowhead for the joint, bounded however stiff friction is, and Tsit5 for ``impact`` and
 ``bounce``. Contact forces are continuous, so a tangent needs no jump where a contact begins (no saltation matrix); that of a
-law whose damping begins at once, ``kelvin_voigt`` without smoothing, would, and is not right here.
+law or load whose damping begins at once, ``kelvin_voigt`` without smoothing or a damped stop, would, and is not right here.
 """
 
 from __future__ import annotations

@@ -204,7 +204,6 @@ class AbstractEdged(AbstractGap):
         return self.axial_by(a, b, c, self.faces(a, b, c)[0].normal)
 
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
-        """``axial``."""
         steep = jnp.square(dot(a.axes[2], normal)) > 0.5
         x, y, z = (jnp.where(steep, x, z) for x, z in zip(a.axes[0], a.axes[2], strict=True))
         return x, y, z
@@ -294,9 +293,12 @@ def one_of(option: str, value: Any, known: Iterable[str]) -> None:
         raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
 
 
-def counted(option: str, value: Any) -> int:
-    """A number of members as an ``int``; 0 leaves it to the bodies."""
-    return whole(f"gap, option '{option}'", value, least=0, most=limits.MEMBERS)
+def counted(option: str, value: Any, around: str = "") -> int:
+    """A number of members as an ``int``; 0 leaves it to the bodies; ``around`` what is not held by fewer than 3."""
+    found = whole(f"gap, option '{option}'", value, least=0, most=limits.MEMBERS)
+    if around and found in (1, 2):
+        raise InputError(f"gap, option '{option}'", f"{found} {option} hold no {around}", "give 3 or more, or 0")
+    return found
 
 
 def yes_or_no(option: str, value: Any) -> None:

@@ -90,11 +90,7 @@ class CylinderOnPlane(CapsuleOnPlane):
             stands, tips and slides, and rolls as a prism does.
     """
 
-    points: int = eqx.field(static=True, default=0, converter=lambda n: counted("points", n))
-
-    def __check_init__(self):
-        if self.points in (1, 2):
-            raise InputError("gap, option 'points'", f"{self.points} points hold no rim", "give 3 or more, or 0")
+    points: int = eqx.field(static=True, default=0, converter=lambda n: counted("points", n, "rim"))
 
     @property
     def members(self) -> int:
@@ -180,7 +176,6 @@ class CapsuleOnCapsule(AbstractEdged):
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, add(arm, scale(middle, normal))),)
 
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
-        """``axial``."""
         return super().axial_by(a, b, c, normal) if self.members else a.axes[2]
 
     def carried(self, a: Vector, b: Vector) -> Vector:

@@ -175,16 +175,13 @@ class PinInBearing(AbstractGap):
 
     round: ClassVar[bool] = True
     ends: bool = eqx.field(static=True, default=False)
-    pads: int = eqx.field(static=True, default=0, converter=lambda n: counted("pads", n))
+    pads: int = eqx.field(static=True, default=0, converter=lambda n: counted("pads", n, "pin"))
 
     def __check_init__(self):
         yes_or_no("ends", self.ends)
-        if self.pads in (1, 2):
-            raise InputError("gap, option 'pads'", f"{self.pads} pads hold no pin", "give 3 or more, or 0")
 
     @property
     def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """With pads."""
         return self.pads > 0
 
     @property

@@ -198,7 +198,6 @@ class SphereInSocket(AbstractGap):
 
     @property
     def preloads(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """With pads."""
         return self.pads
 
     @property
