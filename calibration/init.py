@@ -204,6 +204,8 @@ def _kind(found: Understood) -> str:
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
     s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
+    stated = mass is None and found.mass is not None
+    mass = found.mass if stated else mass
     if s.silent:
         lost = "what is taken for a contact has no impulse: its readings may be noise alone"
         raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
@@ -221,6 +223,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
     own = known if mass is None else known._replace(mass=mass)
+    own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:

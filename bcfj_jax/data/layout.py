@@ -91,6 +91,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         last = max((r.line for r in (*names, *units)), default=0)
         begin = next((k for k, r in enumerate(plain) if r.line > last), len(plain)) if last else begin
         above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
+    elif len(preamble.sources(facts)) == len(numeric) > 1:
+        names, units, above = [], [], begin
     else:
         names, units, begin, above = _above(plain, begin, numeric, wide)
         begin = max(begin, titled)
@@ -250,7 +252,9 @@ def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
     beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
-    return bool(given) and len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
+    if all(map(preamble.valued, given)):  # A name may be a size, "50 mm", but not all are.
+        return False
+    return len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -282,7 +286,8 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         if _is_units(rows[k].cells, most=not _is_units(over.cells)):
             united, k = [rows[k]], k - 1
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
-            return [rows[k]], [over], first, k - 1
+            top = rows[k - 2] if text(k - 2) and len(rows[k - 2].cells) >= len(numeric) else rows[k]
+            return [top], [over], first, k - 1
     # A unit alone below the names is no row of two texts.
     lone = next((j for j in range(first, begin) if len(rows[j].cells) == wide and _is_units(rows[j].cells)), None)
     if not united and lone is not None:
@@ -320,7 +325,8 @@ def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], l
 def _names_numbers(cells: Sequence[Any], units: Sequence[Any]) -> bool:
     """Whether a row above one of units names columns, some of them by a number, as oscilloscopes name channels."""
     given = [c for c in cells if not is_missing(c)]
-    return len(given) == sum(not is_missing(c) for c in units) and not is_number(given[0])
+    numbered = all(str(c).strip().isdigit() for c in given if is_number(c))
+    return len(given) == sum(not is_missing(c) for c in units) and not is_number(given[0]) and numbered
 
 
 def _is_units(cells: Sequence[Any], most: bool = False) -> bool:

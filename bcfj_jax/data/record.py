@@ -8,13 +8,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970
+from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970, ticks
 from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
@@ -69,6 +70,7 @@ class Record:
     faults: tuple[InputError, ...] = ()  # of rows that do not fit, to be said together with those of the columns
     found: str = ""  # how the file is written, in words
     reader: str = "text"  # what read it
+    facts: tuple[tuple[str, str], ...] = ()  # names and values beside the table
     sensor: str = ""  # a sensitivity that the file states somewhere, for a question
     sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
@@ -80,8 +82,10 @@ class Record:
     @property
     def clock(self) -> str:
         """Header of the column of times; "" where there is none."""
-        of_days = (h for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
-        return next((h for h in self.header if h and is_time(h)), next(of_days, ""))
+        named = [(h, c) for h, c in zip(self.header, self.columns, strict=True) if h and is_time(h)]
+        of_days = ((h, c) for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
+        # What stands still is when the record was made.
+        return next((h for h, c in chain(named, of_days) if ticks(c)), "")
 
     @property
     def provenance(self) -> Provenance:
@@ -157,7 +161,13 @@ class Record:
         if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
             return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
-            return values * self.scale(unit, si_unit, column(header)[0], place)
+            scaled = values * self.scale(unit, si_unit, column(header)[0], place)
+        return self._carried(scaled) if si_unit == "s" and (np.diff(scaled) < 0.0).any() else scaled
+
+    def _carried(self, parts: np.ndarray) -> np.ndarray:
+        """Parts of seconds (N,) [s] that begin anew with each time of a day beside them, with these; others as they are."""
+        whole = (of_day(c.tolist()) for c in self.columns if c.dtype.kind in "OUS")
+        return next((w + parts for w in whole if w is not None and (np.diff(w + parts) >= 0.0).all()), parts)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
         """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity."""

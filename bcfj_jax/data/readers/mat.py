@@ -31,6 +31,7 @@ def read(file: str, wanted: str) -> Content:
 def tables_of(content: Mapping[str, Any]) -> Tables:
     """The tables of structs within structs: vectors, and matrices where they go with these (``columns.group``)."""
     tables: Tables = {}
+    said: Tables = {}
 
     def visit(table: str, struct: Mapping[str, Any]) -> None:
         columns: Columns = {}
@@ -55,8 +56,16 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                     elif array.ndim == 2:
                         matrices[name] = array
         tables[table] = group(columns, matrices)
+        own, above = tables[table].values(), table.rpartition("/")[0]
+        if table and table.rpartition("/")[2] not in UNIT_NAMES and own and all(c.size == 1 for c in own):
+            said[above] = {
+                **tables.pop(table),
+                **said.get(above, {}),
+            }  # A struct of single values is about those beside it.
 
     visit("", content)
+    for table, about in said.items():
+        tables[table] = {**about, **tables[table]} if tables.get(table) else about
     return with_units(tables)
 
 
