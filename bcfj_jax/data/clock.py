@@ -27,7 +27,7 @@ _STEP = re.compile(
     r"interval|period|increment|incr?$|step|delta|^dt$|resolution|schritt|abtastzeit|pas$|周期|间隔|間隔|период|шаг"
 )
 _OF_SAMPLES = re.compile(
-    r"sampl|scan|acqui|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
+    r"sampl|scan|acqui|update|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
     r"サンプル|サンプリング|采样|дискретиз"
 )
 _OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")

@@ -91,10 +91,11 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         last = max((r.line for r in (*names, *units)), default=0)
         begin = next((k for k, r in enumerate(plain) if r.line > last), len(plain)) if last else begin
         above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
-    elif len(preamble.sources(facts)) == len(numeric) > 1:
-        names, units, above = [], [], begin
     else:
-        names, units, begin, above = _above(plain, begin, numeric, wide)
+        given = len(preamble.sources([*preamble.above(plain[:begin]), *facts]))
+        first, (names, units, begin, above) = begin, _above(plain, begin, numeric, wide)
+        if len(numeric) - 2 < given > 1 and not any(is_time(str(c)) for r in names for c in r.cells):
+            names, units, begin, above = [], [], first, first  # The settings name the channels.
         begin = max(begin, titled)
         if not names:
             names, units = _commented(rows, plain[begin].line, wide)
@@ -109,11 +110,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
     about = [r for r in rows if r.line < data[0].line and r.line not in top]
-    told, said = preamble.described(about, wide) if header is None else ([], [])
+    told = preamble.described(about, wide) if header is None else []
     titles = told if told and not any(column(t)[1] for t in _titles(names, wide)) else _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
-    units = units or ([Row(data[0].line, said)] if said else [])
     marks = [
         _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
     ]

@@ -17,14 +17,25 @@ from bcfj_jax.io.units import column, known
 Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
-_UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units")
+_UNITS = (
+    "verticalunits",
+    "verticalunit",
+    "yunits",
+    "yunit",
+    "yunitlabel",
+    "verticalunitsch",
+    "vunit",
+    "unit",
+    "units",
+    "einheit",
+    "einheiten",
+)
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
-_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
+_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle")
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
-# "column 2: force [kN]", and "units: ms, kN".
+# "column 2: force [kN]".
 _DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2})\s*[:=.)-]+\s*([^\W\d].*?)\s*")
-_LISTED = re.compile(r"(?i)\W*(?:units?|einheit(?:en)?)\W*[:=\s]\s*(.*?)\W*")
 # What stands before names in their own line.
 _BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
 _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
@@ -80,31 +91,22 @@ def states(cells: Sequence[Any]) -> bool:
         known = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
-    if len(given) == 2 and given[0].endswith(":"):
+    if given and (given[0].endswith("=") or (len(given) == 2 and given[0].endswith(":"))):
         return True
     if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
         return False
     return clock.plain(given[0]) in _UNITS or (valued(given[1]) and not clock.is_time(given[0]))
 
 
-def described(rows: Sequence[Any], wide: int) -> tuple[list[str], list[str]]:
-    """Names of all columns in lines "column 2: force [kN]", and units in a line "units: ms, kN"; none where there are none."""
+def described(rows: Sequence[Any], wide: int) -> list[str]:
+    """Names of all columns in lines "column 2: force [kN]"; none where there are none."""
     names: dict[int, str] = {}
     for row in rows:
         if found := _DESCRIBED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
             names.setdefault(int(found[1]), found[2])
     first = min(names, default=1)
     listed = [names.get(first + j, "") for j in range(wide)]
-    return (listed if first < 2 and all(listed) else []), _units(rows, wide)
-
-
-def _units(rows: Sequence[Any], wide: int) -> list[str]:
-    for row in rows:
-        if found := _LISTED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
-            units = [u.strip("[]() ") for u in re.split(r"[\s,;|]+", found[1])]
-            if len(units) == wide and all(map(known, units)):
-                return units
-    return []
+    return listed if first < 2 and all(listed) else []
 
 
 def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
@@ -138,7 +140,7 @@ def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
 
 def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
     filled = [str(c).strip() for c in cells if not is_missing(c)]
-    if len(filled) > 1:
+    if len(filled) > 1 and ":" not in filled[0].rstrip(": "):
         each = clock.plain(filled[0]) in (*_UNITS, *_SOURCES)
         yield filled[0].rstrip(":= "), "\t".join(filled[1:]) if each else filled[1]
     # All settings in one row.
@@ -180,8 +182,10 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
     channels = [j for j in range(len(titles)) if j != timed]
     if not named and len(names := sources(facts)) == len(channels) and all(names):
         titles = [names[channels.index(j)] if j in channels else t for j, t in enumerate(titles)]
-    if unit and len(units := unit.split("\t")) == len(channels) and all(map(known, units)):
-        marks = {j: u for j, u in zip(channels, units, strict=True) if column(titles[j])[1] is None}
+    units = [u.strip("[]()") for u in re.split(r"[\s,;|]+", unit) if unit]
+    whole = next((part for part in (channels, range(len(titles))) if len(part) == len(units) > 1), ())
+    if whole and all(map(known, units)):
+        marks = {j: u for j, u in zip(whole, units, strict=True) if column(titles[j])[1] is None}
         return [f"{t} [{marks[j]}]" if j in marks else t for j, t in enumerate(titles)]
     if (lengths := said.get("lengthunits", "").lower()) and known(lengths):
         titles = [f"{t} [{lengths}]" if _PLACE.fullmatch(t) else t for t in titles]

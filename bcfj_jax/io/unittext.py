@@ -40,7 +40,7 @@ _ALIASES = {
 }  # fmt: skip
 # Units as words of other languages, in lower case, and what may stand before them.
 _WORDS = dict.fromkeys(
-    ("second", "seconde", "secondes", "segundo", "segundos", "secondo", "secondi", "sekunde", "sekunden", "sekunder"), "s"
+    ("second", "seconde", "secondes", "segundo", "segundos", "secondo", "secondi", "sekunde", "sekunden", "sekunder", "秒"), "s"
 ) | {
     **dict.fromkeys(("meter", "metre", "metres", "mètre", "mètres", "metro", "metros", "metri"), "m"),
     **dict.fromkeys(("newton", "newtons"), "N"),

@@ -350,6 +350,8 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
         if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
             found.setdefault(unit, h)
+        if unit == "g" and found.get("N") == h:  # A force named so is a weight; "acc_g" is no force.
+            found["N"] = f"{h} [g]"
     if "N" not in found and found.keys() & {"m", "m/s"} and "tangential" in found:
         found["N"] = found.pop("tangential")  # Of a rig that rubs; beside no motion it is that of an oblique impact.
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
