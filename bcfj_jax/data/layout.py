@@ -25,7 +25,7 @@ from bcfj_jax.io.units import column, known
 _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
-_UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
+_UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-秒")
 _QUOTED_ROWS = 5
 # A column that holds something in fewer of the rows does not tell which are data: settings may stand above it.
 _SPARSE = 0.02

@@ -40,7 +40,7 @@ _ALIASES = {
 }  # fmt: skip
 # Units as words of other languages, in lower case, and what may stand before them.
 _WORDS = dict.fromkeys(
-    ("second", "seconde", "secondes", "segundo", "segundos", "secondo", "secondi", "sekunde", "sekunden", "sekunder", "秒"), "s"
+    ("second", "seconde", "secondes", "segundo", "segundos", "secondo", "secondi", "sekunde", "sekunden", "sekunder"), "s"
 ) | {
     **dict.fromkeys(("meter", "metre", "metres", "mètre", "mètres", "metro", "metros", "metri"), "m"),
     **dict.fromkeys(("newton", "newtons"), "N"),
@@ -49,7 +49,7 @@ _PREFIXED = re.compile(r"(milli|mili|micro|mikro|centi|zenti|kilo)?(.+)")
 _PREFIXES = {"milli": "m", "mili": "m", "micro": "µ", "mikro": "µ", "centi": "c", "zenti": "c", "kilo": "k", None: ""}
 # Units in Cyrillic letters.
 _CYRILLIC = (("сек", "s"), ("мк", "µ"), ("см", "cm"), ("Гц", "Hz"), ("кгс", "kgf"))
-_LETTERS = str.maketrans({"с": "s", "м": "m", "к": "k", "Н": "N", "г": "g", "В": "V", "М": "M"})  # noqa: RUF001
+_LETTERS = str.maketrans({"с": "s", "м": "m", "к": "k", "Н": "N", "г": "g", "В": "V", "М": "M", "秒": "s"})  # noqa: RUF001
 # An inch over 96 of a style sheet: of a picture it is no length.
 _NONE = ("px",)
 

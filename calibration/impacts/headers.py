@@ -179,9 +179,8 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
         if (unit := column(h)[1]) in ELECTRICAL:
             needed = NEEDED.get(str(unit), NEEDED[""])
             return f"'{h}' is in {unit}: {needed.replace('10 mV/N', table.sensor) if table.sensor else needed}"
-        if unit and known(unit) and same(unit, "N m"):
-            way = "write a scene file whose joint follows the measured angle, and observe its torque"
-            return f"'{h}' is a torque: {way}: docs/howto/problem_file.md"
+    if turns := torque(table):
+        return turns
     other = pulsing(table, found.get("s", ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     # A letter alone may be of anything.
@@ -192,6 +191,15 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
     units = "" if kind or heavy else ', or its own unit: g, m/s^2, mm, or V with --sensitivity "10 mV/N"'
     said = f', or say which it is: --observe "{said} [{unit}]" of init calibration{units}' if said else ""
     return f'head one with its unit, as in "force [N]"{said}'
+
+
+def torque(table: Record) -> str:
+    """What is to be done with a torque; "" of a table without one."""
+    found = next((h for h in table.header if known(unit := column(h)[1] or "") and same(unit, "N m")), "")
+    way = (
+        "write a scene file whose joint follows the measured angle, and observe its torque: docs/howto/problem_file.md"
+    )
+    return f"'{found}' is a torque: {way}" if found else ""
 
 
 def pulsing(table: Record, clock: str) -> str:

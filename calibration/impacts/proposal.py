@@ -195,6 +195,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
+        event = records[-1].events[0]
+        if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
+            raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
     if time and table.bare(time):
         headers.seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
