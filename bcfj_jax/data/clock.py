@@ -141,7 +141,7 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
 
 def ticks(cells: np.ndarray) -> bool:
     """Whether cells (N,) of times change often enough for a clock."""
-    return np.count_nonzero(cells[1:] != cells[:-1]) >= min(_TICKS, len(cells) - 1)
+    return bool(np.count_nonzero(cells[1:] != cells[:-1]) >= min(_TICKS, len(cells) - 1))
 
 
 def since_1970(times: np.ndarray) -> float:

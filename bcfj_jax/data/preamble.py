@@ -170,7 +170,7 @@ def _is_known(key: str) -> bool:
     )
 
 
-def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], named: bool) -> list[str]:
+def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool) -> list[str]:
     """Titles with the units, and where the table has no names the names, that stand beside it."""
     said = {clock.plain(key): value.rpartition(":")[2].strip() for key, value in reversed(facts)}
     unit = next((said[key].strip("()[]") for key in _UNITS if key in said), "")
@@ -204,7 +204,7 @@ def sources(facts: Facts) -> list[str]:
     return next((said[key] for key in _SOURCES if key in said), "").split("\t")
 
 
-def _steps(cells: Sequence[Any], step: float) -> bool:
+def _steps(cells: Any, step: float) -> bool:
     try:
         first, last = (float(str(c).replace(",", ".")) for c in (cells[0], cells[-1]))
     except (ValueError, IndexError):

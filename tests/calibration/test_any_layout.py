@@ -177,6 +177,16 @@ def test_counts_are_no_volts_and_grams_of_a_weight_no_newtons(tmp_path):
     holds(of(tmp_path, "heavy.csv", heavy), FORCE)
 
 
+def test_a_force_that_stands_at_its_peak_is_said_to_clip(tmp_path):
+    flat = np.minimum(FORCE, np.round(0.7 * FORCE.max(), 2))
+    for force, count in ((flat, 1), (FORCE, 0)):
+        rows = "".join(f"{ms},{f:.3f}\n" for ms, f in zip(MS, force, strict=True))
+        (tmp_path / "a.csv").write_text("t [ms],F [N]\n" + rows)
+        (tmp_path / "a.toml").unlink(missing_ok=True)
+        init.run(tmp_path / "a.csv", tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda text: None)
+        assert (tmp_path / "a.toml").read_text().count("saturation =") == count
+
+
 def test_a_mass_beside_the_table_is_that_of_what_strikes(tmp_path):
     rows = "".join(f"{ms};{f:.3f}\n" for ms, f in zip(MS, FORCE, strict=True)).replace(".", ",")
     text = f"{{}}\n\nZeit [ms];Kraft [N]\n{rows}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -156,7 +157,7 @@ def test_a_tumbling_body_is_followed_while_a_sample_costs_no_more_than_three_tim
     }  # fmt: skip
     for name, stand_in in seams.items():
         monkeypatch.setattr(continuation, name, stand_in)
-    found = continuation.continued(part(None), np.full((4, 2), 0.5), 4)
+    found = continuation.continued(cast(Any, part(None)), np.full((4, 2), 0.5), 4)
     assert (None if found.followed is None else float(found.followed[0])) == followed
     if followed:
         np.testing.assert_allclose((*found.shares, *found.found.costs), [*shares, *[25 * shares[0]] * 4])
