@@ -18,18 +18,9 @@ Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
 _UNITS = (
-    "verticalunits",
-    "verticalunit",
-    "yunits",
-    "yunit",
-    "yunitlabel",
-    "verticalunitsch",
-    "vunit",
-    "unit",
-    "units",
-    "einheit",
+    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
     "einheiten",
-)
+)  # fmt: skip
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
 _SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle")
 # A line that says that numbers follow, and no names.
@@ -163,11 +154,8 @@ def increments(names: Sequence[str], below: Sequence[Any]) -> Facts:
 
 def _is_known(key: str) -> bool:
     """Whether a name is that of a setting that is used."""
-    return (
-        clock.is_step(key)
-        or clock.is_rate(key)
-        or clock.plain(key) in {*clock.STARTS, *_UNITS, *_SOURCES, "lengthunits"}
-    )
+    other = {*clock.STARTS, *_UNITS, *_SOURCES, "lengthunits"}
+    return clock.is_step(key) or clock.is_rate(key) or clock.plain(key) in other
 
 
 def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool) -> list[str]:

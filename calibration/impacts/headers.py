@@ -125,15 +125,12 @@ def physical(table: Record, header: str, unit: str) -> None:
     """Refuse readings without a unit that are whole numbers, as a converter counts, of an unknown size."""
     values = values_of(table, header, unit)
     values = values[np.isfinite(values)]
-    name, said = column(header)
-    factor = table.sensitivities.of(name, said)
+    said = column(header)[1]
+    factor = table.sensitivities.of(column(header)[0], said)
     volts = factor is not None and said in _VOLTS and "count" not in factor.text
     values = values / factor.factor if factor is not None else values
-    if (
-        (said is None or volts)
-        and len(np.unique(values)) > _COUNTED
-        and np.allclose(values, np.round(values), 0.0, 1e-6)
-    ):
+    whole = len(np.unique(values)) > _COUNTED and np.allclose(values, np.round(values), 0.0, 1e-6)
+    if whole and (said is None or volts):
         stated = f"'{header}' is in {said}" if volts else f"no unit of '{header}' is stated"
         found = f"{stated}, and all its readings are whole numbers, as a converter counts"
         counted = f'--sensitivity "85 counts/{unit}"'
@@ -196,10 +193,8 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
 def torque(table: Record) -> str:
     """What is to be done with a torque; "" of a table without one."""
     found = next((h for h in table.header if known(unit := column(h)[1] or "") and same(unit, "N m")), "")
-    way = (
-        "write a scene file whose joint follows the measured angle, and observe its torque: docs/howto/problem_file.md"
-    )
-    return f"'{found}' is a torque: {way}" if found else ""
+    way = "write a scene file whose joint follows the measured angle, and observe its torque"
+    return f"'{found}' is a torque: {way}: docs/howto/problem_file.md" if found else ""
 
 
 def pulsing(table: Record, clock: str) -> str:
