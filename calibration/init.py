@@ -25,7 +25,7 @@ from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
 from calibration.impacts import beside, slow_tests, tosses
 from calibration.impacts.events import apart, contacts, telling
-from calibration.impacts.inspection import clock_note
+from calibration.impacts.inspection import clock_note, plateau
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
 from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
@@ -204,6 +204,8 @@ def _kind(found: Understood) -> str:
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
     """The problem file of a record ``file``, and the keys that are left to fill in."""
     s, mass, speed, other = sizes(found), said.number("mass", "kg"), said.number("speed", "m/s"), said.other
+    stated = mass is None and found.mass is not None
+    mass = found.mass if stated else mass
     if s.silent:
         lost = "what is taken for a contact has no impulse: its readings may be noise alone"
         raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
@@ -221,6 +223,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     # A drop from a height goes on falling in contact.
     falls = kind == "impact" and known.by_column and found.given[1] == "m"
     own = known if mass is None else known._replace(mass=mass)
+    own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:
@@ -253,6 +256,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 ),
                 *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
                 _observed(one, kind),
+                *_saturated(found),
                 NOISE,
                 *_window(s, kind),
                 *([_columned(found, kind)] if known.by_column else []),
@@ -437,6 +441,15 @@ def _observed(found: Understood, kind: str) -> Line:
     text = ", ".join(f'"{name}" = {toml(columns[name])}' for name in taken)
     flipped = columns.get("contact.normal", "").startswith("-")
     return Line(f"observe = {{ {text} }}", "its sign is flipped: a contact pushes" if flipped else "")
+
+
+def _saturated(found: Understood) -> list[Line]:
+    """Where forces stand still at one peak, which no contact does."""
+    read = [r.readings["N"] for r in found.records if "N" in r.readings]
+    tops = [plateau(values[np.isfinite(values)]) for values in read]
+    level, count = min((top for top in tops if top[1]), default=(0.0, 0))
+    note = f"CHECK that it clips there: it reads so {count} times in a row"
+    return [Line(f'saturation = "{format_si(0.99999 * level, "N")}"', note)] if count else []
 
 
 def _other(found: Understood, kind: str) -> list[str]:

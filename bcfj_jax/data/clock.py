@@ -19,7 +19,7 @@ from bcfj_jax.io.units import column, scale_of
 TIMES = (
     "time", "t", "zeit", "clock", "seconds", "second", "temps", "tiempo", "messzeit", "prüfzeit", "testzeit", "versuchszeit",
     "elapsed time", "abs time", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
-    "date/time", "datetime", "tijd", "czas", "čas", "aika", "idő", "время", "时间", "時間", "시간",
+    "date/time", "datetime", "ts", "tijd", "czas", "čas", "aika", "idő", "время", "时间", "時間", "시간",
 )  # fmt: skip
 # A rate is named by one of these words alone, or by one behind or before a word for samples; so is a step.
 _RATE = re.compile(r"rate|fre[qc]|fps|hz$|takt|cadence|周波数|频率|率|частот")
@@ -27,7 +27,7 @@ _STEP = re.compile(
     r"interval|period|increment|incr?$|step|delta|^dt$|resolution|schritt|abtastzeit|pas$|周期|间隔|間隔|период|шаг"
 )
 _OF_SAMPLES = re.compile(
-    r"sampl|scan|acqui|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
+    r"sampl|scan|acqui|update|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
     r"サンプル|サンプリング|采样|дискретиз"
 )
 _OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")
@@ -53,8 +53,9 @@ OF_DAY = (
 _BASIC = re.compile(r"(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)(?!:)(.*)")
 _MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
 # Fewest times of a clock that can be taken as even, and of its steps the share that are 0: a row that stands twice is a fault.
+# A clock that stands still but for fewer steps than these tells no rate.
 # Of numbers with some digits one unit is up to ten of another.
-_FEW, _TWICE, _LARGEST = 16, 0.25, 10.1
+_FEW, _TWICE, _TICKS, _LARGEST = 16, 0.25, 4, 10.1
 _SAMPLES_A_SECOND = re.compile(
     r"([kKM]?)(?i:(?:sa?|samples|sps|scans|fps|frames)(?:/s|/sec|/second)?|(?:samples|frames) per second)"
 )
@@ -114,7 +115,7 @@ def of_day(cells: Sequence[object]) -> np.ndarray | None:
         if hours[-1:] in "mM":
             h = h % 12 + (12 if hours[-2] in "pP" else 0)
         seconds[k] = 3600.0 * h + 60.0 * m + s + (float(f"0.{fraction}") if fraction else 0.0)
-        days[k] = _day(date)
+        days[k] = day(date)
     if (days > 0).all():
         return 86400.0 * (days - days[0]) + seconds - seconds[0]
     # Without dates a day begins where the clock falls by more than half of one.
@@ -126,7 +127,7 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
     steps = np.diff(times)
     if times.size < _FEW or not np.isfinite(times).all() or steps.min() < 0.0 or not steps.max() > 0.0:
         return times, ""
-    if np.mean(steps == 0.0) < _TWICE:
+    if np.mean(steps == 0.0) < _TWICE or not ticks(times):
         return times, ""
     at = np.arange(times.size)
     step, start = np.polyfit(at, times, 1)
@@ -136,6 +137,11 @@ def evened(times: np.ndarray) -> tuple[np.ndarray, str]:
         return times, ""
     said = f"times are rounded to {rounded:.3g} s, so that some stand twice: an even clock is taken, every {step:.4g} s"
     return even, said
+
+
+def ticks(cells: np.ndarray) -> bool:
+    """Whether cells (N,) of times change often enough for a clock."""
+    return bool(np.count_nonzero(cells[1:] != cells[:-1]) >= min(_TICKS, len(cells) - 1))
 
 
 def since_1970(times: np.ndarray) -> float:
@@ -148,7 +154,7 @@ def since_1970(times: np.ndarray) -> float:
     return 1.0
 
 
-def _day(text: str) -> float:
+def day(text: str) -> float:
     """The number of a day; whether a day or a month comes first does not matter but where a record runs over midnight."""
     for form in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%b-%Y"):
         with contextlib.suppress(ValueError):

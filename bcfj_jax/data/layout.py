@@ -25,7 +25,7 @@ from bcfj_jax.io.units import column, known
 _SAMPLE = 600
 # Units of one letter that are more often a name: t, F, x, v, a, f.
 _AGAIN = {*TIMES, "no.", "no", "nr.", "nr", "#", "index", "date", "ts", "rn"}
-_UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-")
+_UNITS_OF_ONE_LETTER = frozenset("smNgVJWKh%°-秒")
 _QUOTED_ROWS = 5
 # A column that holds something in fewer of the rows does not tell which are data: settings may stand above it.
 _SPARSE = 0.02
@@ -92,7 +92,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         begin = next((k for k, r in enumerate(plain) if r.line > last), len(plain)) if last else begin
         above = sum(r.line < min(x.line for x in names) for r in rows) if names else begin
     else:
-        names, units, begin, above = _above(plain, begin, numeric, wide)
+        given = len(preamble.sources([*preamble.above(plain[:begin]), *facts]))
+        first, (names, units, begin, above) = begin, _above(plain, begin, numeric, wide)
+        if len(numeric) - 2 < given > 1 and not any(is_time(str(c)) for r in names for c in r.cells):
+            names, units, begin, above = [], [], first, first  # The settings name the channels.
         begin = max(begin, titled)
         if not names:
             names, units = _commented(rows, plain[begin].line, wide)
@@ -107,11 +110,10 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     names, units, data, more = _incremented(names, units, data, numeric, wide)
     facts += more
     about = [r for r in rows if r.line < data[0].line and r.line not in top]
-    told, said = preamble.described(about, wide) if header is None else ([], [])
+    told = preamble.described(about, wide) if header is None else []
     titles = told if told and not any(column(t)[1] for t in _titles(names, wide)) else _titles(names, wide)
     kept = _kept(titles, data, wide)
     faults = _ragged(titles, data, kept, wide, file, len(names[-1].cells) if names else 0)
-    units = units or ([Row(data[0].line, said)] if said else [])
     marks = [
         _bare(next(filter(None, texts), "")) for texts in zip(*(_texts(r.cells, wide) for r in units), strict=True)
     ]
@@ -250,7 +252,9 @@ def _is_text(cells: Sequence[Any], columns: int = 2) -> bool:
     """Whether a row can hold names or units: two texts at least, of one column one, and no number."""
     given = [c for c in cells if not (isinstance(c, str) and not c.strip()) and c is not None]
     beside = len(cells) == columns == 2 and cells[0] == ""  # The numbers of rows and clocks need no name.
-    return bool(given) and len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
+    if all(map(preamble.valued, given)):  # A name may be a size, "50 mm", but not all are.
+        return False
+    return len(given) >= min(1 if beside else 2, columns) and not any(map(_holds, given))
 
 
 def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tuple[list[Row], list[Row], int, int]:
@@ -282,7 +286,8 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         if _is_units(rows[k].cells, most=not _is_units(over.cells)):
             united, k = [rows[k]], k - 1
         elif _is_units(over.cells) and not _is_units(rows[k].cells):
-            return [rows[k]], [over], first, k - 1
+            top = rows[k - 2] if text(k - 2) and len(rows[k - 2].cells) >= len(numeric) else rows[k]
+            return [top], [over], first, k - 1
     # A unit alone below the names is no row of two texts.
     lone = next((j for j in range(first, begin) if len(rows[j].cells) == wide and _is_units(rows[j].cells)), None)
     if not united and lone is not None:
@@ -320,7 +325,8 @@ def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], l
 def _names_numbers(cells: Sequence[Any], units: Sequence[Any]) -> bool:
     """Whether a row above one of units names columns, some of them by a number, as oscilloscopes name channels."""
     given = [c for c in cells if not is_missing(c)]
-    return len(given) == sum(not is_missing(c) for c in units) and not is_number(given[0])
+    numbered = all(str(c).strip().isdigit() for c in given if is_number(c))
+    return len(given) == sum(not is_missing(c) for c in units) and not is_number(given[0]) and numbered
 
 
 def _is_units(cells: Sequence[Any], most: bool = False) -> bool:

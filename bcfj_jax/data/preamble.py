@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 from bcfj_jax.data import clock
@@ -16,16 +17,21 @@ from bcfj_jax.io.units import column, known
 Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
-_UNITS = ("verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units")
-_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel")
+_UNITS = (
+    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
+    "einheiten",
+)  # fmt: skip
+_PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
+_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle")
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
-# "column 2: force [kN]", and "units: ms, kN".
+# "column 2: force [kN]".
 _DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2})\s*[:=.)-]+\s*([^\W\d].*?)\s*")
-_LISTED = re.compile(r"(?i)\W*(?:units?|einheit(?:en)?)\W*[:=\s]\s*(.*?)\W*")
 # What stands before names in their own line.
 _BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
 _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
+# A number and its unit; a letter may be of a name, as in "1A".
+_AMOUNT = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?([^\W\d_]{2}[^\s\d]*)")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs")
@@ -62,6 +68,12 @@ def above(rows: Iterable[Any]) -> Facts:
     return found
 
 
+def valued(cell: Any) -> bool:
+    """Whether a cell is a value, which names no column: a number, also with its unit, a date or a time of day."""
+    number = _AMOUNT.fullmatch(str(cell).strip())
+    return is_number(cell) or clock.is_of_day(cell) or clock.day(str(cell)) > 0 or bool(number and known(number[1]))
+
+
 def states(cells: Sequence[Any]) -> bool:
     """Whether a row above data is a setting or says that data follow, and so holds no names."""
     given = [str(c).strip() for c in cells if not is_missing(c)]
@@ -70,31 +82,22 @@ def states(cells: Sequence[Any]) -> bool:
         known = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
-    if len(given) == 2 and given[0].endswith(":"):
+    if given and (given[0].endswith("=") or (len(given) == 2 and given[0].endswith(":"))):
         return True
     if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
         return False
-    return clock.plain(given[0]) in _UNITS or is_number(given[1]) or clock.is_of_day(given[1])
+    return clock.plain(given[0]) in _UNITS or (valued(given[1]) and not clock.is_time(given[0]))
 
 
-def described(rows: Sequence[Any], wide: int) -> tuple[list[str], list[str]]:
-    """Names of all columns in lines "column 2: force [kN]", and units in a line "units: ms, kN"; none where there are none."""
+def described(rows: Sequence[Any], wide: int) -> list[str]:
+    """Names of all columns in lines "column 2: force [kN]"; none where there are none."""
     names: dict[int, str] = {}
     for row in rows:
         if found := _DESCRIBED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
             names.setdefault(int(found[1]), found[2])
     first = min(names, default=1)
     listed = [names.get(first + j, "") for j in range(wide)]
-    return (listed if first < 2 and all(listed) else []), _units(rows, wide)
-
-
-def _units(rows: Sequence[Any], wide: int) -> list[str]:
-    for row in rows:
-        if found := _LISTED.fullmatch(" ".join(filter(None, map(str, row.cells)))):
-            units = [u.strip("[]() ") for u in re.split(r"[\s,;|]+", found[1])]
-            if len(units) == wide and all(map(known, units)):
-                return units
-    return []
+    return listed if first < 2 and all(listed) else []
 
 
 def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
@@ -128,8 +131,11 @@ def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
 
 def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
     filled = [str(c).strip() for c in cells if not is_missing(c)]
-    if len(filled) > 1:
-        yield filled[0].rstrip(":= "), filled[1]
+    if len(filled) > 1 and ":" not in filled[0].rstrip(": "):
+        each = clock.plain(filled[0]) in (*_UNITS, *_SOURCES)
+        yield filled[0].rstrip(":= "), "\t".join(filled[1:]) if each else filled[1]
+    # All settings in one row.
+    yield from ((a, b) for a, b in pairwise(filled[2:]) if _is_known(a))
     joined = " ".join(filled)
     key, mark, value = joined.partition(":")
     for name, sign, said in ((key, mark, value), joined.partition("=")):
@@ -148,20 +154,29 @@ def increments(names: Sequence[str], below: Sequence[Any]) -> Facts:
 
 def _is_known(key: str) -> bool:
     """Whether a name is that of a setting that is used."""
-    return clock.is_step(key) or clock.is_rate(key) or clock.plain(key) in {*clock.STARTS, *_UNITS, *_SOURCES}
+    other = {*clock.STARTS, *_UNITS, *_SOURCES, "lengthunits"}
+    return clock.is_step(key) or clock.is_rate(key) or clock.plain(key) in other
 
 
-def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], named: bool) -> list[str]:
+def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool) -> list[str]:
     """Titles with the units, and where the table has no names the names, that stand beside it."""
     said = {clock.plain(key): value.rpartition(":")[2].strip() for key, value in reversed(facts)}
-    unit = next((said[key] for key in _UNITS if key in said), "")
+    unit = next((said[key].strip("()[]") for key in _UNITS if key in said), "")
     timed = next((j for j, t in enumerate(titles) if clock.is_time(t)), None)
     even = clock.stated(facts, "") if timed is None else None
-    source = next((said[key] for key in _SOURCES if key in said), "")
     if not named and even and _steps(columns[0], even[1]):
         titles, timed = ["time [s]", *titles[1:]], 0
-    if not named and source and len(titles) == (1 if timed is None else 2):
-        titles = [*titles[:-1], source]
+    # Of each channel its own name and unit.
+    channels = [j for j in range(len(titles)) if j != timed]
+    if not named and len(names := sources(facts)) == len(channels) and all(names):
+        titles = [names[channels.index(j)] if j in channels else t for j, t in enumerate(titles)]
+    units = [u.strip("[]()") for u in re.split(r"[\s,;|]+", unit) if unit]
+    whole = next((part for part in (channels, range(len(titles))) if len(part) == len(units) > 1), ())
+    if whole and all(map(known, units)):
+        marks = {j: u for j, u in zip(whole, units, strict=True) if column(titles[j])[1] is None}
+        return [f"{t} [{marks[j]}]" if j in marks else t for j, t in enumerate(titles)]
+    if (lengths := said.get("lengthunits", "").lower()) and known(lengths):
+        titles = [f"{t} [{lengths}]" if _PLACE.fullmatch(t) else t for t in titles]
     bare = [j for j, t in enumerate(titles) if j != timed and t and column(t)[1] is None]
     bare = [j for j in bare if j or not _steps(columns[0], 1.0)]  # What counts the samples has no unit.
     if any(column(t)[1] == unit for t in titles):
@@ -171,7 +186,13 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Sequence[Any]], na
     return titles
 
 
-def _steps(cells: Sequence[Any], step: float) -> bool:
+def sources(facts: Facts) -> list[str]:
+    """Names of the channels, in the order of these, as rows or lines beside the table state them."""
+    said = {clock.plain(key): value for key, value in reversed(facts)}
+    return next((said[key] for key in _SOURCES if key in said), "").split("\t")
+
+
+def _steps(cells: Any, step: float) -> bool:
     try:
         first, last = (float(str(c).replace(",", ".")) for c in (cells[0], cells[-1]))
     except (ValueError, IndexError):

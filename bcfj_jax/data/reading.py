@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data import clock, isolated, numbers, textfile
+from bcfj_jax.data import clock, isolated, numbers, preamble, textfile
 from bcfj_jax.data.columns import Column, Columns, Content, Tables, vector
 from bcfj_jax.data.layout import File, Row, found
 from bcfj_jax.data.readers import READERS, reader_of, sheets
@@ -150,7 +150,8 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     # A single number beside vectors describes them, as its step of time does; it is no column.
     alone = [(name, c) for name, c in found.items() if c.size == 1 < longest]
     found = {name: c for name, c in found.items() if c.size > 1 or longest == 1}
-    found, said = _with_clock(found, alone, str(path))
+    facts = [(_header(name, c), str(np.ravel(c.values())[0])) for name, c in alone if c.values().size]
+    found, said = _with_clock(found, facts, str(path))
     timed = [{n: c for n, c in found.items() if c.size == size} for size in {c.size for c in found.values()}]
     timed = [part for part in timed if len(part) > 1 and any(clock.is_time(_header(n, c)) for n, c in part.items())]
     if len(timed) == 1 and len(timed[0]) < len(found):
@@ -172,14 +173,14 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     arrays = tuple(np.char.decode(a, "utf-8", "replace") if a.dtype.kind == "S" else a for a in arrays)
     lines = np.arange(1, longest + 1)
     named = wanted if len(tables) > 1 or inside else ""
-    return Record(path, tuple(header), arrays, lines, "row", named, found=said)
+    header = preamble.titled(header, facts, arrays, True)
+    return Record(path, tuple(header), arrays, lines, "row", named, found=said, facts=tuple(facts))
 
 
-def _with_clock(found: Columns, alone: list[tuple[str, Column]], where: str) -> tuple[Columns, str]:
+def _with_clock(found: Columns, facts: preamble.Facts, where: str) -> tuple[Columns, str]:
     """Columns with a clock of the step or rate that stands beside them, where none is a column of times."""
     if any(clock.is_time(_header(name, c)) for name, c in found.items()):
         return found, ""
-    facts = [(_header(name, c), str(np.ravel(c.values())[0])) for name, c in alone if c.values().size]
     even = clock.stated(facts, where)
     if even is None:
         return found, ""

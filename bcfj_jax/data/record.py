@@ -5,16 +5,15 @@ What the channels mean is stated by the problem file. A file that holds several 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
-from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970
+from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970, ticks
 from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
 from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
@@ -37,24 +36,6 @@ _OVERLOAD = 9.8e37
 _SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
 
 
-class Channel(NamedTuple):
-    """A column: its name, its unit as the file states it (None: none), and its cells (N,) as they stand."""
-
-    name: str
-    unit: str | None
-    values: np.ndarray
-
-
-class Provenance(NamedTuple):
-    """Where a record is from: file, reader, group or sheet, SHA-256 of the file, and what was converted, in words."""
-
-    file: Path
-    reader: str
-    inside: str
-    sha256: str
-    converted: str
-
-
 @dataclass(frozen=True)
 class Record:
     """The rows of a file, or of a table in it."""
@@ -69,26 +50,17 @@ class Record:
     faults: tuple[InputError, ...] = ()  # of rows that do not fit, to be said together with those of the columns
     found: str = ""  # how the file is written, in words
     reader: str = "text"  # what read it
+    facts: tuple[tuple[str, str], ...] = ()  # names and values beside the table
     sensor: str = ""  # a sensitivity that the file states somewhere, for a question
     sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The columns with their names and units."""
-        return tuple(Channel(*column(h), c) for h, c in zip(self.header, self.columns, strict=True))
-
-    @property
     def clock(self) -> str:
         """Header of the column of times; "" where there is none."""
-        of_days = (h for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
-        return next((h for h in self.header if h and is_time(h)), next(of_days, ""))
-
-    @property
-    def provenance(self) -> Provenance:
-        """Where the record is from; the file is read again for its checksum."""
-        with open(self.path, "rb") as content:
-            digest = hashlib.file_digest(content, "sha256").hexdigest()
-        return Provenance(self.path, self.reader, self.inside, digest, self.found)
+        named = [(h, c) for h, c in zip(self.header, self.columns, strict=True) if h and is_time(h)]
+        of_days = ((h, c) for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
+        # What stands still is when the record was made.
+        return next((h for h, c in chain(named, of_days) if ticks(c)), "")
 
     @property
     def name(self) -> str:
@@ -157,7 +129,13 @@ class Record:
         if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
             return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
-            return values * self.scale(unit, si_unit, column(header)[0], place)
+            scaled = values * self.scale(unit, si_unit, column(header)[0], place)
+        return self._carried(scaled) if si_unit == "s" and (np.diff(scaled) < 0.0).any() else scaled
+
+    def _carried(self, parts: np.ndarray) -> np.ndarray:
+        """Parts of seconds (N,) [s] that begin anew with each time of a day beside them, with these; others as they are."""
+        whole = (of_day(c.tolist()) for c in self.columns if c.dtype.kind in "OUS")
+        return next((w + parts for w in whole if w is not None and (np.diff(w + parts) >= 0.0).all()), parts)
 
     def scale(self, unit: str | None, si_unit: str, name: str, place: str) -> float:
         """The factor of a column of a unit to SI: of a force in kg or lb of the weight, of volts by the sensor's sensitivity."""
@@ -194,8 +172,10 @@ class Record:
         cells = self.columns[position]
         if times and cells.dtype.kind in "OUS" and (seconds := of_day(cells.tolist())) is not None:
             return seconds, np.zeros(cells.size, dtype=bool)
-        if times and cells.dtype.kind == "m":
-            return cells / np.timedelta64(1, "s"), np.isnat(cells)
+        if times and cells.dtype.kind in "mM":
+            return (cells - (cells[0] if cells.dtype.kind == "M" else np.timedelta64(0, "s"))) / np.timedelta64(
+                1, "s"
+            ), np.isnat(cells)
         if cells.dtype.kind in "iufb":
             return cells.astype(float), np.zeros(cells.size, dtype=bool)
         if cells.dtype.kind in "OUS":

@@ -106,6 +106,7 @@ def _factor(number: float, text: str, unit: str, where: str, named: bool) -> Fac
     if unit == _BRIDGE:
         unit, text = "mV", text.replace(f"({_BRIDGE})", "mV").replace(_BRIDGE, "mV")
     above, _, below = text.partition("/")
+    unit = "counts" if COUNTS.get(above.strip()) == "counts" else unit  # Whoever says so knows better than the file.
     base = _BASES.get(ELECTRICAL[unit], "V")
     for electric, other, inverse in ((above, below, True), (below, above, False)):
         volts = _scale(_ALIKE.get(electric.strip(), electric), base)

@@ -159,14 +159,14 @@ def table(
         parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in names[:12])
     parts.append(f"{len(names)} columns: {clip(named)}{', ...' if len(names) > 12 else ''}")
-    timed = any(map(clock.is_time, names)) or any(len(c) and clock.is_of_day(c[0]) for c in columns)
-    if not timed and (even := clock.stated(layout.facts, str(path))):
+    if not Record(path, names, tuple(columns), lines).clock and (even := clock.stated(layout.facts, str(path))):
         start, step = even
         names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
         decimals = (".", *decimals) if decimals else ()
         parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
     found = Record(
-        path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts)
+        path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts),
+        facts=tuple(layout.facts),
     )  # fmt: skip
     return with_sweeps(found)
 

@@ -49,7 +49,7 @@ _PREFIXED = re.compile(r"(milli|mili|micro|mikro|centi|zenti|kilo)?(.+)")
 _PREFIXES = {"milli": "m", "mili": "m", "micro": "µ", "mikro": "µ", "centi": "c", "zenti": "c", "kilo": "k", None: ""}
 # Units in Cyrillic letters.
 _CYRILLIC = (("сек", "s"), ("мк", "µ"), ("см", "cm"), ("Гц", "Hz"), ("кгс", "kgf"))
-_LETTERS = str.maketrans({"с": "s", "м": "m", "к": "k", "Н": "N", "г": "g", "В": "V", "М": "M"})  # noqa: RUF001
+_LETTERS = str.maketrans({"с": "s", "м": "m", "к": "k", "Н": "N", "г": "g", "В": "V", "М": "M", "秒": "s"})  # noqa: RUF001
 # An inch over 96 of a style sheet: of a picture it is no length.
 _NONE = ("px",)
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.data.clock import is_of_day, is_time
+from bcfj_jax.data.clock import is_of_day, is_time, ticks
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
 from calibration.impacts.proposal import Hints, Part, Understood, understood
@@ -101,7 +101,7 @@ def _labelled(table: Record, number: re.Pattern[str]) -> list[tuple[str, Record]
 def _clocked(table: Record) -> list[Record]:
     """The columns behind each of several clocks, where the first column is one and the clocks differ."""
     days = [is_of_day(next(iter(c[:1].tolist()), "")) for c in table.columns]
-    at = [j for j, h in enumerate(table.header) if h and (days[j] or is_time(h))]
+    at = [j for j, h in enumerate(table.header) if h and (days[j] or is_time(h)) and ticks(table.columns[j])]
     blocks = [list(range(a, b)) for a, b in pairwise([*at, len(table.header)]) if b > a + 1]
     if len(blocks) < 2 or at[0] > 0:
         return []

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.data.clock import TIMES
+from bcfj_jax.data.clock import TIMES, plain
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.data.record import SWEEP, Record
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, known, quantity, same, scale_of
 from calibration.impacts.events import contacts
 from calibration.noise.scatter import scatter
 
@@ -37,8 +38,12 @@ _LASTS = (3e-6, 0.3)
 # A range over the noise that is a hit's, and the share by which another hit differs.
 _STANDS_OUT, _AS_MUCH = 12.0, 0.04
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
-# Whole numbers without a unit that may be counts.
-_COUNTED = 20
+# What strikes, and not what is struck.
+_MASS = re.compile(
+    r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
+)
+# So many whole numbers without a unit, or in volts, may be counts.
+_COUNTED, _VOLTS = 20, ("V", "Volt", "Volts", "volt", "volts", "Vdc", "VDC")
 
 
 def name_of(header: str) -> str:
@@ -54,6 +59,18 @@ def named(header: str, unit: str) -> bool:
     # "A" is a channel of an oscilloscope.
     whole = name in NAMES[unit] and column(header)[0].strip() != "A"
     return whole or bool(words & set(NAMES[unit]) and not words & _NEITHER)
+
+
+def stated_mass(table: Record) -> float | None:
+    """The mass of what strikes [kg], where lines beside the table state one with its unit; None where they do not."""
+    found = set()
+    for key, value in table.facts:
+        unit = column(key)[1] or ""
+        with contextlib.suppress(InputError):
+            text = value if "." in value else value.replace(",", ".")
+            if _MASS.fullmatch(plain(key)):
+                found.add(quantity(text if not is_number(text) else f"{text} {unit}", "kg", key))
+    return found.pop() if len(found) == 1 and min(found) > 0.0 else None
 
 
 def values_of(table: Record, header: str, unit: str) -> np.ndarray:
@@ -93,7 +110,8 @@ def read_unit(table: Record, header: str) -> str | None:
     if text in WEIGHTS and named(header, "N"):
         return "N"
     for unit in KINDS if text else ():
-        if text in GRAVITIES and not (unit == "m/s^2" and accelerates(name)):
+        # G is no mass, and no record of an impact is in gauss.
+        if text in GRAVITIES and not (unit == "m/s^2" and (accelerates(name) or text == "G")):
             continue
         try:
             scale_of(str(text), unit, header)
@@ -107,9 +125,16 @@ def physical(table: Record, header: str, unit: str) -> None:
     """Refuse readings without a unit that are whole numbers, as a converter counts, of an unknown size."""
     values = values_of(table, header, unit)
     values = values[np.isfinite(values)]
-    if column(header)[1] is None and len(np.unique(values)) > _COUNTED and (values == np.round(values)).all():
-        found = f"no unit of '{header}' is stated, and all its readings are whole numbers, as a converter counts"
-        ways = f'--observe "{header} [{unit}]", or --observe "{header} [counts]" --sensitivity "85 counts/{unit}"'
+    said = column(header)[1]
+    factor = table.sensitivities.of(column(header)[0], said)
+    volts = factor is not None and said in _VOLTS and "count" not in factor.text
+    values = values / factor.factor if factor is not None else values
+    whole = len(np.unique(values)) > _COUNTED and np.allclose(values, np.round(values), 0.0, 1e-6)
+    if whole and (said is None or volts):
+        stated = f"'{header}' is in {said}" if volts else f"no unit of '{header}' is stated"
+        found = f"{stated}, and all its readings are whole numbers, as a converter counts"
+        counted = f'--sensitivity "85 counts/{unit}"'
+        ways = counted if volts else f'--observe "{header} [{unit}]", or --observe "{header} [counts]" {counted}'
         raise InputError(table.name, found, f"say what they are, with init calibration: {ways}")
 
 
@@ -151,6 +176,8 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
         if (unit := column(h)[1]) in ELECTRICAL:
             needed = NEEDED.get(str(unit), NEEDED[""])
             return f"'{h}' is in {unit}: {needed.replace('10 mV/N', table.sensor) if table.sensor else needed}"
+    if turns := torque(table):
+        return turns
     other = pulsing(table, found.get("s", ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     # A letter alone may be of anything.
@@ -161,6 +188,13 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
     units = "" if kind or heavy else ', or its own unit: g, m/s^2, mm, or V with --sensitivity "10 mV/N"'
     said = f', or say which it is: --observe "{said} [{unit}]" of init calibration{units}' if said else ""
     return f'head one with its unit, as in "force [N]"{said}'
+
+
+def torque(table: Record) -> str:
+    """What is to be done with a torque; "" of a table without one."""
+    found = next((h for h in table.header if known(unit := column(h)[1] or "") and same(unit, "N m")), "")
+    way = "write a scene file whose joint follows the measured angle, and observe its torque"
+    return f"'{found}' is a torque: {way}: docs/howto/problem_file.md" if found else ""
 
 
 def pulsing(table: Record, clock: str) -> str:

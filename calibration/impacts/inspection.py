@@ -85,7 +85,7 @@ def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list
         notes.append(f"{observes}: {blanks} of {values.size} cells hold no number; nothing is interpolated over them")
     if masked.any():
         notes.append(f"{observes}: {int(masked.sum())} samples dropped as saturated")
-    level, count = _plateau(values[np.isfinite(values) & ~masked])
+    level, count = plateau(values[np.isfinite(values) & ~masked])
     if count:
         shown = format_si(level, unit_of(observes))
         row = f"{observes}: reads {shown} {count} times in a row at its peak"
@@ -93,7 +93,7 @@ def channel_notes(observes: str, values: np.ndarray, masked: np.ndarray) -> list
     return notes
 
 
-def _plateau(values: np.ndarray) -> tuple[float, int]:
+def plateau(values: np.ndarray) -> tuple[float, int]:
     """The largest magnitude and how often it stands in a row, where that looks clipped; else 0 times.
 
     A quantised signal also rests at its peak, but goes there in single steps of its resolution.

@@ -48,6 +48,7 @@ def refuse_motion(table: Record) -> None:
     found: dict[str, str] = {}
     for header in table.header:
         name = re.sub(r"^(?:pos(?:ition)?|place|cube|body)[ _.]", "", column(header)[0].strip().lower())
+        name = re.sub(r"^(?:rot(?:ation)?|quat(?:ernion)?|orientation)[ _.]?(?=[wxyz]$)", "q", name)
         key = _NAMED.get(name, name)
         if key in (*PLACES, *ATTITUDE):
             found.setdefault(key, header)

@@ -112,6 +112,7 @@ class Understood:
         each: whether each contact is a record, cut from its run.
         plate: of a force plate, which force is read and where it acts.
         parts: runs that stand beside each other in columns or tables; empty for none.
+        mass: of what strikes [kg], as the file states it.
     """
 
     path: Path
@@ -128,6 +129,7 @@ class Understood:
     each: bool = False
     plate: str = ""
     parts: tuple[Part, ...] = ()
+    mass: float | None = None
 
 
 class Part(NamedTuple):
@@ -193,6 +195,9 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one")
+        event = records[-1].events[0]
+        if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
+            raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
     if time and table.bare(time):
         headers.seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
@@ -211,6 +216,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         said=table.found,
         given=given,
         speeds=speeds,
+        mass=headers.stated_mass(table),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
@@ -347,6 +353,10 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
         if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
             found.setdefault(unit, h)
+        if unit == "g" and found.get("N") == h:  # A force named so is a weight; "acc_g" is no force.
+            found["N"] = f"{h} [g]"
+    if "N" not in found and found.keys() & {"m", "m/s"} and "tangential" in found:
+        found["N"] = found.pop("tangential")  # Of a rig that rubs; beside no motion it is that of an oblique impact.
     # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
     if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(headers.name_of(found["m"])) == 1:
         del found["m"]

@@ -131,3 +131,98 @@ def test_a_full_scale_and_a_sensitivity_that_the_file_states(tmp_path):
     stated = Stated(full_scale="channel 1 = 2 kN, channel 2 = 400 g")
     table = read(path, "record", None, stated)
     assert [table.unit(h) for h in table.header] == ["s", "N", "m/s^2"]
+
+
+ROWS = [f"{f:.3f},{0.01 * (k % 7):.2f}" for k, f in enumerate(FORCE)]
+MS = [f"{1e3 * t:.2f}" for t in TIMES]
+
+
+def test_settings_name_each_channel_and_its_unit(tmp_path):
+    titled = '"Model Name","DLM"\n"TraceName","CH1","CH2"\n"VUnit","N","V"\n"HResolution"," 5.0E-05"," 5.0E-05"\n'
+    titled += '"Date","2026/11/27","2026/11/27"\n'
+    found = of(tmp_path, "titled.csv", titled + "".join(f",{row}\n" for row in ROWS))
+    holds(found, FORCE)
+    assert found.columns == {"N": "CH1 [N]"}
+    units = "Model,MSO\nVertical Units,kN,V\nVertical Scale,1,2\nTIME,CH1,CH2\n"
+    content = units + "".join(f"{t:.6f},{f / 1e3:.6f},0.{k % 5}\n" for k, (t, f) in enumerate(PAIRS))
+    holds(of(tmp_path, "units.csv", content), FORCE)
+    # A setting's value is no name, and a list of values no row of names.
+    scope = "Unit:(mV)\n,CH1\nProbe attenuation,X1\nTime interval,50.0000uS\n"
+    content = scope + "".join(f"{k},{0.1 * f:.4f}\n" for k, f in enumerate(FORCE, 1))
+    holds(of(tmp_path, "scope.csv", content, sensitivity="0.1 mV/N"), FORCE)
+
+
+def test_a_time_that_stands_still_is_no_clock_and_parts_of_seconds_go_on_with_it(tmp_path):
+    still = "Sampling interval,50us\nNo.,Time,Load [N]\n" + "".join(
+        f"{k},2026/11/27 10:00:00,{f:.3f}\n" for k, f in enumerate(FORCE, 1)
+    )
+    holds(of(tmp_path, "still.csv", still), FORCE)
+    # Two seconds in a record do not tell its rate.
+    stamps = [f"10:00:0{int(1.995 + t)}" for t in TIMES]
+    text = "Time,Load [N]\n" + "".join(f"{day},{f:.3f}\n" for day, f in zip(stamps, FORCE, strict=True))
+    with pytest.raises(InputError, match=r"no column is a time.*--rate"):
+        of(tmp_path, "seconds.csv", text)
+    holds(of(tmp_path, "seconds.csv", text, rate="20 kHz"), FORCE)
+    parts = [f"{day},{round(1e6 * ((1.995 + t) % 1))}" for day, t in zip(stamps, TIMES, strict=True)]
+    text = "Time,us,Load [N]\n" + "".join(f"{p},{f:.3f}\n" for p, f in zip(parts, FORCE, strict=True))
+    holds(of(tmp_path, "parts.csv", text), FORCE)
+
+
+def test_counts_are_no_volts_and_grams_of_a_weight_no_newtons(tmp_path):
+    counts = "Vertical Units,V\nSampling Period,5.0E-05\nWaveform Data\n" + "".join(f"{round(f)}\n" for f in FORCE)
+    with pytest.raises(InputError, match=r"is in V, and all its readings are whole numbers.*counts/N"):
+        of(tmp_path, "counts.csv", counts, sensitivity="10 mV/N")
+    holds(of(tmp_path, "counts.csv", counts, sensitivity="1 counts/N"), np.round(FORCE))
+    heavy = "t_ms,weight_g\n" + "".join(f"{ms},{1e3 * f / 9.80665:.3f}\n" for ms, f in zip(MS, FORCE, strict=True))
+    holds(of(tmp_path, "heavy.csv", heavy), FORCE)
+
+
+def test_a_force_that_stands_at_its_peak_is_said_to_clip(tmp_path):
+    flat = np.minimum(FORCE, np.round(0.7 * FORCE.max(), 2))
+    for force, count in ((flat, 1), (FORCE, 0)):
+        rows = "".join(f"{ms},{f:.3f}\n" for ms, f in zip(MS, force, strict=True))
+        (tmp_path / "a.csv").write_text("t [ms],F [N]\n" + rows)
+        (tmp_path / "a.toml").unlink(missing_ok=True)
+        init.run(tmp_path / "a.csv", tmp_path, init.Said("", "0.8 kg", "1.2 m/s"), lambda text: None)
+        assert (tmp_path / "a.toml").read_text().count("saturation =") == count
+
+
+def test_a_mass_beside_the_table_is_that_of_what_strikes(tmp_path):
+    rows = "".join(f"{ms};{f:.3f}\n" for ms, f in zip(MS, FORCE, strict=True)).replace(".", ",")
+    text = f"{{}}\n\nZeit [ms];Kraft [N]\n{rows}"
+    for line in ("Hammermasse;0,8;kg", "Total mass [kg];0,8", "Masse : 0,8 kg;", "Test Mass;800 g"):
+        assert of(tmp_path, "a.csv", text.format(line)).mass == pytest.approx(0.8)
+    for line in ("Specimen mass [kg];0,8", "Masse;0,8", "Masse : 0,8 kg;\nTest mass: 0,9 kg;"):
+        assert of(tmp_path, "b.csv", text.format(line)).mass is None
+    assert (
+        of(
+            tmp_path,
+            "c.json",
+            json.dumps({"meta": {"fs": 20e3, "unit": "kN", "mass": "800 g"}, "force": [*FORCE / 1e3]}),
+        ).mass
+        == 0.8
+    )
+
+
+def test_structs_in_lists_are_channels_or_runs_and_stamps_a_clock(tmp_path):
+    one = {"name": "force", "unit": "kN", "sample_rate": 20e3, "data": [*FORCE / 1e3]}
+    holds(of(tmp_path, "a.json", json.dumps({"id": 7, "channels": [one, {**one, "name": "b", "unit": "g"}]})), FORCE)
+    runs = np.array([(TIMES, FORCE), (TIMES, 2.0 * FORCE)], dtype=[("t", "O"), ("F", "O")])
+    holds(of(tmp_path, "b.mat", instruments.mat({"hits": runs})), FORCE, 2.0 * FORCE)
+    stamps = np.datetime64("2026-11-27") + np.round(1e6 * TIMES).astype("m8[us]")
+    frame = pytest.importorskip("pandas").DataFrame({"timestamp": stamps, "force_N": FORCE})
+    frame.to_parquet(tmp_path / "c.parquet")
+    holds(of(tmp_path, "c.parquet", (tmp_path / "c.parquet").read_bytes()), FORCE)
+
+
+def test_friction_alone_beside_a_motion_is_a_force_that_rubs(tmp_path):
+    clock = np.arange(600) / 200
+    rows = "".join(f"{t:.3f},{np.sin(9 * t):.4f},{9 * np.tanh(99 * np.cos(9 * t)):.3f}\n" for t in clock)
+    (tmp_path / "rig.csv").write_text("time [s],place [mm],friction [N]\n" + rows)
+    said = []
+    init.run(tmp_path / "rig.csv", tmp_path, init.Said(), said.append)
+    assert any("taken for friction of a driven body" in text for text in said)
+    rows = "".join(f"{t:.3f},{99 + k % 9},{3 + k % 2},{600 + k % 7}\n" for k, t in enumerate(clock))
+    (tmp_path / "bit.csv").write_text("time [s],bit speed [rpm],torque [N m],weight on bit [N]\n" + rows)
+    with pytest.raises(InputError, match=r"never rests.*'torque \[N m\]' is a torque: write a scene"):
+        init.run(tmp_path / "bit.csv", tmp_path, init.Said(), said.append)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from bcfj_jax import InputError
 from calibration import command, fit, init, load
 from calibration.forward.model import build
 from calibration.impacts import tosses
+from calibration.search import continuation
+from calibration.search.descent import Descents
 from calibration.search.horizon import stages
 from calibration.search.starts import Screen, search
 from calibration.solver_budget import budget
@@ -128,6 +132,35 @@ def test_a_tumbling_record_is_fitted_from_its_beginning_on_and_many_of_them_spar
         first.times.size == first.channels[0].values.size == np.count_nonzero(one.times <= 0.3)
         and last.times.size == one.times.size
     )
+
+
+@pytest.mark.parametrize(
+    ("shares", "followed"), [((1.0, 2.9), None), ((1.0, 3.1), 0.25), ((0.01, 0.29), None), ((0.01, 0.31), 0.25)]
+)
+def test_a_tumbling_body_is_followed_while_a_sample_costs_no_more_than_three_times(shares, followed, monkeypatch):
+    ends = [np.array([end]) for end in (0.25, 0.5, 1.0)]
+    costs = {0.25: shares[0], 0.5: shares[1], 1.0: shares[1]}
+
+    def part(_, end=ends[-1]):
+        return SimpleNamespace(
+            end=float(end[0]), data=SimpleNamespace(weights=np.ones(round(100 * end[0]))), scene=scene
+        )
+
+    def descend(model, block, leg, before):
+        each = costs[model.end] * model.data.weights.size
+        return Descents(block, np.full(len(block), each), np.ones(len(block), dtype=bool))
+
+    scene, seams = SimpleNamespace(traits=SimpleNamespace(turning=False)), {
+        "stages": lambda model: ends, "until": part, "loosened": lambda model: model, "tumbles": lambda model: True,
+        "budget": lambda model: SimpleNamespace(apart=False, kept=8), "_descend": descend,
+        "evaluator": lambda model: lambda points: (points, None), "meets": lambda model, r, ends: np.zeros((len(r), 3), bool),
+    }  # fmt: skip
+    for name, stand_in in seams.items():
+        monkeypatch.setattr(continuation, name, stand_in)
+    found = continuation.continued(cast(Any, part(None)), np.full((4, 2), 0.5), 4)
+    assert (None if found.followed is None else float(found.followed[0])) == followed
+    if followed:
+        np.testing.assert_allclose((*found.shares, *found.found.costs), [*shares, *[25 * shares[0]] * 4])
 
 
 def test_many_first_states_are_shown_by_their_range():

@@ -41,7 +41,7 @@ def read(file: str, wanted: str) -> Content:
         if found:
             columns[own] = found
         elif item.ndim == 2 and item.dtype.kind in "iuf" and 1 < min(item.shape) <= 64 and item.size < 1 << 24:
-            matrices.setdefault(parent, {})[own] = item[()]
+            matrices.setdefault(parent, {})[f"{own} [{text(unit)}]" if text(unit) else own] = item[()]
         else:
             return
         columns.update({key: c for key, c in _said(item).items() if key not in columns})

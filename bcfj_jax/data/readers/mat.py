@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.data.clock import is_rate, is_step
 from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
@@ -31,12 +32,15 @@ def read(file: str, wanted: str) -> Content:
 def tables_of(content: Mapping[str, Any]) -> Tables:
     """The tables of structs within structs: vectors, and matrices where they go with these (``columns.group``)."""
     tables: Tables = {}
+    said: Tables = {}
 
     def visit(table: str, struct: Mapping[str, Any]) -> None:
         columns: Columns = {}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in struct.items():
+            if isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, Mapping) for v in value):
+                value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
                 # A struct about one list of values is a channel.
                 own = next((k for k in _VALUES if k in value), "")
@@ -44,6 +48,8 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                     visit(f"{table}/{name}".strip("/"), value)
                     continue
                 unit = next((value[k] for k in UNIT_NAMES if k in value), None)
+                rates = {k: vector(np.asarray(v)) for k, v in value.items() if is_rate(k) or is_step(k)}
+                columns.update({k: c for k, c in rates.items() if c})
                 name, value = str(text(value.get("label", value.get("name"))) or name), value[own]
             else:
                 unit = None
@@ -54,7 +60,11 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                         columns[name] = found
                     elif array.ndim == 2:
                         matrices[name] = array
-        tables[table] = group(columns, matrices)
+        tables[table] = {**said.pop(table, {}), **group(columns, matrices)}
+        above, _, last = table.rpartition("/")
+        # A struct of single values is about those beside it.
+        if table and last not in UNIT_NAMES and {c.size for c in tables[table].values()} == {1}:
+            said[above] = {**said.get(above, {}), **tables.pop(table)}
 
     visit("", content)
     return with_units(tables)
@@ -65,6 +75,8 @@ def _columns(content: Any) -> Any:
     if isinstance(content, dict):
         return {str(key): _columns(value) for key, value in content.items()}
     if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
+        if all(isinstance(row.get(next((k for k in _VALUES if k in row), "")), list) for row in content):
+            return {str(row.get("name", row.get("label", k))): row for k, row in enumerate(content, 1)}
         rows = [_flat(row) for row in content]
         return {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
     return content
