@@ -152,7 +152,7 @@ def _drawn(at: Optimum, there: Optimum, lin: Linear, errors: list[Error]) -> np.
     halves = []
     for _ in range(_DRAWS):
         shares = found.members[rng.choice(found.weights.size, p=found.weights)]
-        acting = [(e.prior[0] * np.hypot(x, e.floor), e.prior[1]) for e, x in zip(errors, shares, strict=True)]
+        acting = [(e.prior[0] * (1.0 if e.stated else x), e.prior[1]) for e, x in zip(errors, shares, strict=True)]
         acting = [(c, lean) for c, lean in acting if c.any()]
         design = np.hstack([lin.jacobian[:, seen], *(c for c, _ in acting)])
         prior = np.sqrt(found.variance) * np.eye(design.shape[1])[int(seen.sum()) :]

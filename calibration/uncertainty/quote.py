@@ -238,7 +238,7 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     rest = lin.data - basis @ (basis.T @ lin.data)
     combined = found.combined()[0]
     sizes = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-    every, lines = evaluated(lin, errors, found.variance) if any(e.floor for e in errors) else found, []
+    every, lines = evaluated(lin, errors, found.variance) if any(e.stated for e in errors) else found, []
     for k, error in enumerate(errors):
         columns, lean = error.prior
         beside = columns - basis @ (basis.T @ columns)
@@ -253,12 +253,12 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         if columns.shape[1] == 1:
             unit = np.linalg.norm(columns) / np.linalg.norm(error.columns)
             size = float(unit * (abs(mean[0]) + QUANTILE * np.sqrt(covariance[0, 0])))
-        stated = error.floor >= 1.0
         cost = combined / np.maximum(found.without(k).combined()[0], 1e-300)
-        if stated:  # It is in every set, each of which is narrower without it.
-            apart = evaluated(lin, [e for e in errors if e is not error], found.variance)._replace(log=every.log)
+        if error.stated:  # It is in every set, each of which is narrower without it.
+            bare = [e._replace(columns=0.0 * e.columns) if e is error else e for e in errors]
+            apart = evaluated(lin, bare, found.variance)._replace(log=every.log)
             cost = merged([every]).combined()[0] / np.maximum(merged([apart]).combined()[0], 1e-300)
-        chance = (1.0, 1.0) if stated else (float(chances[k]), float(found.prior[k]))
+        chance = (1.0, 1.0) if error.stated else (float(chances[k]), float(found.prior[k]))
         by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]
         lines.append(Line(error.name, size, error.unit, by_name[0], *chance, by_name[1]))
     return lines

@@ -43,7 +43,8 @@ class Error(NamedTuple):
         unit, most: of its amplitude, and the size that it has with 95 % if it acts.
         columns: (N, K) a unit of it, in deviations of the noise; several have independent amplitudes.
         kind: errors of one kind exclude each other; alone where empty.
-        floor: share of its prior with which it always acts; what acts in full is of no set.
+        stated: whether it acts always, in full. Of sets it is a member like others, that adds nothing: so no other error acts
+            more often where one is known.
         sign: 1 where its amplitude cannot be negative, as a lag's.
         chance: that it acts, before the record is looked at.
     """
@@ -53,7 +54,7 @@ class Error(NamedTuple):
     most: float
     columns: np.ndarray
     kind: str = ""
-    floor: float = 0.0
+    stated: bool = False
     sign: int = 0
     chance: float = ACTS
 
@@ -205,7 +206,7 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
     ``variance``: of the noise, where that is known from another point.
     """
     sizes = tuple(e.columns.shape[1] for e in errors)
-    every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance if e.floor < 1.0 else 0.0 for e in errors))
+    every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance for e in errors))
     basis = np.linalg.qr(at.jacobian)[0]
     rest = at.data - basis @ (basis.T @ at.data)
     within = lambda seen: min(max(at.floor, float(seen)), at.ceiling)  # noqa: E731
@@ -240,8 +241,9 @@ def _sums(at: Linear, errors: Sequence[Error], variance: float) -> _Sums:
 
     Columns of an error are turned so that they are orthogonal beside those.
     """
-    columns, (size, width) = [e.prior[0] for e in errors], at.jacobian.shape
-    always = np.hstack([np.zeros((size, 0)), *(c * e.floor for c, e in zip(columns, errors, strict=True) if e.floor)])
+    size, width = at.jacobian.shape
+    always = np.hstack([np.zeros((size, 0)), *(e.prior[0] for e in errors if e.stated)])
+    columns = [e.prior[0] * (not e.stated) for e in errors]
     count, deviation = always.shape[1], np.sqrt(variance)
     rows = np.hstack([np.zeros((count, width)), deviation * np.eye(count)])
     basis, triangle = np.linalg.qr(np.vstack([np.hstack([at.jacobian, always]), rows]))
@@ -274,14 +276,14 @@ def _memory(left: np.ndarray, series: Sequence[np.ndarray]) -> float:
 
 @lru_cache(maxsize=4)
 def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], chances: tuple[float, ...]) -> tuple[_Batch, ...]:
-    """Of errors with so many columns each, which act with these chances; none of those that cannot."""
+    """Of errors with so many columns each, which act with these chances."""
     names = [kind or f"#{k}" for k, kind in enumerate(kinds)]
     odds = [c / (1.0 - c) / names.count(name) for name, c in zip(names, chances, strict=True)]
     ends, found = np.cumsum(sizes).astype(int), {}
     for count in range(MOST + 1):
         scales = np.array(list(product(SCALES, repeat=count))).reshape(len(SCALES) ** count, count)
         chance = np.array([sum(np.log(SCALES[s]) for s in row) for row in scales.tolist()])
-        for chosen in combinations([k for k, c in enumerate(chances) if c], count):
+        for chosen in combinations(range(len(chances)), count):
             if len({names[k] for k in chosen}) < count:
                 continue
             # The one with more columns is eliminated first.

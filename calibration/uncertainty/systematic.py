@@ -121,7 +121,7 @@ def _as_stated(name: str, own: Sensor, column: np.ndarray, scene: Scene, known: 
     if not most:
         return []
     columns = np.hstack([_of(own, sized / most, series) for series in by_channel.values()])
-    return [Error(f"{name}, as stated", own.unit, most, columns, floor=1.0)]
+    return [Error(f"{name}, as stated", own.unit, most, columns, stated=True)]
 
 
 def _amplitude(key: str, limit: Limit, s: Series, peak: float, duration: float) -> float:
@@ -141,7 +141,7 @@ def _steps(scene: Scene, known: _Known) -> list[Error]:
         [f(2.0 * np.pi * x / (q or 1.0)) * q for x, q in zip(scene.read, steps, strict=True)] for f in (np.sin, np.cos)
     ]
     columns = np.hstack([signatures.of_readings(scene, wave) for wave in waves]) * QUANTILE / np.sqrt(12.0)
-    return [Error("resolution, as stated", "of its step", 1.0, columns, floor=1.0)]
+    return [Error("resolution, as stated", "of its step", 1.0, columns, stated=True)]
 
 
 def of_fixed(
@@ -167,6 +167,8 @@ def of_fixed(
             continue
         tolerance = _SHARE * np.abs(own) if known is None else known
         if not np.any(tolerance):
+            if known is not None:  # An error that is known not to act.
+                found.append(Error(name, "of itself", 0.0, np.zeros((plain.size, 1))))
             continue
         moved = eqx.tree_at(lambda m, t=table, n=name: getattr(m.data, t)[n], model, own + _STEP * tolerance)
         change = (evaluation(moved)(point).residuals[0] - plain) / _STEP

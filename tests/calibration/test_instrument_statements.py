@@ -76,7 +76,7 @@ def test_a_stated_error_widens_as_the_closed_form_says():
     column = 10.0 * (1.0 + rng.random((80, 1)))
     data = rng.standard_normal(80)
     for most in (0.0, 0.002, 0.01, 0.05):
-        errors = [Error("gain, as stated", "of itself", most, column, floor=1.0)] if most else []
+        errors = [Error("gain, as stated", "of itself", most, column, stated=True)] if most else []
         found = mixture(Linear(data, column, np.eye(1), 1.0, 79), errors)
         (combined,), (a,), (b,) = found.combined()
         noise = float(np.sqrt(found.variance / np.sum(column**2)))

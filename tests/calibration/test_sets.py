@@ -15,14 +15,14 @@ COUNT, COORDINATES = 60, 3
 
 
 class World:
-    """A random linear fit of 60 readings, with two errors, of which the first has two columns and always acts a little."""
+    """A random linear fit of 60 readings, with two errors, of which the first has two columns and is stated: it always acts."""
 
     def __init__(self, seed: int):
         self.rng = np.random.default_rng(seed)
         self.jacobian = self.rng.standard_normal((COUNT, COORDINATES))
         self.rows = self.rng.standard_normal((2, COORDINATES))
         self.errors = [
-            Error("a", "", 1.0, self.rng.standard_normal((COUNT, 2)), floor=0.3),
+            Error("a", "", 1.0, self.rng.standard_normal((COUNT, 2)), stated=True),
             Error("b", "", 2.0, self.rng.standard_normal((COUNT, 1)) + 0.5),
         ]
 
@@ -38,7 +38,7 @@ def dense(world: World, data: np.ndarray, scales: tuple[float, float], variance:
     a, b = (e.columns * e.most / QUANTILE for e in world.errors)
     if world.errors[1].sign:
         data, b = data - scales[1] * np.sqrt(2.0 / np.pi) * b[:, 0], b * np.sqrt(1.0 - 2.0 / np.pi)
-    columns = np.hstack([scales[0] * a, scales[1] * b, 0.3 * a])
+    columns = np.hstack([scales[1] * b, a])
     inverse = np.linalg.inv(variance * np.eye(COUNT) + columns @ columns.T)
     information = world.jacobian.T @ inverse @ world.jacobian
     way = world.rows @ np.linalg.solve(information, world.jacobian.T @ inverse)
@@ -101,7 +101,7 @@ def test_an_error_that_acts_is_found_and_taken_out():
     data = (
         world.jacobian @ np.ones(COORDINATES) + 3.0 * world.errors[1].columns[:, 0] + world.rng.standard_normal(COUNT)
     )
-    errors = [e._replace(floor=0.0) for e in world.errors]
+    errors = [e._replace(stated=False) for e in world.errors]
     found = mixture(world.at(data), errors)
     assert found.chances[1] > 0.999 and found.chances[0] < found.prior[0]
     truth, ends = world.rows @ np.ones(COORDINATES), found.ends()
@@ -116,8 +116,24 @@ def test_a_stated_prior_narrows_and_kinds_exclude_each_other():
     hidden = Error("c", "", 1.0, world.jacobian[:, :1])
     widths = [np.diff(mixture(world.at(data), [hidden._replace(most=m)]).ends(), axis=1) for m in (2.0, 0.5, 0.05)]
     assert np.all(widths[0] > widths[1]) and np.all(widths[1] > widths[2])
-    twins = [e._replace(kind="one", floor=0.0) for e in world.errors]
+    twins = [e._replace(kind="one", stated=False) for e in world.errors]
     assert not mixture(world.at(data), twins).members.all(axis=1).any()
+
+
+@pytest.mark.parametrize("known", [{"columns": np.zeros((COUNT, 1))}, {"stated": True, "most": 1e-3}])
+def test_what_is_known_of_one_error_makes_no_other_likelier(known):
+    """Four that no residual shows, of which two act: one known not to act, or stated small, leaves one of the others or two."""
+    world = World(9)
+    data = world.rng.standard_normal(COUNT)
+    errors = [
+        Error(f"{k}", "", 1.0 + k, world.jacobian @ world.rng.standard_normal((COORDINATES, 1))) for k in range(4)
+    ]
+    before, after = (
+        mixture(world.at(data), [first, *errors[1:]]) for first in (errors[0], errors[0]._replace(**known))
+    )
+    np.testing.assert_allclose(after.prior, before.prior)
+    np.testing.assert_allclose(after.chances[1:], before.chances[1:], rtol=1e-6)
+    assert np.all(np.diff(after.ends(), axis=1) < np.diff(before.ends(), axis=1))
 
 
 def test_units_of_coordinates_and_order_of_errors_do_not_matter():
