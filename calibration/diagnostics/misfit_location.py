@@ -50,14 +50,8 @@ def misses(records: Iterable[Record]) -> list[Miss]:
 
     By the sum of its errors over the square root of their number, in their median deviation: a spike does not hide itself.
     """
-    found = []
-    for record in records:
-        for channel, data in record.data.items():
-            seen = np.isfinite(data)
-            miss = _worst(record, channel, record.times[seen], data[seen], record.prediction[channel][seen])
-            if miss is not None:
-                found.append(miss)
-    return [miss for _, miss in sorted(found, key=lambda pair: -pair[0])]
+    every = [_worst(record, channel) for record in records for channel in record.data]
+    return [miss for _, miss in sorted((m for m in every if m), key=lambda pair: -pair[0])]
 
 
 def reasons(records: Iterable[Record]) -> list[str]:
@@ -65,35 +59,28 @@ def reasons(records: Iterable[Record]) -> list[str]:
     return [miss.text() for miss in misses(r for r in records if not r.held_out)[:_MOST]]
 
 
-def _worst(
-    record: Record, channel: str, times: np.ndarray, data: np.ndarray, predicted: np.ndarray
-) -> tuple[float, Miss] | None:
+def _worst(record: Record, channel: str) -> tuple[float, Miss] | None:
+    seen = np.isfinite(record.data[channel])
+    times, data, predicted = (x[seen] for x in (record.times, record.data[channel], record.prediction[channel]))
     error = data - predicted
     if error.size < 3 or not np.any(error):
         return None
-    edges = np.flatnonzero(np.diff(np.sign(error)) != 0) + 1
-    runs = np.split(np.arange(error.size), edges)
-    weights = [abs(float(error[run].sum())) / np.sqrt(run.size) for run in runs]
-    worst = runs[int(np.argmax(weights))]
-    elsewhere = np.setdiff1d(np.arange(error.size), worst)
-    deviation = 1.4826 * float(np.median(np.abs(error[elsewhere]))) if elsewhere.size else 0.0
-    if max(weights) < _LEAST * deviation:
+    runs = np.split(np.arange(error.size), np.flatnonzero(np.diff(np.sign(error)) != 0) + 1)
+    weight, worst = max(((abs(float(error[run].sum())) / np.sqrt(run.size), run) for run in runs), key=lambda w: w[0])
+    elsewhere = np.delete(error, worst)
+    deviation = 1.4826 * float(np.median(np.abs(elsewhere))) if elsewhere.size else 0.0
+    if weight < _LEAST * deviation:
         return None
-    peak = float(np.max(np.abs(data)))
     k = int(worst[np.argmax(np.abs(error[worst]))])
     force = np.abs(predicted - predicted[np.argmin(np.abs(predicted))])
-    inside = np.flatnonzero(force > _TOUCHING * force.max())
-    share = float(error[k]) / peak
+    inside = times[force > _TOUCHING * force.max()]
     brief = False
     if inside.size > 3 and error[k] * np.sign(data[np.argmax(np.abs(data))]) > 0:
-        begin, end = float(times[inside[0]]), float(times[inside[-1]])
         # Of the spike, not of the run of errors that it stands in: from half its height to half its height.
-        high = worst[np.abs(error[worst]) > 0.5 * abs(error[k])]
-        width = float(times[high[-1]] - times[high[0]])
-        middle = abs(float(times[k]) - 0.5 * (begin + end)) < _MIDDLE * (end - begin)
-        brief = middle and width < _BRIEF * (end - begin) and abs(error[k]) > 5.0 * deviation
-    miss = Miss(
-        record.name, channel, float(times[k]), float(times[worst[0]]), float(times[worst[-1]]), float(error[k]), share,
-        bool(brief),
-    )  # fmt: skip
-    return max(weights) / max(deviation, 1e-300), miss
+        high = times[worst[np.abs(error[worst]) > 0.5 * abs(error[k])]]
+        span = float(np.ptp(inside))
+        middle = abs(float(times[k]) - 0.5 * float(inside[0] + inside[-1])) < _MIDDLE * span
+        brief = bool(middle and np.ptp(high) < _BRIEF * span and abs(error[k]) > 5.0 * deviation)
+    place = (float(times[k]), float(times[worst[0]]), float(times[worst[-1]]))
+    miss = Miss(record.name, channel, *place, float(error[k]), float(error[k]) / float(np.max(np.abs(data))), brief)
+    return weight / max(deviation, 1e-300), miss

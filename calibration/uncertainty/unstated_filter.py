@@ -183,10 +183,8 @@ def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Fi
 
 def _at(times: np.ndarray, clock: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (C, N, M) at other times, linear between those of the clock and constant outside."""
-    places = np.interp(times, clock, np.arange(clock.size, dtype=float))
-    low = np.minimum(places.astype(int), max(clock.size - 2, 0))
-    share = (places - low)[:, None]
-    return values[:, low] * (1.0 - share) + values[:, low + 1] * share
+    ends = values[:, 0], values[:, -1]
+    return interp1d(clock, values, axis=1, bounds_error=False, fill_value=ends, assume_sorted=True)(times)  # pyright: ignore[reportArgumentType]
 
 
 def _once(values: np.ndarray, passed: Filter, cutoff: float, step: float) -> np.ndarray:
