@@ -18,7 +18,7 @@ _SIGNS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _SIGNS[[0, 2, 1], [2, 1, 0], [1, 0, 2]]
 
 
 def skew(vector: Array) -> Array:
-    """[v]x of (..., 3), (..., 3, 3):  skew(v) w = v x w  and  rows skew(v) = rows x v.  Without slices, which kernels branch on."""
+    """Matrix of a cross product, (..., 3) to (..., 3, 3):  v x w and rows x v  by it. Without slices, on which kernels branch."""
     return jnp.sum(-_SIGNS * vector[..., None, None, :], -1)
 
 

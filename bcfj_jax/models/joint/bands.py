@@ -137,7 +137,8 @@ def _mobility(laws: ContactLaws, squared: Array, state: Array | None) -> tuple[A
     """Mobility and the rate of a slip speed of late, (k, 1) each; 0 where there is none."""
     if state is None:
         return laws.mobility(squared), jnp.zeros_like(squared)
-    return laws.lag(squared, state[..., 0])[::-1]
+    learnt, mobility = laws.lag(squared, state[..., 0])
+    return mobility, learnt
 
 
 def tangents(

@@ -31,7 +31,7 @@ from bcfj_jax.models.joint import system
 from bcfj_jax.models.joint.bands import tangents
 from bcfj_jax.models.joint.constants import Constants
 from bcfj_jax.models.joint.contacts import dot
-from bcfj_jax.models.joint.scene import BODIES, Joint
+from bcfj_jax.models.joint.scene import Joint
 from bcfj_jax.models.joint.system import Part
 from bcfj_jax.xla.kept import kept
 from bcfj_jax.xla.small import block_diagonal, product, skew
@@ -72,7 +72,9 @@ def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
     found = tangents(part.laws, part.geometry, *part.motion, part.bristles)
     value = found.value
     place, rate = _seen(part.motion, outer, found.place, found.twist)
-    place = place.at[..., 3:].add(jnp.concatenate([_turned(value[..., i : i + 3]) for i in range(0, value.shape[-1], 3)], -2))
+    place = place.at[..., 3:].add(
+        jnp.concatenate([_turned(value[..., i : i + 3]) for i in range(0, value.shape[-1], 3)], -2)
+    )
     if found.bending is None:
         return Slopes(_about(arm, place, value), _about(arm, rate))
     state, pull = part.bristles, found.pull
@@ -171,39 +173,29 @@ def _spread(scene: Joint, c: Constants, along: Array, about: Array) -> Array:
     return scene.coupled(parts)
 
 
-def _guided(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[list, list[tuple]]:
-    """Of each pilot its bodies (outer, inner) and derivatives, (9, 6 | 9) by place and rate as of ``Slopes``.
+def _alone(scene: Joint, c: Constants, state: system.State, scale: Any) -> tuple[Array, Array, list[tuple]]:
+    """Derivatives of pilot and drive forces by coupling displacement and coupling rate, (b, b).
 
     And of the pilots' faces: inverse, the coupling's forces by them (k, b, w), they by coupling displacement and rate (k, w, b).
     """
-    found, rows, pairs = [], [], [tuple(map(BODIES.index, pair)) for pair in scene.pairs]
+    b = scene.coupling
+    place, rate, rows, first = jnp.zeros((b, b)), jnp.zeros((b, b)), [], 0
     for part in system.piloted(scene, c, state):
-        at = slice(len(found), len(found) + len(part.names))
-        one = slopes(part, system.guided(scene, c, state)[1][at], scale)
-        found += zip(pairs[at], *kept(*one[:2]), strict=True)
-        if (faces := one.faces) is not None:
-            maps = system.guide_maps(scene, c)[at]
-            moved, back = jnp.concatenate([maps[:, :3], maps[:, 6:]], 1), jnp.swapaxes(maps * system.FELT[:, None], -1, -2)
+        at = slice(first, first + len(part.names))
+        first, maps = at.stop, system.guide_maps(scene, c)[at]
+        found = slopes(part, system.guided(scene, c, state)[1][at], scale)
+        back = jnp.swapaxes(maps * system.FELT[:, None], -1, -2)
+        moved = jnp.concatenate([maps[:, :3], maps[:, 6:]], 1)
+        displaced, swung = kept(product(found.place, moved), product(found.rate, maps))
+        place, rate = (x + jnp.sum(product(back, y), 0) for x, y in ((place, displaced), (rate, swung)))
+        if (faces := found.faces) is not None:
             by = back @ faces.pull, faces.place[:, 0] @ moved, faces.rate[:, 0] @ maps
             rows += zip(faces.inverse, *by, strict=True)
-    return found, rows
-
-
-def _between(alone: Array, found: list[tuple], of: int) -> Array:
-    """Wrenches on the three bodies by their displacements and rotations, or by their rates (3, 6, 3, 6) -> (3, 3, 6, 6).
-
-    ``alone`` (3, 6, 6): of a body by itself; ``found``: ``_guided``, of its ``of``-th derivatives.
-    """
-    blocks = {(i, i): alone[i] for i in range(3)}
-    for (outer, inner), *both in found:
-        change = both[of]
-        k = change.shape[-1] - 3
-        columns = {inner: jnp.pad(change[:, :k], ((0, 0), (0, 6 - k))), outer: jnp.concatenate([-change[:, :3], change[:, k:]], 1)}
-        for body, column in columns.items():
-            felt = {inner: column[:6], outer: -jnp.concatenate([column[:3], column[6:]])}
-            blocks |= {(row, body): blocks.get((row, body), 0.0) + block for row, block in felt.items()}
-    none = jnp.zeros((6, 6))
-    return jnp.stack([jnp.stack([blocks.get((i, j), none) for j in range(3)]) for i in range(3)])
+    if scene.drive == "flexible":
+        seat = scene.slices["seat_turn"]
+        assert seat is not None
+        place, rate = place.at[seat, seat].add(-c.drive_stiffness), rate.at[seat, seat].add(-c.drive_damping)
+    return place, rate, rows
 
 
 def _rows(maps: Array, faces: Faces, k: int) -> tuple[Array, ...]:
@@ -266,17 +258,13 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
     columns = [_spread(scene, c, x[..., :k, :3], x[..., :k, 3:]) for x in by_body]
     turned = [-jnp.swapaxes(x, -1, -2) for x in (place[..., :3], rate[..., :k])]
     lines = [_spread(scene, c, x[..., :3], x[..., -3:]) for x in turned]
-    # What moves one body acts back on it; pilots act between two. With a second axis of bodies ``_spread`` takes first the
+    # A body's own block: what moves one body acts back on it alone. With a second axis of bodies ``_spread`` takes first the
     # moves to the coupling coordinates, then the wrenches.
     own = [-jnp.sum(jnp.concatenate([x[..., :3, :], x[..., -3:, :]], -2), 0) for x in by_body]
-    guided, guided_rows = _guided(scene, c, state, scale)
-    own = [jnp.concatenate([x[:2], jnp.sum(x[2:], 0, keepdims=True)]) for x in own]
-    apart = jnp.stack([_between(x, guided, of) for of, x in enumerate(own)])
+    apart = jnp.stack(own)[:, :, None] * jnp.eye(own[0].shape[0])[:, :, None, None]
     half = jnp.swapaxes(_spread(scene, c, apart[..., :3], apart[..., 3:]), -1, -2)
     corner = jnp.swapaxes(_spread(scene, c, half[..., :3], half[..., 3:]), -1, -2)
-    if scene.drive == "flexible":
-        seat = scene.slices["seat_turn"]
-        corner = corner.at[:, seat, seat].add(-jnp.stack([c.drive_stiffness, c.drive_damping])[:, None, None])
+    alone, braked, guided = _alone(scene, c, state, scale)
     return Blocks(
         ball_place=jnp.sum(place[..., :k, :3], 1),
         ball_rate=jnp.sum(rate[..., :k, :k], 1),
@@ -284,7 +272,7 @@ def blocks(scene: Joint, c: Constants, y: Array, scale: Any = None) -> Blocks:
         column_rate=columns[1],
         row_place=jnp.swapaxes(lines[0], -1, -2),
         row_rate=jnp.swapaxes(lines[1], -1, -2),
-        coupling_place=corner[0],
-        coupling_rate=corner[1],
-        bristles=_bristled(scene, rows, guided_rows) if scene.bristles else None,
+        coupling_place=alone + corner[0],
+        coupling_rate=braked + corner[1],
+        bristles=_bristled(scene, rows, guided) if scene.bristles else None,
     )

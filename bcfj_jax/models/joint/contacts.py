@@ -279,32 +279,40 @@ class Tangents(NamedTuple):
     decay: Array | None = None
 
 
-class _Traction(NamedTuple):
-    """``traction`` and its derivatives, by the slide, the normal, the penetration and the state, each (..., f, 3 | w, .)."""
+class _Learning(NamedTuple):
+    """Of friction with states: ``traction``'s derivatives by the normal and the state, the states' rates, and theirs."""
 
-    value: Array
-    slide: Array
-    normal: Array | None = None
-    state: Array | None = None
-    bending: Array | None = None
-    bent_slide: Array | None = None
-    bent_depth: Array | None = None
-    decay: Array | None = None
+    by_normal: Array
+    by_state: Array
+    rate: Array
+    by_slide: Array
+    by_depth: Array
+    decay: Array
 
 
-def _traction(laws: ContactLaws, at: Geometry, slide: Array, state: Array | None) -> _Traction:
+def _traction(
+    laws: ContactLaws, at: Geometry, slide: Array, state: Array | None
+) -> tuple[Array, Array, _Learning | None]:
+    """``traction`` and its derivative by the slide (..., f, 3, 3)."""
     if state is None:
         squared = dot(slide, slide)
         mobility, slope = kept(*jax.jvp(laws.mobility, (squared,), (jnp.ones_like(squared),)))
         by_slide = mobility[..., None, None] * jnp.eye(3) + (2.0 * slope)[..., None, None] * outer(slide, slide)
-        return _Traction(mobility[..., None] * slide, by_slide)
-    n, depth = at.normal, at.penetration
-    value, bending = traction(laws, n, depth, slide, state)
-    by_slide, bent_slide = by(lambda u: traction(laws, n, depth, u, state), slide)
-    by_state, bent_state = by(lambda z: traction(laws, n, depth, slide, z), state)
-    by_normal = by(lambda n: traction(laws, n, depth, slide, state)[0], n)
-    bent_depth = by(lambda d: traction(laws, n, d[..., 0], slide, state)[1], depth[..., None])
-    return _Traction(value, by_slide, by_normal, by_state, bending, bent_slide, bent_depth, -bent_state[..., 0, 0])
+        return mobility[..., None] * slide, by_slide, None
+
+    def found(normal: Array, depth: Array, slide: Array, state: Array) -> tuple[Array, Array | None]:
+        return traction(laws, normal, depth[..., 0], slide, state)
+
+    n, depth = at.normal, at.penetration[..., None]
+    value, rate = found(n, depth, slide, state)
+    by_slide, swung = by(lambda u: found(n, depth, u, state), slide)
+    by_state, felt = by(lambda z: found(n, depth, slide, z), state)
+    by_normal, by_depth = (
+        by(lambda n: found(n, depth, slide, state)[0], n),
+        by(lambda d: found(n, d, slide, state)[1], depth),
+    )
+    assert rate is not None
+    return value, by_slide, _Learning(by_normal, by_state, rate, swung, by_depth, -felt[..., 0, 0])
 
 
 def tangents(
@@ -339,30 +347,30 @@ def tangents(
     if spin is not None:
         slid = slid + product(skew(spin)[..., None, :, :], levered)
     load, by_rate, grown, arm_of, levered, slid = kept(load, by_rate, grown, skew(lever), levered, slid)
-    g = _traction(laws, at, slide, state)
-    push, load = at.normal + g.value, load[..., None, None]
-    pressed = moved.normal + product(g.slide, slid)
-    if g.normal is not None:
-        pressed = pressed + product(g.normal, moved.normal)
+    pull, by_slide, learning = _traction(laws, at, slide, state)
+    push, load = at.normal + pull, load[..., None, None]
+    pressed = moved.normal + product(by_slide, slid)
+    if learning is not None:
+        pressed = pressed + product(learning.by_normal, moved.normal)
     force = -load[..., 0] * push
     place = -outer(push, grown) - load * pressed
-    twist = -outer(push, by_rate[..., None] * at.normal) - load * _across(g.slide, at.normal)
+    twist = -outer(push, by_rate[..., None] * at.normal) - load * _across(by_slide, at.normal)
     place, twist = kept(place, twist)
     changes = [force[..., None], place, twist if spin is None else _whole(twist, arm_of)]
-    if g.state is not None:
-        changes.append(-load * g.state)
+    if learning is not None:
+        changes.append(-load * learning.by_state)
     if spin is not None:
         moments = [product(arm_of, x) for x in changes]
         moments[1] = moments[1] - product(skew(force), levered)
         changes = [jnp.concatenate(x, -2) for x in zip(changes, moments, strict=True)]
     value, place, twist = (jnp.sum(x, -3) for x in changes[:3])
-    if g.state is None:
+    if learning is None:
         return Tangents(value[..., 0], place, twist)
-    bent = product(g.bent_slide, slid) + g.bent_depth * moved.penetration[..., None, :]
-    swung = _across(g.bent_slide, at.normal)
+    bent = product(learning.by_slide, slid) + learning.by_depth * moved.penetration[..., None, :]
+    swung = _across(learning.by_slide, at.normal)
     pull = jnp.moveaxis(changes[3], -3, -2)
-    bending = g.bending, bent, swung if spin is None else _whole(swung, arm_of)
-    return Tangents(value[..., 0], place, twist, bending, pull.reshape(*pull.shape[:-2], -1), g.decay)
+    bending = learning.rate, bent, swung if spin is None else _whole(swung, arm_of)
+    return Tangents(value[..., 0], place, twist, bending, pull.reshape(*pull.shape[:-2], -1), learning.decay)
 
 
 def _across(rows: Array, normal: Array) -> Array:
