@@ -5,10 +5,12 @@ What the channels mean is stated by the problem file. A file that holds several 
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +38,24 @@ _OVERLOAD = 9.8e37
 _SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
 
 
+class Channel(NamedTuple):
+    """A column: its name, its unit as the file states it (None: none), and its cells (N,) as they stand."""
+
+    name: str
+    unit: str | None
+    values: np.ndarray
+
+
+class Provenance(NamedTuple):
+    """Where a record is from: file, reader, group or sheet, SHA-256 of the file, and what was converted, in words."""
+
+    file: Path
+    reader: str
+    inside: str
+    sha256: str
+    converted: str
+
+
 @dataclass(frozen=True)
 class Record:
     """The rows of a file, or of a table in it."""
@@ -55,12 +75,24 @@ class Record:
     sensitivities: Sensitivities = NONE  # of channels that are voltages, charges or shares of a full scale
 
     @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The columns with their names and units."""
+        return tuple(Channel(*column(h), c) for h, c in zip(self.header, self.columns, strict=True))
+
+    @property
     def clock(self) -> str:
         """Header of the column of times; "" where there is none."""
         named = [(h, c) for h, c in zip(self.header, self.columns, strict=True) if h and is_time(h)]
         of_days = ((h, c) for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
         # What stands still is when the record was made.
         return next((h for h, c in chain(named, of_days) if ticks(c)), "")
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where the record is from; the file is read again for its checksum."""
+        with open(self.path, "rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+        return Provenance(self.path, self.reader, self.inside, digest, self.found)
 
     @property
     def name(self) -> str:

@@ -34,11 +34,12 @@ def test_a_file_of_an_instrument_is_read_right_or_refused(name, tmp_path):
     assert file.said or first == "right" or name in NEVER
 
 
-def test_a_record_says_its_columns_clock_and_how_it_is_written(tmp_path):
+def test_a_record_says_its_channels_clock_and_provenance(tmp_path):
     (tmp_path / "a.csv").write_bytes(FILES["bluehill.csv"]().content)
     record = read(tmp_path / "a.csv", "here")
-    assert record.header == ("Time [s]", "Extension [mm]", "Load [N]")
-    assert record.clock == "Time [s]" and record.reader == "text" and "names in line 6" in record.found
+    assert [(c.name, c.unit) for c in record.channels] == [("Time", "s"), ("Extension", "mm"), ("Load", "N")]
+    assert record.clock == "Time [s]" and record.provenance.reader == "text"
+    assert len(record.provenance.sha256) == 64 and "names in line 6" in record.provenance.converted
 
 
 def test_clipped_samples_are_left_out_and_said(tmp_path):

@@ -60,4 +60,4 @@ def test_a_plate_of_c3d_has_its_place_and_what_is_not_described_is_said(tmp_path
     assert said.startswith("Of Fx [N], Fy [N], Fz [N]") and "x = 20 mm, y = 30 mm" in said
     # A type of plate that is a number with decimals, as ezc3d itself writes it.
     path.write_bytes(whole.replace(b"FORCE_PLATFORM", b"FORCE_PLATFARM"))
-    assert read(path, "here", "analog").header[3] == "Fz [N]"
+    assert read(path, "here", "analog").channels[3].name == "Fz"
