@@ -135,7 +135,7 @@ class Arrowhead(AbstractStructure):
         row = -weight * (d.row_rate.at[..., :3].add(scale * d.row_place))
         coupling = jnp.eye(scene.coupling) / scale - weight * (d.coupling_rate + coupling_place)
         ball_inverse = kept(inverse3(ball) if k == 3 else inverse6(kept(ball)))
-        # Elementwise: one product of small matrices by XLA's library costs as much as all of this.
+        # Elementwise: XLA makes no kernel of a loop that calls its library, as it does for products of such matrices.
         column, row = kept(product(ball_inverse, kept(column)), row)
         schur = coupling - jnp.sum(row[..., None] * column[:, None], (0, 2))
         return Factors(

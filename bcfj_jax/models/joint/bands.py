@@ -168,7 +168,7 @@ def tangents(
     one = jnp.ones_like(rate)
     normal, by_depth = jax.jvp(lambda d: laws.normal(d, rate), (at.penetration,), (one,))
     by_rate = jax.jvp(lambda v: laws.normal(at.penetration, v), (rate,), (one,))[1]
-    (mobility, learnt), (slope, kept_slope) = jax.jvp(lambda x: _mobility(laws, x, state), (squared,), (one,))
+    (mobility, learnt), (slope, learning) = jax.jvp(lambda x: _mobility(laws, x, state), (squared,), (one,))
     # Of s^2 by the place, and by the twist.
     faster, swifter = jnp.sum(twist[..., None] * slid, -2), 2.0 * slide
     push, load = way + mobility * slide, normal[..., None]
@@ -179,5 +179,5 @@ def tangents(
     if state is None:
         return Tangents(-normal * push, place, rates)
     forget, learn = jax.jvp(lambda late: _mobility(laws, squared, late), (state,), (jnp.ones_like(state),))[1]
-    bending = tuple(x[:, None, None] for x in (learnt[:, 0], kept_slope * faster, kept_slope * swifter))
+    bending = tuple(x[:, None, None] for x in (learnt[:, 0], learning * faster, learning * swifter))
     return Tangents(-normal * push, place, rates, bending, (-normal * forget * slide)[..., None], -learn)

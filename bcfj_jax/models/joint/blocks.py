@@ -1,8 +1,7 @@
 """Derivatives of the joint's contact wrenches, by the coordinates of the bodies that touch.
 
-Contacts are independent, so that a few tangents serve all of them (``slopes``). A contact's force and moment on its second body
-(a ball, an inner sphere) follow from how that body moves as the first one sees it. Where the first body turns by t they turn with
-it, and what it sees turns by -t:
+A contact's force and moment on its second body (a ball, an inner sphere) follow from how that body moves as the first one sees it
+(``contacts.tangents``). Where the first body turns by t they turn with it, and what it sees turns by -t:
 
     second body moves by dp           arm + dp,  velocity - W x dp
     first body turns by t             arm - t x arm,  velocity, spin and bristles likewise;  found + t x found
