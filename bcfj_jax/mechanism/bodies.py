@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
@@ -218,7 +218,7 @@ class Body(eqx.Module):
     )
 
     def __check_init__(self):
-        where = f"body {quoted(self.name)}"
+        where = sizes.checked_name("body", self.name)
         if self.joint not in JOINTS:
             raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
         if self.parent == self.name:

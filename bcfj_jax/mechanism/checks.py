@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import is_traced, positive
 from bcfj_jax.core.vectors import spread
 from bcfj_jax.mechanism import inputs
@@ -40,14 +40,9 @@ def check_structure(scene: Dynamics) -> None:
         raise InputError(where, "has no bodies", "list at least one")
     for load in scene.loads:
         checked(f"{where} load", load)
-    parts = [*((b, "body") for b in scene.bodies), *((c, "contact") for c in scene.contacts)]
-    for part, what in parts:
-        if not isinstance(part.name, str) or not part.name.isidentifier() or part.name == GROUND:
-            remedy = f"give a word of letters, digits and '_', other than '{GROUND}'"
-            raise InputError(f"{where} {what} {quoted(part.name)}", f"is not a valid name of a {what}", remedy)
     _check_tree(scene, where)
     names: dict[str, str] = {b.name: "body" for b in scene.bodies}
-    for part, what in [*parts[len(names) :], *((x, "load") for x in scene.loads)]:
+    for part, what in [*((c, "contact") for c in scene.contacts), *((x, "load") for x in scene.loads)]:
         _check_static(f"{where} {type(part).__name__.lower()} '{part.name}'", part)
         if part.name in names and not (what == "load" and part.name == "gravity" and names[part.name] != "load"):
             found = f"the name '{part.name}' already belongs to a {names[part.name]}"

@@ -22,7 +22,7 @@ from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
 from bcfj_jax.contact.normal import AbstractLaw, regularised_rates
 from bcfj_jax.contact.part import checked
 from bcfj_jax.contact.wrench import RESISTING, ContactForce
-from bcfj_jax.core.errors import InputError, origin, quoted
+from bcfj_jax.core.errors import InputError, origin
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Number, Vector, add, turned
@@ -94,7 +94,7 @@ class Contact(eqx.Module):
             object.__setattr__(self, "law", laws.make(self.law, self.elastic))
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
-        where = f"contact {quoted(self.name)}"
+        where = sizes.checked_name("contact", self.name)
         if len(self.between) != 2:
             raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
         if self.between[0] == self.between[1]:

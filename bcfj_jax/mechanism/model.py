@@ -11,7 +11,7 @@ import dataclasses
 import textwrap
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -207,10 +207,15 @@ class AbstractModel(eqx.Module):
             f"scene '{self.kind}'", "has a history: it is integrated", "this is an error in bcfj-jax: please report it"
         )
 
-    # Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one.
-    shows_proximity: ClassVar[bool] = False
-    # Whether steps are looked at between their ends, too, since what bends a penetration's course is not known.
-    unsure: ClassVar[bool] = False
+    @property
+    def shows_proximity(self) -> bool:
+        """Whether steps are looked at for contacts that they hide, by ``proximity``; not where none can hide one."""
+        return False
+
+    @property
+    def unsure(self) -> bool:
+        """Whether steps are looked at between their ends, too, since what bends a penetration's course is not known."""
+        return False
 
     def proximity(self, t: Array, y: Array, prepared: Any) -> Proximity:
         """How near all surfaces are to each other in one state. Only of a model that ``shows_proximity``."""
@@ -232,10 +237,15 @@ class AbstractModel(eqx.Module):
         """Longest step that a solver may take [s]; None: as long as its errors allow."""
         return None
 
-    # Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does.
-    unweighed: ClassVar[bool] = False
-    # Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``).
-    remembered: ClassVar[tuple[int, ...]] = ()
+    @property
+    def unweighed(self) -> bool:
+        """Whether a contact acts between bodies whose motion is given, so that no step's error weighs what its force does."""
+        return False
+
+    @property
+    def remembered(self) -> tuple[int, ...]:
+        """Indices in the state of approach speeds, which a touch sets and which stay until the next (``approaches``)."""
+        return ()
 
     def approaches(self, t: Array, y: Array, prepared: Any) -> Approaches:
         """What every speed of ``remembered`` is at a touch in this state."""
@@ -274,17 +284,24 @@ class AbstractModel(eqx.Module):
                 parted[name] = one if len(names) == 1 else jax.tree.map(lambda x, k=k: at(x, k), one)
         return {c.name: parted[c.name] for c in self.contacts}
 
-    # Names of the bodies whose ``motions`` can be read.
-    body_names: ClassVar[tuple[str, ...]] = ()
-    # By body, the number of its members; a body without need not be named.
-    body_members: ClassVar[dict[str, int]] = {}
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies whose ``motions`` can be read."""
+        return ()
+
+    @property
+    def body_members(self) -> dict[str, int]:
+        """By body, the number of its members; a body without need not be named."""
+        return {}
 
     def motions(self, t: Array, y: Array, prepared: Any) -> dict[str, BodyMotion]:
         """Every body's motion in one state."""
         return {}
 
-    # Names of the loads whose ``efforts`` can be read.
-    load_names: ClassVar[tuple[str, ...]] = ()
+    @property
+    def load_names(self) -> tuple[str, ...]:
+        """Names of the loads whose ``efforts`` can be read."""
+        return ()
 
     def efforts(self, t: Array, y: Array, prepared: Any) -> dict[str, Effort]:
         """By body what its joint does, and by load what that does, in one state."""
@@ -376,8 +393,10 @@ class AbstractModel(eqx.Module):
         """By name, where a coordinate and its velocity are in the flat state."""
         return {}
 
-    # Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns.
-    drive_coordinate: ClassVar[str] = ""
+    @property
+    def drive_coordinate(self) -> str:
+        """Name in ``coordinates`` of the drive's turn; "" for a model without a drive that turns."""
+        return ""
 
     def recurs(self, params: Params) -> bool:
         """Whether steady motion repeats itself after a ``pitch``. Decided on the host."""
@@ -428,8 +447,10 @@ class AbstractModel(eqx.Module):
         """
         return 0.0
 
-    # What has happened by ``settled_from``, in words.
-    settled_when: ClassVar[str] = "the start is forgotten"
+    @property
+    def settled_when(self) -> str:
+        """What has happened by ``settled_from``, in words."""
+        return "the start is forgotten"
 
     def full(self) -> AbstractModel:
         """The model of the same thing that leaves nothing out: this one, unless it is a coarser one."""
@@ -455,8 +476,10 @@ class AbstractModel(eqx.Module):
         """Other choices of the model, one change each, whose effect is the error of the model form; on the host."""
         return ()
 
-    # What is known of the error of the model form, to go on "the error is that of the computation; ".
-    model_form: ClassVar[str] = "laws, coefficients and rigid bodies are taken as given"
+    @property
+    def model_form(self) -> str:
+        """What is known of the error of the model form, to go on "the error is that of the computation; "."""
+        return "laws, coefficients and rigid bodies are taken as given"
 
     def choose(
         self, params: Params, times: np.ndarray, budget: float, run: Callable[[AbstractModel, np.ndarray], Any]
@@ -467,8 +490,10 @@ class AbstractModel(eqx.Module):
         """
         return run(self, times)
 
-    # Names of the files of ``whole``'s tables.
-    tables: ClassVar[tuple[str, ...]] = ()
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the files of ``whole``'s tables."""
+        return ()
 
     def whole(self, params: Params, run: Any) -> tuple[dict[str, Any], dict[str, dict[str, np.ndarray]]]:
         """What a run says of the model as a whole: entries of the summary, and by file name tables.

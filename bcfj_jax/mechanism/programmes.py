@@ -57,7 +57,8 @@ def checked_table(where: str, table: Any, least: int = 2, what: str = "times") -
     late = np.flatnonzero(np.diff(knots) <= 0)
     if late.size:
         k = int(late[0])
-        found = f"its {what} do not increase: number {k + 2} is {knots[k + 1]:g}, after {knots[k]:g}"
+        unit = " s" if what == "times" else ""
+        found = f"its {what} do not increase: {what[:-1]} {k + 2} is {knots[k + 1]:g}{unit} after {knots[k]:g}{unit}"
         raise InputError(where, found, f"give {what} that increase")
     return tuple(knots.tolist()), tuple(values.tolist())
 

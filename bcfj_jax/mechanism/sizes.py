@@ -59,6 +59,15 @@ def field(where: str, **more: Any) -> Any:
     return eqx.field(static=True, converter=partial(plain, where), metadata={"size": True}, **more)
 
 
+def checked_name(what: str, name: Any) -> str:
+    """Where a part stands, for messages, once its name is a word."""
+    where = f"{what} {quoted(name)}"
+    if not isinstance(name, str) or not name.isidentifier() or name == "ground":
+        remedy = "give a word of letters, digits and '_', other than 'ground'"
+        raise InputError(where, f"is not a valid name of a {what}", remedy)
+    return where
+
+
 def items(where: str, given: Any) -> tuple[tuple[str, Size], ...]:
     """Sizes by name, as ``plain``."""
     pairs = given.items() if isinstance(given, Mapping) else given

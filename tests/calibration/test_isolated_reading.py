@@ -98,13 +98,13 @@ def test_what_is_in_a_file_arrives_bit_for_bit(tmp_path):
     )
     found = isolated.read(tmp_path / "a.mat", "here", None, mat).tables
     assert {name: set(columns) for name, columns in found.items()} == {
-        "": {"alone"}, "x": {"who"}, "x/y": {*numbers, *texts},
+        "": {"alone", "who"}, "x/y": {*numbers, *texts},
     }  # fmt: skip
     for name, values in numbers.items():
         column = found["x/y"][name].values()
         assert column.dtype == values.dtype and column.tobytes() == values.tobytes(), name
     assert found["x/y"]["cell"].values().tolist() == texts["cell"].tolist()
-    assert (found["x"]["who"].values().item(), found[""]["alone"].values().item()) == ("ö", 3.0)
+    assert (found[""]["who"].values().item(), found[""]["alone"].values().item()) == ("ö", 3.0)
 
 
 def test_of_a_large_file_only_the_table_that_is_meant_has_values(tmp_path, monkeypatch):
