@@ -56,9 +56,6 @@ _MEASURED = Path(__file__).with_name("compile_seconds.json")
 _MAGIC = b"bcfj-jax program 1\n"
 # Options for a program that runs once: to compile quickly matters more than to run quickly.
 QUICK = {"xla_backend_optimization_level": 0}
-# For a program whose solver takes many thousand implicit steps: without a library's products of small matrices Newton's loop
-# is one kernel. It takes half as long again to compile.
-LONG = {"xla_cpu_experimental_ynn_fusion_type": ""}
 
 
 class Settings:

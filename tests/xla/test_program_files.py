@@ -65,7 +65,7 @@ def test_a_program_is_traced_once_and_fetched_by_the_next_process(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [programs.LONG, programs.QUICK, {"no_option_of_this_jaxlib": 1}])
+@pytest.mark.parametrize("options", [programs.QUICK, {"no_option_of_this_jaxlib": 1}])
 def test_options_change_no_result_and_none_is_needed(folder, options):
     made, _ = programs.program("double", double, (2.0,), (np.ones(2),), options)
     np.testing.assert_array_equal(made(np.array([1.0, 2.0]))["twice"], [2.0, 4.0])

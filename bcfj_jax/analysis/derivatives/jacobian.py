@@ -24,7 +24,7 @@ from bcfj_jax.solve.plan import Plan, Way
 
 # The histories behind ``force_history``, with penetrations and states beside the forces.
 from bcfj_jax.solve.simulation import Run, readings, timed
-from bcfj_jax.xla.programs import LONG, program
+from bcfj_jax.xla.programs import program
 
 
 class Histories(NamedTuple):
@@ -123,7 +123,7 @@ def by_channel(scene: AbstractModel, readings: Mapping[str, Any]) -> tuple[Array
 def level(scene: AbstractModel, params: Params, times: np.ndarray, wrt: tuple[str, ...], how: Plan) -> Level:
     """Solve once with the derivatives by all of ``wrt``, per SI unit."""
     arguments = (dict(params), np.asarray(times), how)
-    solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments, LONG if scene.traits.stiff else None)
+    solve, compile_s = program("jacobian", _jacobian, (scene, wrt), arguments)
     begin = time.perf_counter()
     derivative, (value, (code, end, accepted, rejected, *_)), scale = solve(*arguments)
     wall = time.perf_counter() - begin

@@ -35,7 +35,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import BEGIN, START, Onward
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.xla.programs import LONG, program
+from bcfj_jax.xla.programs import program
 
 # Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101
@@ -313,7 +313,7 @@ def prepared(problem: Problem) -> tuple[Callable[[_Start, float], _Pitch], float
     tight = plan(scene, _ERROR, most)
     (count,) = jax.eval_shape(scene.initial_state, params).shape
     begin = _begin(np.zeros(count), len(sizes), np.asarray(1.0))
-    solve, compile_s = program("pitch", _pitch, (scene, problem.names), (params, sizes, begin, _SHARES, tight), LONG)
+    solve, compile_s = program("pitch", _pitch, (scene, problem.names), (params, sizes, begin, _SHARES, tight))
 
     def solved(begin: _Start, tightened: float) -> _Pitch:
         return solve(params, sizes, begin, _SHARES, Plan(tight.tolerance / tightened, most, tight.tangents))
