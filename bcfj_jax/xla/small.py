@@ -22,11 +22,6 @@ def skew(vector: Array) -> Array:
     return jnp.sum(-_SIGNS * vector[..., None, None, :], -1)
 
 
-def cross(a: Array, b: Array) -> Array:
-    """a x b of (..., 3)."""
-    return jnp.sum(skew(a) * b[..., None, :], -1)
-
-
 def inverse3(matrix: Array) -> Array:
     """Inverse of (..., 3, 3) by cross products."""
     a, b, c = matrix[..., 0, :], matrix[..., 1, :], matrix[..., 2, :]

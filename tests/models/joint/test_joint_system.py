@@ -16,7 +16,7 @@ from bcfj_jax.models.joint import geometry, system
 from bcfj_jax.models.joint.arrowhead import Arrowhead
 from bcfj_jax.models.joint.kinematic import nominal
 from bcfj_jax.models.joint.scene import USUAL
-from bcfj_jax.xla.small import inverse, inverse3, inverse6
+from bcfj_jax.xla.small import inverse, inverse3, inverse6, product, skew
 
 UNLIKE = {"head_ball": "kelvin_voigt", "head_cage": "hertz"}
 OPTIONS = {
@@ -116,8 +116,14 @@ def test_time_derivative_is_that_of_load_and_drive():
     assert np.flatnonzero(got).tolist() == [scene.states - 2, scene.states - 1]
 
 
-def test_small_inverses():
+def test_small_matrices():
     rng = np.random.default_rng(2)
+    v, w = rng.normal(size=(2, 20, 3))
+    for found, wanted in (
+        (product(skew(v), w[..., None])[..., 0], np.cross(v, w)),
+        (product(w[:, None], skew(v))[:, 0], np.cross(w, v)),
+    ):
+        assert np.allclose(found, wanted, rtol=0, atol=1e-14)
     for size, function in ((3, inverse3), (6, inverse6)):
         many = rng.normal(size=(20, size, size)) + 4.0 * np.eye(size)
         assert np.allclose(jax.jit(function)(many), np.linalg.inv(many), rtol=0, atol=1e-12)
