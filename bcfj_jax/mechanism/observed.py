@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -123,7 +124,7 @@ class _Later(AbstractStructure):
     inner: AbstractStructure
     model: AbstractModel
 
-    solve = of("inner", "solve")
+    solve, alone = map(partial(of, "inner"), ("solve", "alone"))  # pyright: ignore[reportAssignmentType]
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
         prepared, begin = args[1]

@@ -7,7 +7,7 @@ arrowhead, ``joint.arrowhead``); ``Dense`` answers for any other.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -16,7 +16,12 @@ from jax import Array
 
 
 class AbstractStructure(eqx.Module):
-    """The linear algebra of one family of fields ``field(t, y, args) -> dy/dt`` over a flat state."""
+    """The linear algebra of one family of fields ``field(t, y, args) -> dy/dt`` over a flat state.
+
+    ``alone``: on a CPU runs of a batch take their steps one after another, since those of one stay in its cache.
+    """
+
+    alone: ClassVar[bool] = False
 
     @abstractmethod
     def field(self, t: Any, y: Array, args: Any) -> Array:

@@ -10,7 +10,7 @@ ball; what is left is one matrix of the coupling's size, whose inverse is kept.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -80,6 +80,8 @@ class Arrowhead(AbstractStructure):
     Solvers call these several times a step, and diffrax traces a step more than once: what is long to trace is
     traced once, under an inlined ``jit``.
     """
+
+    alone: ClassVar[bool] = True
 
     def field(self, t: Any, y: Array, args: Any) -> Array:
         """``system.field``."""
