@@ -35,9 +35,8 @@ from bcfj_jax.mechanism.programmes import (
     looked_up,
     risen,
 )
-from bcfj_jax.mechanism.sizes import ORIGIN, Parameters, Params, Place, Size
+from bcfj_jax.mechanism.sizes import GROUND, ORIGIN, Parameters, Params, Place, Size
 
-GROUND = "ground"
 # By joint: the coordinates' names, with what they are: a slide along or a hinge about the first, second or third of
 # (e1, e2, n), n the joint's axis; "ball": attitude by a quaternion; "spin": angular velocity of a body whose attitude
 # does not matter (a sphere).

@@ -31,6 +31,7 @@ Place = tuple[Size, Size, Size]
 Parameters = dict[str, tuple[Quantity, Any]]
 
 ORIGIN: Place = (0.0, 0.0, 0.0)
+GROUND = "ground"
 _POSITIVE = {"mass", "inertia", "inertia_x", "inertia_y", "inertia_z"}
 
 
@@ -62,8 +63,8 @@ def field(where: str, **more: Any) -> Any:
 def checked_name(what: str, name: Any) -> str:
     """Where a part stands, for messages, once its name is a word."""
     where = f"{what} {quoted(name)}"
-    if not isinstance(name, str) or not name.isidentifier() or name == "ground":
-        remedy = "give a word of letters, digits and '_', other than 'ground'"
+    if not isinstance(name, str) or not name.isidentifier() or name == GROUND:
+        remedy = f"give a word of letters, digits and '_', other than '{GROUND}'"
         raise InputError(where, f"is not a valid name of a {what}", remedy)
     return where
 
