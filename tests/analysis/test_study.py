@@ -87,7 +87,8 @@ def test_the_stiffest_undamped_impact_is_that_of_energy(done):
 @pytest.mark.parametrize(
     "harm", ["cut", *(pytest.param(name, marks=pytest.mark.slow) for name in ("gone", "flipped", "another"))]
 )
-def test_a_block_that_is_broken_is_done_again_and_the_table_is_the_same(done, harm):
+def test_a_block_that_is_broken_is_done_again_and_the_table_is_the_same(optimised, done, harm):
+    # Without XLA's optimisations, as other tests run, a program that is made and the same one kept differ by a rounding.
     before = digest(Path("out/results.parquet"))
     files = sorted(Path("out/blocks").glob("*.parquet"))
     content = files[0].read_bytes()
