@@ -227,7 +227,7 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
     if any(is_traced(x) or np.shape(x) != known[name].shape for name, x in params.items()):
         return
     for c in scene.contacts:
-        wrong = c.gap.impossible({name: float(np.min(x)) for name, x in c.coefficients(params).items()})
+        wrong = c.gap.impossible({name: float(np.asarray(x).min()) for name, x in c.coefficients(params).items()})
         if wrong is not None:
             raise InputError(f"{where} contact '{c.name}'", *wrong)
     _check_start(scene, dict(scene.completed(params)), where)
