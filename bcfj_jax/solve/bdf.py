@@ -260,14 +260,13 @@ class _Run(NamedTuple):
         bend = y - ahead[0]
         good = good & (constant[s.order] * self.norm(bend[None], jnp.ones(1)) <= 1.0)
 
-        def tangents(_):
-            none = jnp.zeros_like(base[1:])
-            push = once(good, lambda: along(solver, t, y, args, changes), none) if jax.tree.leaves(changes) else none
-            found = jax.vmap(solver.structure.solve, (None, 0))(matrix, base[1:] / c + push)
+        def tangents():
+            push = along(solver, t, y, args, changes) if jax.tree.leaves(changes) else jnp.zeros_like(base[1:])
+            found = jax.lax.map(lambda row: solver.structure.solve(matrix, row), base[1:] / c + push)
             return found - ahead[1:], matrix
 
         # A step that will be rejected needs none. Nor is its matrix kept, which may be one of a state that is not finite.
-        bends, factors = jax.lax.cond(good, tangents, lambda _: (jnp.zeros_like(base[1:]), s.factors), None)
+        bends, factors = once(good, tangents, (jnp.zeros_like(base[1:]), s.factors))
         bends = jnp.concatenate([bend[None], bends])
         # Absolute up to the states' own sizes, which move a force by its size; relative beyond.
         size = jnp.sqrt(jnp.mean(jnp.square((ahead + bends) / scales), axis=1))

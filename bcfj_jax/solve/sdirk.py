@@ -19,6 +19,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from bcfj_jax.mechanism.structure import AbstractStructure
+from bcfj_jax.xla.kept import once
 
 GAMMA = 1.0 - 0.5**0.5
 NODES = np.array([GAMMA, 1.0])
@@ -152,12 +153,12 @@ def _newton(static: Any, exact: bool, where: tuple, start: tuple) -> tuple[Array
         factors = jax.lax.cond(
             slow | there, lambda y, _: solver.structure.factor(t, y, args, s), lambda _, f: f, y, factors
         )
-        ahead, new = _closer(static, where, y, factors)
-        slow = ~(new < solver.contraction * size)
         if exact:
             # A turn of its own, for the matrix alone: behind the loop it would be compiled once more.
-            ahead, new = jnp.where(there, y, ahead), jnp.where(there, size, new)
-        return ahead, new, count + 1, slow, there, factors
+            y, new = once(~there, lambda: _closer(static, where, y, factors), (y, size))
+        else:
+            y, new = _closer(static, where, y, factors)
+        return y, new, count + 1, ~(new < solver.contraction * size), there, factors
 
     def more(carry):
         _, size, count, _, made, _ = carry
