@@ -126,31 +126,21 @@ def _pitch(
 
 
 class Steady(NamedTuple):
-    """Steady motion of a run that repeats itself every pitch, and its derivatives; of one turn of the drive.
+    """Steady motion of a run that repeats itself every pitch, and its derivatives; of one turn of the drive."""
 
-    Attributes:
-        pitch: [s]; turn: of the drive [s].
-        features: value by name, over one turn; feature_derivatives: by parameter and name, per SI unit.
-        apart: by parameter and name, relative difference of the derivatives at two tolerances.
-        verdicts: likewise: what that difference makes of them.
-        force: per channel (K, C, 3) over one pitch [N], K even shares of it; derivative: (P, K, C, 3) per SI unit.
-        off: what one more pitch would change the state by, in units of the states' natural sizes.
-        memory: share of a disturbance that is left after a pitch, the greatest that was seen.
-        reason: why there is none; "" where there is.
-        steps, wall_s, compile_s: of its solves.
-    """
-
-    pitch: float
-    turn: float
-    features: dict[str, float]
-    feature_derivatives: dict[str, dict[str, float]]
+    pitch: float  # [s]
+    turn: float  # of the drive [s]
+    features: dict[str, float]  # value by name, over one turn
+    feature_derivatives: dict[str, dict[str, float]]  # by parameter and name, per SI unit
+    # By parameter and name, relative difference of the derivatives at two tolerances.
     apart: dict[str, dict[str, float]]
-    verdicts: dict[str, dict[str, str]]
-    force: np.ndarray
-    derivative: np.ndarray
-    off: float
-    memory: float
-    reason: str
+    verdicts: dict[str, dict[str, str]]  # likewise: what that difference makes of them
+    force: np.ndarray  # per channel (K, C, 3) over one pitch [N], K even shares of it
+    derivative: np.ndarray  # (P, K, C, 3) per SI unit
+    off: float  # what one more pitch would change the state by, in units of the states' natural sizes
+    memory: float  # share of a disturbance that is left after a pitch, the greatest that was seen
+    reason: str  # why there is none; "" where there is
+    # steps, wall_s, compile_s: of its solves.
     steps: int
     wall_s: float
     compile_s: float

@@ -32,21 +32,14 @@ from bcfj_jax.xla.threads import cores, each
 
 
 class Values(NamedTuple):
-    """At N points: what the descent sees, its gradient by unit coordinates, and the true objective.
+    """At N points: what the descent sees, its gradient by unit coordinates, and the true objective."""
 
-    Attributes:
-        smooth: (N,) with norms or crests in place of peaks, times the objective's sign, which makes less better.
-        slope: (N, P).
-        goal: (N,) as ``smooth``, always with crests: by it points are compared.
-        true: (N,) with greatest samples, without that sign.
-        reasons: (N,) why a point has no value; "" where it has one.
-    """
-
+    # (N,) with norms or crests in place of peaks, times the objective's sign, which makes less better.
     smooth: np.ndarray
-    slope: np.ndarray
-    goal: np.ndarray
-    true: np.ndarray
-    reasons: list[str]
+    slope: np.ndarray  # (N, P)
+    goal: np.ndarray  # (N,) as ``smooth``, always with crests: by it points are compared
+    true: np.ndarray  # (N,) with greatest samples, without that sign
+    reasons: list[str]  # (N,) why a point has no value; "" where it has one
 
 
 @dataclass
@@ -76,24 +69,20 @@ _Read = list[tuple[Histories, Histories] | str]
 
 @dataclass(frozen=True)
 class Evaluator:
-    """A scene's objective over the unit box of its free parameters.
+    """A scene's objective over the unit box of its free parameters."""
 
-    Attributes:
-        scene, params, times, how: as ``force_history`` takes them.
-        space, objective: what is free, what is made least.
-        batch: points in one batch; spent: the account of all calls.
-        steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
-            shares of a turn. None for the runs themselves.
-    """
-
+    # scene, params, times, how: as force_history takes them.
     scene: AbstractModel
     params: Params
     times: np.ndarray
     how: Plan
+    # space, objective: what is free, what is made least.
     space: Space
     objective: Objective
-    batch: int
-    spent: Spent = field(default_factory=Spent)
+    batch: int  # points in one batch
+    spent: Spent = field(default_factory=Spent)  # the account of all calls
+    # When the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then shares of a
+    # turn. None for the runs themselves.
     steady: float | None = None
 
     def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:

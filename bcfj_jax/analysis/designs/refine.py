@@ -38,22 +38,15 @@ _AWAY = 1e-3
 
 
 class Refined(NamedTuple):
-    """Where Newton's method ended.
+    """Where Newton's method ended."""
 
-    Attributes:
-        point, values: unit coordinates (P,), and what is there.
-        active: (P,) -1 at a lower bound that the objective pushes against, 1 at an upper one, 0 free.
-        step: the next step's longest coordinate, as a share of its range: how far from the optimum; NaN: unknown.
-        curvature: least eigenvalue of the Hessian of what is free over the objective's size; infinite with none.
-        arrived: whether the step is below ``ARRIVED`` and the curvature positive.
-    """
-
+    # point, values: unit coordinates (P,), and what is there.
     point: np.ndarray
     values: Values
-    active: np.ndarray
-    step: float
-    curvature: float
-    arrived: bool
+    active: np.ndarray  # (P,) -1 at a lower bound that the objective pushes against, 1 at an upper one, 0 free
+    step: float  # the next step's longest coordinate, as a share of its range: how far from the optimum; NaN: unknown
+    curvature: float  # least eigenvalue of the Hessian of what is free over the objective's size; infinite with none
+    arrived: bool  # whether the step is below ``ARRIVED`` and the curvature positive
 
 
 def activity(point: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -44,21 +44,17 @@ def needs(name: str) -> Any:
 
 @dataclass(frozen=True)
 class Design:
-    """A design.
+    """A design."""
 
-    Attributes:
-        kind: of ``KINDS``: "grid" (all combinations, the last axis fastest), "list" (the axes' values side by side),
-            "latin_hypercube" or "sobol" (scrambled; SciPy's ``qmc``), "saltelli" or "morris" (SALib's).
-        size, seed: of those that are drawn: points, base samples or trajectories.
-        second_order: of "saltelli", whether for second-order indices too; levels: of "morris".
-    """
-
+    # Of ``KINDS``: "grid" (all combinations, the last axis fastest), "list" (the axes' values side by side),
+    # "latin_hypercube" or "sobol" (scrambled; SciPy's ``qmc``), "saltelli" or "morris" (SALib's).
     kind: str
     axes: tuple[Axis, ...]
+    # size, seed: of those that are drawn: points, base samples or trajectories.
     size: int = 0
     seed: int = 0
-    second_order: bool = False
-    levels: int = 4
+    second_order: bool = False  # of "saltelli", whether for second-order indices too
+    levels: int = 4  # of "morris"
 
     @property
     def length(self) -> int:

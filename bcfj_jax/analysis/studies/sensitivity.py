@@ -38,31 +38,23 @@ _RESAMPLES = 200
 
 
 class Indices(NamedTuple):
-    """Sensitivity indices of one feature.
+    """Sensitivity indices of one feature."""
 
-    Attributes:
-        feature: its name.
-        method: of ``design.KINDS``.
-        parameters: (D,) names.
-        values: by name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1",
-            "S1_conf", "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
-        pairs: by name, (D, D), NaN on and below the diagonal: "S2", "S2_conf", where the study drew for them.
-        dummy: PAWN of a parameter that does nothing; what is not above it has no visible effect.
-            NaN with other methods.
-        points, blocks: what was used; blocks are points where the design has none.
-        dropped: blocks left out since a point of them failed or has no such feature.
-        failed, undefined: points of each kind.
-    """
-
-    feature: str
-    method: str
-    parameters: tuple[str, ...]
+    feature: str  # its name
+    method: str  # of ``design.KINDS``
+    parameters: tuple[str, ...]  # (D,) names
+    # By name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1", "S1_conf",
+    # "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
     values: Mapping[str, np.ndarray]
+    # By name, (D, D), NaN on and below the diagonal: "S2", "S2_conf", where the study drew for them.
     pairs: Mapping[str, np.ndarray]
+    # PAWN of a parameter that does nothing; what is not above it has no visible effect. NaN with other methods.
     dummy: float
+    # points, blocks: what was used; blocks are points where the design has none.
     points: int
     blocks: int
-    dropped: int
+    dropped: int  # blocks left out since a point of them failed or has no such feature
+    # failed, undefined: points of each kind.
     failed: int
     undefined: int
 

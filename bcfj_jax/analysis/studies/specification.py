@@ -38,23 +38,17 @@ MOST_POINTS = 100_000_000
 
 @dataclass(frozen=True)
 class Study:
-    """A study ready to run.
+    """A study ready to run."""
 
-    Attributes:
-        given, design: the scene that is varied, and its points.
-        features, histories: what is kept of each point; whether forces are, too.
-        derivatives: parameters by which features are differentiated.
-        steady: whether features are those of the steady motion (``derivatives.steady``).
-        own_end: whether each point runs to the horizon of its own parameters.
-    """
-
+    # given, design: the scene that is varied, and its points.
     given: SceneFile
     design: Design
+    # features, histories: what is kept of each point; whether forces are, too.
     features: tuple[Feature, ...]
     histories: bool
-    derivatives: tuple[str, ...]
-    steady: bool
-    own_end: bool
+    derivatives: tuple[str, ...]  # parameters by which features are differentiated
+    steady: bool  # whether features are those of the steady motion (``derivatives.steady``)
+    own_end: bool  # whether each point runs to the horizon of its own parameters
 
     @cached_property
     def points(self) -> np.ndarray:

@@ -35,36 +35,24 @@ _ROOT5 = 5.0**0.5
 
 
 class Hyper(NamedTuple):
-    """What a likelihood chooses.
+    """What a likelihood chooses."""
 
-    Attributes:
-        length: (D,) correlation lengths, in shares of the box.
-        nugget: () noise of values, as a part of s^2.
-        rough: () noise of derivatives, as a part of their own variance under the kernel, 5/3 s^2/l^2.
-    """
-
-    length: Array
-    nugget: Array
-    rough: Array
+    length: Array  # (D,) correlation lengths, in shares of the box
+    nugget: Array  # () noise of values, as a part of s^2
+    rough: Array  # () noise of derivatives, as a part of their own variance under the kernel, 5/3 s^2/l^2
 
 
 class Fitted(NamedTuple):
-    """Kriging ready to predict.
+    """Kriging ready to predict."""
 
-    Attributes:
-        x: (N, D) points; factor: (M, M) lower Cholesky factor of the correlation, M = N (1 + G).
-        weights: (M,) R^-1 (y - b h); trend: (M,) R^-1 h, h = 1 at values and 0 at derivatives; mass: () h R^-1 h.
-        mean: () b; variance: () s^2.
-    """
-
-    x: Array
+    x: Array  # (N, D) points
     hyper: Hyper
-    factor: Array
-    weights: Array
-    trend: Array
-    mass: Array
-    mean: Array
-    variance: Array
+    factor: Array  # (M, M) lower Cholesky factor of the correlation, M = N (1 + G)
+    weights: Array  # (M,) R^-1 (y - b h)
+    trend: Array  # (M,) R^-1 h, h = 1 at values and 0 at derivatives
+    mass: Array  # () h R^-1 h
+    mean: Array  # () b
+    variance: Array  # () s^2
 
 
 def covariance(a: Array, b: Array, length: Array, left: tuple[int, ...], right: tuple[int, ...]) -> Array:
@@ -153,42 +141,33 @@ _STARTS = ((0.3, 1e-6), (1.5, 1e-6), (1.5, 1e2))
 
 
 class Error(NamedTuple):
-    """How wrong a surface is, each point predicted from all others, with the hyperparameters of all.
+    """How wrong a surface is, each point predicted from all others, with the hyperparameters of all."""
 
-    Attributes:
-        rms, largest, spread: of the errors, and the feature's own standard deviation over the points, in its unit.
-        within_1, within_2: share of errors within one and two predicted deviations; 0.68 and 0.95 for Gaussian ones.
-        points, dropped: used, and left out since the run failed or has no such feature.
-    """
-
+    # rms, largest, spread: of the errors, and the feature's own standard deviation over the points, in its unit.
     rms: float
     largest: float
     spread: float
+    # within_1, within_2: share of errors within one and two predicted deviations; 0.68 and 0.95 for Gaussian ones.
     within_1: float
     within_2: float
+    # points, dropped: used, and left out since the run failed or has no such feature.
     points: int
     dropped: int
 
 
 class Surface(eqx.Module):
-    """A feature as a function of the varied parameters: a pytree, to be called within jit, grad and vmap.
+    """A feature as a function of the varied parameters: a pytree, to be called within jit, grad and vmap."""
 
-    Attributes:
-        feature: its name; axes: the D parameters.
-        directions: numbers of the parameters whose derivatives were used; () if it is a plain one.
-        fitted: kriging of the feature over ``scale``, shifted by ``offset``.
-        offset, scale: of the feature; inflation: () of the variance by leave-one-out, 1 or more.
-        error: what the surface is worth.
-    """
-
-    feature: str = eqx.field(static=True)
-    axes: tuple[Axis, ...] = eqx.field(static=True)
+    feature: str = eqx.field(static=True)  # its name
+    axes: tuple[Axis, ...] = eqx.field(static=True)  # the D parameters
+    # Numbers of the parameters whose derivatives were used; () if it is a plain one.
     directions: tuple[int, ...] = eqx.field(static=True)
-    fitted: Fitted
+    fitted: Fitted  # kriging of the feature over ``scale``, shifted by ``offset``
+    # offset, scale: of the feature.
     offset: Array
     scale: Array
-    inflation: Array
-    error: Error = eqx.field(static=True)
+    inflation: Array  # () of the variance by leave-one-out, 1 or more
+    error: Error = eqx.field(static=True)  # what the surface is worth
 
     def predict(self, values: ArrayLike) -> tuple[Array, Array]:
         """Mean (M,) and standard deviation (M,) of what runs at values (M, D) [SI] of the parameters would give.

@@ -54,19 +54,12 @@ NOT_ASKED = "not asked for"
 
 
 class Reference(NamedTuple):
-    """The truth and its certificate.
+    """The truth and its certificate."""
 
-    Attributes:
-        truth: forces and what is compared of them; None where two methods could not be had.
-        slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
-        certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
-        digest: of the file that keeps it.
-    """
-
-    truth: Measured | None
-    slopes: np.ndarray | None
-    certificate: dict[str, Any]
-    digest: str = ""
+    truth: Measured | None  # forces and what is compared of them; None where two methods could not be had
+    slopes: np.ndarray | None  # d(force)/d ln(parameter) (P, T, C, 3) [N], or None
+    certificate: dict[str, Any]  # methods, their differences, why there is no more; as ``tradeoff.json`` has it
+    digest: str = ""  # of the file that keeps it
 
     @property
     def least_error(self) -> float:
