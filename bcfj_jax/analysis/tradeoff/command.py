@@ -34,23 +34,6 @@ class Wanted(NamedTuple):
     budget: float
 
 
-class _Told:
-    """What is written and shown of a study as it grows."""
-
-    def __init__(self, folder: Path, show: Callable[[str], None]) -> None:
-        self.growing, self.next_s = Growing(folder / "tradeoff.json", show), 0.0
-
-    def __call__(self, found: Study) -> None:
-        new = self.growing.new(so_far(found))
-        if found.reference is None:
-            new.append("Not compared yet: two tight methods that agree, the reference, come next.\n")
-        if new:
-            self.growing.show("\n".join(new))
-        if found.reference is None or time.monotonic() > self.next_s:
-            write_tables(self.growing, ROWS if found.reference else OWN, found)
-            self.next_s = time.monotonic() + _EVERY_S * bool(found.reference)
-
-
 def run(
     what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None], show: Callable[[str], None]
 ) -> tuple[str, int]:
@@ -65,7 +48,20 @@ def run(
     folder = outputs.open_folder(out, stem, outputs.Claim("tradeoff", FILES, goes_on=JOURNAL))
     known = outputs.environment(data=given.sources)
     key = key_of("tradeoff", given.resolved, wanted.derivatives, known["packages"], known["device"])
-    told = _Told(folder, show)
+    growing, next_s = Growing(folder / "tradeoff.json", show), 0.0
+
+    def told(found: Study) -> None:
+        """Show what is new, and write it from time to time."""
+        nonlocal next_s
+        new = growing.new(so_far(found))
+        if found.reference is None:
+            new.append("Not compared yet: two tight methods that agree, the reference, come next.\n")
+        if new:
+            show("\n".join(new))
+        if found.reference is None or time.monotonic() > next_s:
+            write_tables(growing, ROWS if found.reference else OWN, found)
+            next_s = time.monotonic() + _EVERY_S * bool(found.reference)
+
     plots.get_ready()
     with heeded(), Journal(folder, key) as journal:
         if journal.resumed:
@@ -75,7 +71,7 @@ def run(
     options = {**wanted._asdict(), "only": list(wanted.only)}
     outputs.write_origin(folder, {**given.resolved, "tradeoff": options}, f"{what}, every default, SI", known)
     with stage("drawing"):
-        text = write(told.growing, found, stem, given.scene.model_form)
+        text = write(growing, found, stem, given.scene.model_form)
     if found.interrupted:
         say(f"interrupted; go on with: bcfj tradeoff {what} --out {folder}")
         return text, INTERRUPTED

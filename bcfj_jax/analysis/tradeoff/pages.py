@@ -14,7 +14,7 @@ from bcfj_jax.analysis.tradeoff.settings import MODEL
 from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Picture, Table, Verdict, brief, span
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Picture, Rows, Table, Verdict, brief, span
 from bcfj_jax.io.units import format_si
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 INTERRUPTED = "interrupted"
 _AT_REFERENCE = "At the reference: the setting differs from the reference by less than the two reference runs differ."
-Rows = Sequence[Sequence[str]]
 _MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 # Errors above have lost the motion; they are drawn at the edge.
 _TOP, _LEAST = 10.0, 1e-12
@@ -44,14 +43,14 @@ def so_far(found: Study) -> list[str]:
         peaks = ", ".join(f"{name} {brief(peak, 'N')}" for name, peak in found.peaks.items())
         cost = f"{own['setting']}: {format_si(own['wall_s'], 's', 3)} a run, {own['steps']} steps"
         parts = [f"{cost}; largest normal force: {peaks}"]
-    ran = ((k, row) for k, row in enumerate(found.rows, 1) if not row["status"].startswith("not "))
-    return parts + [f"[{k}/{len(found.rows)}] {row['setting']}: {_line(row)}" for k, row in ran]
+    for k, row in enumerate(found.rows, 1):
+        said = f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s" if row["status"] == OK else _status(row)
+        parts += [] if row["status"].startswith("not ") else [f"[{k}/{len(found.rows)}] {row['setting']}: {said}"]
+    return parts
 
 
-def _line(row: dict[str, Any]) -> str:
-    if row["status"] != OK:
-        return f"{row['status']} {row['reason']}".strip()
-    return f"worst error {worst(row):.1e}, {row['wall_s']:.3g} s"
+def _status(row: Mapping[str, Any]) -> str:
+    return f"{row['status']} {row['reason']}".strip()
 
 
 def write(growing: Growing, found: Study, stem: str, known: str) -> str:
@@ -63,11 +62,10 @@ def write(growing: Growing, found: Study, stem: str, known: str) -> str:
     pictures = ()
     if any(np.isfinite(worst(row)) for row in found.rows if row["status"] == OK):
         pictures = (picture(found, advice, folder / "tradeoff.png", stem),)
-    changes = {one["setting"]: one["change"] for one in advice.values() if one["setting"] and one["change"]}
     blocks = [
-        Listing(f"For {budgets}: set this, [accuracy] in place of yours", changes[name].rstrip("\n"))
-        for name, budgets in advise.shared(advice).items()
-        if name in changes
+        Listing(f"For {budgets}: set this, [accuracy] in place of yours", one["change"].rstrip("\n"))
+        for one, budgets in advise.shared(advice)
+        if one["change"]
     ]
     chosen = Table("Recommended settings", recommended_rows(advice))
     choices = Table("Model form: what other choices of the model change", model_rows(found), moved)
@@ -99,28 +97,23 @@ def as_json(found: Study, advice: dict[str, Any], doubts: list[str]) -> dict[str
     return head | {"safety": advise.SAFETY, "recommended": advice, "settings": rows}
 
 
-def _walls(advice: dict[str, Any]) -> dict[str, float]:
-    return {one["setting"]: one["wall_s"] for one in advice.values() if one["setting"]}
-
-
 def answer(advice: dict[str, Any], doubts: list[str], found: Study) -> Verdict:
     """The recommended setting for each error budget."""
-    walls = _walls(advice)
-    if not walls:
+    parts = [f"for {b}: {one['setting']}, {brief(one['wall_s'], 's')} a run" for one, b in advise.shared(advice)]
+    if not parts:
         return Verdict(BAD, "No setting", verdict(advice, doubts, found))
-    parts = [f"for {b}: {name}, {brief(walls[name], 's')} a run" for name, b in advise.shared(advice).items()]
     word = "Interrupted; recommended so far" if found.interrupted else f"Recommended{', with doubts' if doubts else ''}"
     return Verdict(FAIR if found.interrupted or doubts else GOOD, word, f"{'; '.join(parts)}.")
 
 
 def verdict(advice: dict[str, Any], doubts: list[str], found: Study) -> str:
     """The result in a sentence."""
-    walls, states = _walls(advice), [row["status"] for row in found.rows]
+    states = [row["status"] for row in found.rows]
     out = states.count(NO_TIME)
     head = f"{states.count(OK)} of {len(states)} settings ran{f'; the budget left out {out}' if out else ''}."
-    if not walls:
+    parts = [f"for {b}: {one['setting']}, {format_si(one['wall_s'], 's', 3)}" for one, b in advise.shared(advice)]
+    if not parts:
         return f"{head} No setting is recommended: {doubts[0] if doubts else 'none keeps a budget'}."
-    parts = [f"for {b}: {name}, {format_si(walls[name], 's', 3)}" for name, b in advise.shared(advice).items()]
     return f"{head} The cheapest {'; '.join(parts)}."
 
 
@@ -166,8 +159,7 @@ def model_rows(found: Study) -> Rows:
         change = f"{row['contact']} {100 * row['peak_change']:+.2g} %" if np.isfinite(row["peak_change"]) else "-"
         times = row["wall_s"] / own if own else float("nan")
         wall = f"{times:.2g} times" if np.isfinite(times) else "-"
-        status = f"{row['status']} {row['reason']}".strip()
-        head.append([row["setting"], change, _share(row["force_rms_error"]), wall, row["physics"], status])
+        head.append([row["setting"], change, _share(row["force_rms_error"]), wall, row["physics"], _status(row)])
     return head
 
 
@@ -190,7 +182,7 @@ def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
     heads = [name.removesuffix("_error").replace("_", " ") for name in errors]
     table = [["setting", *heads, "time of a run", "compile", "front", "status"]]
     for row in rows:
-        status = f"{row['status']} {row['reason']}".strip() + (" (at the reference)" if row["at_reference"] else "")
+        status = _status(row) + (" (at the reference)" if row["at_reference"] else "")
         walls = (format_si(row[name], "s", 3) for name in ("wall_s", "compile_s"))
         front = "yes" if row["pareto"] else ""
         table.append([row["setting"], *(_share(row[name]) for name in errors), *walls, front, status])
@@ -214,20 +206,29 @@ def picture(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, t
     known = {row["setting"]: worst(row) for row in study.rows if row["status"] == OK}
     walls = {row["setting"]: row["wall_s"] for row in study.rows if row["status"] == OK}
     slopes = {row["setting"]: row["derivative_error"] for row in study.rows if np.isfinite(row["derivative_error"])}
-    truth = study.reference
+    truth, chosen = study.reference, advise.shared(advice)
     with plots.sheet(path, 1, 2 if slopes else 1, width=12.5 if slopes else 8.0, height=5.4) as axes:
         least_error = truth.least_error if truth else float("nan")
         _panel(axes[0], study, walls, known, least_error)
-        _front_line(axes[0], study, known, least_error)
-        _chosen(axes[0], advice, walls, known)
+        best = sorted((row["wall_s"], known[row["setting"]]) for row in study.rows if row["pareto"])
+        if best:
+            x, y = np.array(best).T
+            y = np.minimum(np.maximum(y, least_error if least_error > 0 else 0.0), _TOP)
+            axes[0].step(x, y, where="post", color="#222222", linewidth=2.2, alpha=0.35, label="Pareto front", zorder=0)
+        # Rings round recommended settings, with the budgets they are for.
+        for number, (one, budgets) in enumerate(chosen):
+            place = (walls[one["setting"]], max(known[one["setting"]], _LEAST))
+            label = "recommended, with the budgets it keeps" if not number else None
+            axes[0].plot(*place, "o", markersize=12, markerfacecolor="none", markeredgecolor="#b84e00", label=label)
+            axes[0].annotate(budgets, place, (9, 7), textcoords="offset points", fontsize=8, color="#b84e00")
         axes[0].set(title=f"{plots.plain(title)}: worst of force rms, peak and impulse", ylabel="error [-]")
         axes[0].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.13), ncols=4)
         if slopes:
             spent = {row["setting"]: row["derivative_wall_s"] for row in study.rows}
             _panel(axes[1], study, spent, slopes, truth.least_slope_error if truth else float("nan"))
             axes[1].set(title="derivatives of the forces, rms", ylabel="error of derivatives [-]")
-    chosen = advise.shared(advice).items()
-    rings = [f"{name} ({span([known[name]])}) for {budgets}" for name, budgets in chosen if name in known]
+    named = [(one["setting"], budgets) for one, budgets in chosen if one["setting"] in known]
+    rings = [f"{name} ({span([known[name]])}) for {budgets}" for name, budgets in named]
     shows = f"Worst error against wall time of {len(known)} settings"
     shows += f"; recommended, with their error as a share: {'; '.join(rings)}." if rings else "; none is recommended."
     return Picture(path.name, "Error against time", shows)
@@ -259,20 +260,3 @@ def _panel(
         inside = {"transform": axis.get_yaxis_transform(), "fontsize": 7.5, "color": "#555555"}
         axis.text(0.99, least_error, "below: not distinguished by the reference", ha="right", va="top", **inside)
     axis.set_ylim(low, high)
-
-
-def _front_line(axis: Axes, study: Study, errors: Mapping[str, float], least_error: float) -> None:
-    best = sorted((row["wall_s"], errors[row["setting"]]) for row in study.rows if row["pareto"])
-    if best:
-        x, y = np.array(best).T
-        y = np.minimum(np.maximum(y, least_error if least_error > 0 else 0.0), _TOP)
-        axis.step(x, y, where="post", color="#222222", linewidth=2.2, alpha=0.35, label="Pareto front", zorder=0)
-
-
-def _chosen(axis: Axes, advice: Mapping[str, Mapping[str, Any]], walls: Mapping, errors: Mapping) -> None:
-    """Rings round recommended settings, with the budgets they are for."""
-    for number, (name, budgets) in enumerate(advise.shared(advice).items()):
-        place = (walls[name], max(errors[name], _LEAST))
-        label = "recommended, with the budgets it keeps" if not number else None
-        axis.plot(*place, "o", markersize=12, markerfacecolor="none", markeredgecolor="#b84e00", label=label)
-        axis.annotate(budgets, place, (9, 7), textcoords="offset points", fontsize=8, color="#b84e00")
