@@ -52,10 +52,10 @@ class Spent:
     compile_s: float = 0.0
     failures: Counter = field(default_factory=Counter)
 
-    def batch(self, wall_s: float, compile_s: float) -> None:
-        """Account for one."""
+    def batch(self, begin: float, compile_s: float) -> None:
+        """Account for one that began at a ``time.perf_counter()``."""
         self.batches += 1
-        self.wall_s += wall_s
+        self.wall_s += time.perf_counter() - begin - compile_s
         self.compile_s += compile_s
 
     def why(self) -> str:
@@ -108,7 +108,6 @@ class Evaluator:
         read, sign = self._read(values[good]), self.objective.sign
         begin = time.perf_counter()
         for k, one in zip(good, read, strict=True):
-            why = one if isinstance(one, str) else reason(STEEP, self.how.max_steps)
             if not isinstance(one, str):
                 smooth, goal, true = self._objectives(*one, norm)
                 slope = sign * smooth.slope * self.space.slope(values[k])
@@ -116,8 +115,8 @@ class Evaluator:
                     found.smooth[k], found.slope[k], found.goal[k] = sign * smooth.value, slope, sign * goal.value
                     found.true[k] = true.value
                     continue
-            found.reasons[k] = why
-            self.spent.failures[why] += 1
+            found.reasons[k] = one if isinstance(one, str) else reason(STEEP, self.how.max_steps)
+            self.spent.failures[found.reasons[k]] += 1
         self.spent.wall_s += time.perf_counter() - begin
         return found
 
@@ -186,7 +185,7 @@ class Evaluator:
         # The first alone: it may compile, for which all others would wait.
         first, *others = range(len(points))
         read = [turned(first), *each(turned, others)]
-        self.spent.batch(time.perf_counter() - begin - sum(spent), sum(spent))
+        self.spent.batch(begin, sum(spent))
         return read
 
     def _runs(self, points: np.ndarray, near: Any) -> list[Runs]:
@@ -200,8 +199,7 @@ class Evaluator:
             return run(scene, runs, names, self.how, self.batch, More(lean=True, near=near))
 
         begin, found = time.perf_counter(), each(some, np.array_split(points, shares))
-        compile_s = max(part.compile_s for part in found)
-        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        self.spent.batch(begin, max(part.compile_s for part in found))
         return found
 
     def _refusal(self, point: np.ndarray) -> str:

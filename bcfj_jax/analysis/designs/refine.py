@@ -107,12 +107,9 @@ def _pull(u: np.ndarray, values: Values) -> float:
 
 def _hessian(evaluate: Evaluate, u: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Of the free coordinates; one-sided steps at a bound."""
-    shift = np.zeros((2 * free.size, u.size))
-    for i, k in enumerate(free):
-        shift[2 * i, k], shift[2 * i + 1, k] = _DIFFERENCE, -_DIFFERENCE
-    points = np.clip(u + shift, 0.0, 1.0)
-    slopes = evaluate(points).slope[:, free]
-    gaps = np.array([points[2 * i, k] - points[2 * i + 1, k] for i, k in enumerate(free)])
+    units = np.eye(u.size)[free]
+    points = np.clip(u + _DIFFERENCE * np.stack([units, -units], axis=1).reshape(-1, u.size), 0.0, 1.0)
+    slopes, gaps = evaluate(points).slope[:, free], np.sum((points[0::2] - points[1::2]) * units, axis=1)
     rows = (slopes[0::2] - slopes[1::2]) / gaps[:, None]
     return 0.5 * (rows + rows.T)
 
@@ -182,9 +179,9 @@ def stationarity(point: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> t
     active = slopes[near]
     size = max(float(np.abs(active).max()), 1e-300)
     # A bound's multiplier cancels a slope that pushes against it.
-    walls = [-np.eye(point.size)[k] for k in np.flatnonzero(point <= ARRIVED)]
-    walls += [np.eye(point.size)[k] for k in np.flatnonzero(point >= 1.0 - ARRIVED)]
-    columns = np.vstack([active / size, *(w[None] for w in walls)]).T
+    units = np.eye(point.size)
+    walls = np.vstack([-units[point <= ARRIVED], units[point >= 1.0 - ARRIVED]])
+    columns = np.vstack([active / size, walls]).T
     weights = np.concatenate([np.ones(len(active)), np.zeros(len(walls))])
     left, right = np.vstack([columns, weights]), np.append(np.zeros(point.size), 1.0)
     return int(near.sum()), float(nnls(left, right)[1])

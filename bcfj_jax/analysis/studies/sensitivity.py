@@ -166,13 +166,9 @@ def content(good: Sequence[Indices], refused: dict[str, str], seed: int) -> dict
     for one in good:
         entry: dict[str, Any] = {"method": one.method}
         entry |= {name: dict(zip(one.parameters, x, strict=True)) for name, x in one.values.items()}
+        above = list(zip(*np.triu_indices(len(one.parameters), 1), strict=True))
         for name, matrix in one.pairs.items():
-            entry[name] = {
-                f"{a} x {b}": matrix[i, j]
-                for i, a in enumerate(one.parameters)
-                for j, b in enumerate(one.parameters)
-                if i < j
-            }
+            entry[name] = {f"{one.parameters[i]} x {one.parameters[j]}": matrix[i, j] for i, j in above}
         if np.isfinite(one.dummy):
             entry["pawn_dummy"] = one.dummy
         counts = ("points", "blocks", "dropped", "failed", "undefined")
@@ -204,10 +200,8 @@ def pairs(one: Indices) -> list[list[str]]:
     """Second-order indices in words, a row a pair, the largest first."""
     if "S2" not in one.pairs:
         return []
-    value, half = one.pairs["S2"], one.pairs["S2_conf"]
-    above = [(i, j) for i, j in zip(*np.triu_indices(len(one.parameters), 1), strict=True)]
-    above.sort(key=lambda at: -value[at])
-    names = one.parameters
+    value, half, names = one.pairs["S2"], one.pairs["S2_conf"], one.parameters
+    above = sorted(zip(*np.triu_indices(len(names), 1), strict=True), key=lambda at: -value[at])
     return [[f"{names[i]} x {names[j]}", f"{value[i, j]:.3f} ± {half[i, j]:.3f}"] for i, j in above]
 
 
