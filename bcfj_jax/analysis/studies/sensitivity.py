@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.names import feature_unit
+from bcfj_jax.analysis.studies.api import Finished, Source, read
 from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
-from bcfj_jax.analysis.studies.design import KINDS, needs
-from bcfj_jax.analysis.studies.finished import Finished, Source, read
+from bcfj_jax.analysis.studies.specification import KINDS, needs
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
 
@@ -41,7 +41,7 @@ class Indices(NamedTuple):
     """Sensitivity indices of one feature."""
 
     feature: str  # its name
-    method: str  # of ``design.KINDS``
+    method: str  # of ``specification.KINDS``
     parameters: tuple[str, ...]  # (D,) names
     # By name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1", "S1_conf",
     # "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
