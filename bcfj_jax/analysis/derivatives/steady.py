@@ -183,17 +183,17 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     orbits = _orbits(problem, state, time, solve)
 
     def found(solved: Sequence[_Orbit]) -> Steady:
-        last, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
-        numbers, slopes = _features(of_kinds, last)
-        derivative = np.moveaxis(last.last.force_slopes, -1, 0) / sizes[:, None, None, None]
+        orbit, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
+        numbers, slopes = _features(of_kinds, orbit)
+        derivative = np.moveaxis(orbit.last.force_slopes, -1, 0) / sizes[:, None, None, None]
         if len(solved) > 1:
             loose = _features(of_kinds, solved[0])[1]
             named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
-            last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
+            orbit.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
             of_kinds.by_name(slopes / sizes), named,
             {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
-            last.last.force, derivative, last.off, last.memory, "",
+            orbit.last.force, derivative, orbit.off, orbit.memory, "",
             sum(one.steps for one in solved), clock() - begin - compile_s, compile_s,
         )  # fmt: skip
 
@@ -339,15 +339,15 @@ def _turn(problem: Problem, orbit: _Orbit) -> tuple[Histories, Histories]:
 
     def unfolded(force: np.ndarray, depth: np.ndarray, axis: int) -> Histories:
         """As histories with rates of 0, times along an axis."""
-        each = []
+        each: list[np.ndarray] = []
         for x in (force, depth):
             whole = [np.take(x, piece, axis + 1) for piece in pieces]
             each.append(np.concatenate([*(np.delete(part, -1, axis) for part in whole[:-1]), whole[-1]], axis))
-        return Histories(*each, np.zeros_like(each[1]), None)
+        return Histories(each[0], each[1], np.zeros_like(each[1]), None)
 
     last = orbit.last
-    slopes = (np.moveaxis(x, -1, 0) for x in (last.force_slopes, last.depth_slopes))
-    return unfolded(last.force, last.depth, 0), unfolded(*slopes, 1)
+    by_force, by_depth = (np.moveaxis(x, -1, 0) for x in (last.force_slopes, last.depth_slopes))
+    return unfolded(last.force, last.depth, 0), unfolded(by_force, by_depth, 1)
 
 
 def _features(problem: Problem, orbit: _Orbit) -> tuple[np.ndarray, np.ndarray]:

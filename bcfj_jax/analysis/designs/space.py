@@ -90,8 +90,8 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
     texts("free", list(free), some)
     given: dict[str, Free] = {}
     for name, one in free.items():
-        whole = isinstance(one, Free) or (isinstance(one, Sequence) and 2 <= len(one) <= len(Free._fields))
-        if isinstance(one, str) or not whole:
+        fits = isinstance(one, Free) or (isinstance(one, Sequence) and 2 <= len(one) <= len(Free._fields))
+        if isinstance(one, str) or not fits:
             raise InputError(f"free '{name}'", quoted(one), f"give ({', '.join(Free._fields)}), the first two at least")
         fields: Any = one
         given[scene.canonical(name)] = Free(*fields)
