@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 
 from bcfj_jax.analysis.axes import Axis
-from bcfj_jax.analysis.studies.finished import Finished
+from bcfj_jax.analysis.studies.api import Finished
 from bcfj_jax.analysis.studies.specification import Study, from_table
 from benchmarks import processes
 

@@ -52,18 +52,12 @@ class Error(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """What the balances of a run say.
+    """What the balances of a run say."""
 
-    Attributes:
-        verdict: ``CLOSED``, ``MISSED`` or ``UNKNOWN``.
-        reason: what is missed, or why nothing can be said, as a sentence; "" for closed.
-        quadrature: "steps" or "samples"; "" for none.
-        errors: by body, and "scene" for the energy, by "momentum", "angular_momentum" or "energy".
-    """
-
-    verdict: str
-    reason: str
-    quadrature: str = ""
+    verdict: str  # ``CLOSED``, ``MISSED`` or ``UNKNOWN``
+    reason: str  # what is missed, or why nothing can be said, as a sentence; "" for closed
+    quadrature: str = ""  # "steps" or "samples"; "" for none
+    # By body, and "scene" for the energy, by "momentum", "angular_momentum" or "energy".
     errors: dict[str, dict[str, Error]] = {}
 
     def worst(self) -> tuple[str, str, Error] | None:

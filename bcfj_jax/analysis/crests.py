@@ -24,12 +24,9 @@ _REACH = 0.6
 
 
 class Curve(NamedTuple):
-    """What a run knows of the continuous force of a channel, as its integrals and summits do (``derivatives.trains.of_curve``).
+    """What a run knows of the continuous force of a channel (``derivatives.trains.of_curve``)."""
 
-    Attributes:
-        peak, least: greatest and least force [N]; impulse [N s]; work [J]. NaN where it is known from samples alone.
-    """
-
+    # peak, least: greatest and least force [N]; impulse [N s]; work [J]. NaN where it is known from samples alone.
     peak: Any
     impulse: Any
     work: Any

@@ -31,22 +31,14 @@ _STEP = Quantity("step", "s", "longest panel of the quadrature", 0.0, open_low=T
 
 
 class EnergyBalance(NamedTuple):
-    """Energies of a run [J] at T times, each counted from the first of them.
+    """Energies of a run [J] at T times, each counted from the first of them."""
 
-    Attributes:
-        times: (T,) [s].
-        given: by source, work into the system since the first time (T,).
-        taken: by sink, work out of it since the first time (T,): loads, friction, damping.
-        stored: by store, kinetic, elastic and spring energy (T,), as it is, not as it changed.
-        residual: (T,) given less taken, less the change of all stores: 0 for an exact balance.
-        closure: largest |residual| over the largest |work| of a term or change of the stores [-]; NaN for a failed run.
-    """
-
-    times: np.ndarray
-    given: dict[str, np.ndarray]
-    taken: dict[str, np.ndarray]
-    stored: dict[str, np.ndarray]
-    residual: np.ndarray
+    times: np.ndarray  # (T,) [s]
+    given: dict[str, np.ndarray]  # by source, work into the system since the first time (T,)
+    taken: dict[str, np.ndarray]  # by sink, work out of it since the first time (T,): loads, friction, damping
+    stored: dict[str, np.ndarray]  # by store, kinetic, elastic and spring energy (T,), as it is, not as it changed
+    residual: np.ndarray  # (T,) given less taken, less the change of all stores: 0 for an exact balance
+    # Largest |residual| over the largest |work| of a term or change of the stores [-]; NaN for a failed run.
     closure: float
 
 

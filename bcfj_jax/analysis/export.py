@@ -116,20 +116,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Export:
-    """A contact in a tool's terms.
+    """A contact in a tool's terms."""
 
-    Attributes:
-        tool, name, text: where to; the file's name and content.
-        terms: the tool's coefficients by their names there.
-        rows: what is translated how.
-        before, after: the drop with the scene's law and with the translated one.
-    """
-
+    # tool, name, text: where to; the file's name and content.
     tool: str
     name: str
     text: str
-    terms: Mapping[str, float]
-    rows: tuple[Row, ...]
+    terms: Mapping[str, float]  # the tool's coefficients by their names there
+    rows: tuple[Row, ...]  # what is translated how
+    # before, after: the drop with the scene's law and with the translated one.
     before: Outcome
     after: Outcome
 

@@ -291,26 +291,18 @@ def start_at(times: np.ndarray, penetration: Any, rate: Any, at: float) -> Any:
 
 
 class Seen(NamedTuple):
-    """What a feature is taken from: one channel of a run.
+    """What a feature is taken from: one channel of a run."""
 
-    Attributes:
-        times: (T,) [s], known numbers.
-        force: (T,) size of a contact's normal force [N]; what is read in a contact's place keeps its sign.
-        depth, rate: (T,) penetration [m] and its rate [m/s].
-        curve: what is known of the continuous force.
-        cycle: period [s]; of kinds that need one.
-        other: of a pair, the force of the second.
-        turning: whether a period is that of the force history (of the last two thirds), as in a joint, or the mean interval
-            between contacts.
-    """
-
-    times: np.ndarray
-    force: Any
+    times: np.ndarray  # (T,) [s], known numbers
+    force: Any  # (T,) size of a contact's normal force [N]; what is read in a contact's place keeps its sign
+    # depth, rate: (T,) penetration [m] and its rate [m/s].
     depth: Any
     rate: Any = None
-    curve: Curve = UNKNOWN
-    cycle: Any = math.nan
-    other: Any = None
+    curve: Curve = UNKNOWN  # what is known of the continuous force
+    cycle: Any = math.nan  # period [s]; of kinds that need one
+    other: Any = None  # of a pair, the force of the second
+    # Whether a period is that of the force history (of the last two thirds), as in a joint, or the mean interval
+    # between contacts.
     turning: bool = False
 
 
@@ -319,38 +311,24 @@ def _mean(values: Any) -> Any:
 
 
 class Kind(NamedTuple):
-    """A feature of a contact. Every command reads what it asks here.
+    """A feature of a contact. Every command reads what it asks here."""
 
-    Attributes:
-        unit: SI, with N for the unit of a reading.
-        meaning: in words, for tables of features.
-        of: its definition.
-        fewest: samples below which it is NaN.
-        members: one number of the members' (k,).
-        rank: its place among the features that are taken where none is named; 0: only where it is named.
-        steps: the same from what was found in the solver's steps (``solve.extremes.Extremes`` as numbers) from 0 to an end [s];
-            what has it is in ``summary.json``.
-        host: whether JAX does not differentiate it: it is sought in a finished run.
-        cyclic: whether it needs the channel's period.
-        curve: what of the continuous curve it is (``Curve``), or "".
-        turn: whether a turn of steady motion has it. Where that takes no longer, it stays: "same"; or grows: "longer".
-        aside: whether the table of several contacts leaves it to the summary of each, to fit on a screen.
-        named: whether it goes by a name; what does not is in a summary only.
-    """
-
-    unit: str
-    meaning: str
-    of: Callable[[Seen], Any]
-    fewest: int = 1
-    members: Callable[[Any], Any] = _mean
-    rank: int = 0
+    unit: str  # SI, with N for the unit of a reading
+    meaning: str  # in words, for tables of features
+    of: Callable[[Seen], Any]  # its definition
+    fewest: int = 1  # samples below which it is NaN
+    members: Callable[[Any], Any] = _mean  # one number of the members' (k,)
+    rank: int = 0  # its place among the features that are taken where none is named; 0: only where it is named
+    # The same from what was found in the solver's steps (``solve.extremes.Extremes`` as numbers) from 0 to an end [s];
+    # what has it is in ``summary.json``.
     steps: Callable[[Mapping[str, float], float], float] | None = None
-    host: bool = False
-    cyclic: bool = False
-    curve: str = ""
+    host: bool = False  # whether JAX does not differentiate it: it is sought in a finished run
+    cyclic: bool = False  # whether it needs the channel's period
+    curve: str = ""  # what of the continuous curve it is (``Curve``), or ""
+    # Whether a turn of steady motion has it. Where that takes no longer, it stays: "same"; or grows: "longer".
     turn: str = ""
-    aside: bool = False
-    named: bool = True
+    aside: bool = False  # whether the table of several contacts leaves it to the summary of each, to fit on a screen
+    named: bool = True  # whether it goes by a name; what does not is in a summary only
 
     @property
     def per_second(self) -> bool:
@@ -505,25 +483,17 @@ KINDS: dict[str, Kind] = {
 
 
 class Event(NamedTuple):
-    """A feature of one contact of a run, which goes by its number: ``contact.begin_3``.
+    """A feature of one contact of a run, which goes by its number: ``contact.begin_3``."""
 
-    Attributes:
-        unit: SI; meaning: in words.
-        of: it, of the numbers of contacts (``derivatives.trains.Train``); linear, so that it gives their derivatives, too.
-        needs: of "begin" and "end" what must lie within the run.
-        integral: whether it needs an even force; summit: or one with a smooth peak.
-        late: whether it is a time of the record's clock.
-        members: one number of the members'.
-    """
-
-    unit: str
-    meaning: str
+    unit: str  # SI
+    meaning: str  # in words
+    # It, of the numbers of contacts (``derivatives.trains.Train``); linear, so that it gives their derivatives, too.
     of: Callable[[Any], Any]
-    needs: tuple[str, ...] = ()
-    integral: bool = False
-    summit: bool = False
-    late: bool = False
-    members: Callable[[Any], Any] = _mean
+    needs: tuple[str, ...] = ()  # of "begin" and "end" what must lie within the run
+    integral: bool = False  # whether it needs an even force
+    summit: bool = False  # or one with a smooth peak
+    late: bool = False  # whether it is a time of the record's clock
+    members: Callable[[Any], Any] = _mean  # one number of the members'
 
 
 _BOTH = ("begin", "end")

@@ -108,6 +108,6 @@ def study_surface(
 ) -> int:
     """Lay a response surface through each feature: its errors, surface.json and a picture a feature."""
     ready(code, study)
-    from bcfj_jax.analysis.studies import surface_command
+    from bcfj_jax.analysis.studies import surface
 
-    return _told(surface_command.run(study, out, feature or [], derivatives))
+    return _told(surface.run(study, out, feature or [], derivatives))

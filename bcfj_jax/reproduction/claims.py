@@ -10,24 +10,18 @@ INPUT, FIGURE, STATEMENT = "input", "figure", "statement"
 
 
 class Claim(NamedTuple):
-    """One row of the paper's reference-load table.
+    """One row of the paper's reference-load table."""
 
-    Attributes:
-        id, quantity, printed, section: Q1 to Q39; what is claimed; the paper's value, as printed; where it stands.
-        kind: "input" (what the paper's simulation was given), "figure" (what it gave), "statement" (neither).
-        values: the printed numbers in SI, as the paper must have meant them; empty where there are none.
-        unit: of ``values``; "1" for none, "%" for a share shown as one.
-        remark: how it is read, and what contradicts it.
-    """
-
+    # id, quantity, printed, section: Q1 to Q39; what is claimed; the paper's value, as printed; where it stands.
     id: str
     quantity: str
     printed: str
     section: str
-    kind: str
+    kind: str  # "input" (what the paper's simulation was given), "figure" (what it gave), "statement" (neither)
+    # The printed numbers in SI, as the paper must have meant them; empty where there are none.
     values: tuple[float, ...] = ()
-    unit: str = "1"
-    remark: str = ""
+    unit: str = "1"  # of ``values``; "1" for none, "%" for a share shown as one
+    remark: str = ""  # how it is read, and what contradicts it
 
 
 CLAIMS: tuple[Claim, ...] = (

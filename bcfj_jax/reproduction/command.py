@@ -34,33 +34,27 @@ _FIGURES = frozenset(row.id for row in CLAIMS if row.kind == FIGURE)
 
 
 class Outcome(NamedTuple):
-    """What was run, by name, and what follows from it.
+    """What was run, by name, and what follows from it."""
 
-    Attributes:
-        scene, used, records, fit: the joint as given; parameters; the runs, failed ones too; the fit to the paper's peaks.
-        end, seconds: time simulated, and that all of it took [s].
-        runs: those that ended well.
-        seen, frame: by variant and frame the claims that depend on the frame; the one that makes most sense of the paper.
-        measured, tests: by variant the numbers of each claim, and the qualitative claims.
-        claims: the table of claims.
-        starts: six peaks of every sudden start, by how finely they are read [s].
-        residuals: by run and contact what the polynomial leaves over.
-    """
-
+    # scene, used, records, fit: the joint as given; parameters; the runs, failed ones too; the fit to the paper's
+    # peaks.
     scene: Joint
     used: Mapping[str, Params]
     records: Mapping[str, Record]
     fit: PeakFit
+    # end, seconds: time simulated, and that all of it took [s].
     end: float
     seconds: float
-    runs: dict[str, Run]
+    runs: dict[str, Run]  # those that ended well
+    # seen, frame: by variant and frame the claims that depend on the frame; the one that makes most sense of the paper.
     seen: dict[str, dict[str, dict[str, tuple[float, ...]]]]
     frame: str
+    # measured, tests: by variant the numbers of each claim, and the qualitative claims.
     measured: dict[str, dict[str, Measured]]
     tests: dict[str, list[Inequality]]
-    claims: list[list[str]]
-    starts: dict[str, dict[float, np.ndarray]]
-    residuals: dict[str, dict[str, tuple[float, float]]]
+    claims: list[list[str]]  # the table of claims
+    starts: dict[str, dict[float, np.ndarray]]  # six peaks of every sudden start, by how finely they are read [s]
+    residuals: dict[str, dict[str, tuple[float, float]]]  # by run and contact what the polynomial leaves over
 
 
 def assess(

@@ -136,29 +136,19 @@ class Estimate(NamedTuple):
 
 
 class PeakFit(NamedTuple):
-    """A fit to the peaks.
+    """A fit to the peaks."""
 
-    Attributes:
-        estimates: by name; peaks: the quasistatic model's [N], in the order of ``TARGETS``; residuals: peaks/paper - 1.
-        singular: singular values of the residuals' derivative by the unknowns in the unit box, over ``ERROR``.
-        directions: (k, unknowns), the combination each belongs to.
-        combinations: how many of them the data determine: singular value above ``KNOWN``.
-        costs: of every start's end, least first; infinite for one that failed.
-        reach: (2, numbers) least and greatest of each peak at any point evaluated [N].
-        agreeing: starts that ended within a hundredth of the least cost (or of one miss by ``ERROR``, if that is more).
-        evaluations: of the model and its derivatives.
-    """
-
-    estimates: dict[str, Estimate]
-    peaks: np.ndarray
-    residuals: np.ndarray
-    singular: np.ndarray
-    directions: np.ndarray
-    combinations: int
-    costs: tuple[float, ...]
-    reach: np.ndarray
+    estimates: dict[str, Estimate]  # by name
+    peaks: np.ndarray  # the quasistatic model's [N], in the order of ``TARGETS``
+    residuals: np.ndarray  # peaks/paper - 1
+    singular: np.ndarray  # singular values of the residuals' derivative by the unknowns in the unit box, over ``ERROR``
+    directions: np.ndarray  # (k, unknowns), the combination each belongs to
+    combinations: int  # how many of them the data determine: singular value above ``KNOWN``
+    costs: tuple[float, ...]  # of every start's end, least first; infinite for one that failed
+    reach: np.ndarray  # (2, numbers) least and greatest of each peak at any point evaluated [N]
+    # Starts that ended within a hundredth of the least cost (or of one miss by ``ERROR``, if that is more).
     agreeing: int
-    evaluations: int
+    evaluations: int  # of the model and its derivatives
 
     @property
     def values(self) -> dict[str, float]:

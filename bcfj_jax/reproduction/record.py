@@ -48,18 +48,14 @@ class Turns(NamedTuple):
 
 
 class Record(NamedTuple):
-    """A run at the paper's output times, and the cage at ``INSTANT`` (at half time of a shorter run).
-
-    Attributes:
-        fine: the same run at every time it was asked for; where peaks and onsets are read.
-        world: by contact (T, 3) or (T, balls, 3), force on the second body in world axes at the paper's times [N].
-        turns, angle: of the bodies at the paper's times; the joint's [rad].
-    """
+    """A run at the paper's output times, and the cage at ``INSTANT`` (at half time of a shorter run)."""
 
     run: Run
     balance: Balance
-    fine: Run
+    fine: Run  # the same run at every time it was asked for; where peaks and onsets are read
+    # By contact (T, 3) or (T, balls, 3), force on the second body in world axes at the paper's times [N].
     world: dict[str, np.ndarray]
+    # turns, angle: of the bodies at the paper's times; the joint's [rad].
     turns: Turns
     angle: float
 

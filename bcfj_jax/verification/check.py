@@ -14,20 +14,17 @@ RELATIVE, LAST_DIGIT, ABSOLUTE = "relative", "units of the last printed digit", 
 
 
 class Check(NamedTuple):
-    """A comparison that runs on demand.
-
-    Attributes:
-        what, source: what is computed, in a few words; the paper, closed form or program that the expected numbers are from.
-        tolerance, measure: the largest deviation that passes; ``RELATIVE``, ``LAST_DIGIT`` or ``ABSOLUTE``.
-        run: computes, compares and returns the largest deviation; NaN where something failed.
-    """
+    """A comparison that runs on demand."""
 
     name: str
+    # what, source: what is computed, in a few words; the paper, closed form or program that the expected numbers are
+    # from.
     what: str
     source: str
+    # tolerance, measure: the largest deviation that passes; RELATIVE, LAST_DIGIT or ABSOLUTE.
     tolerance: float
     measure: str
-    run: Callable[[], float]
+    run: Callable[[], float]  # computes, compares and returns the largest deviation; NaN where something failed
 
 
 class Row(NamedTuple):

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.analysis.tradeoff import advice
+from bcfj_jax.analysis.tradeoff.command import as_json
 from bcfj_jax.analysis.tradeoff.measures import errors, measured, worst
-from bcfj_jax.analysis.tradeoff.pages import as_json
 from bcfj_jax.analysis.tradeoff.settings import settings
 from bcfj_jax.analysis.tradeoff.study import OK, Study, study
 from bcfj_jax.analysis.tradeoff.trial import trial

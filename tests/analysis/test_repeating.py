@@ -88,7 +88,7 @@ def test_pitch_after_pitch_leads_to_the_derivatives_of_the_fixed_point(kept):
     assert found is not None and found.memory == pytest.approx(kept)
     if kept < 1.0:
         exact = np.linalg.solve(np.eye(5) - matrix, given)
-        assert np.abs(found.derivative.force[:, 0, :, 0].T - exact).max() < 2e-3 * np.abs(exact).max()
+        assert np.abs(found.last.force_slopes[0, :, 0] - exact).max() < 2e-3 * np.abs(exact).max()
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from studies import IMPACT, ishigami, peak_variances
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.studies import sensitivity
-from bcfj_jax.analysis.studies.finished import Finished, read
+from bcfj_jax.analysis.studies.api import Finished, read
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.core.errors import InputError
 

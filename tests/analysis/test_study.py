@@ -17,8 +17,8 @@ from studies import STUDY
 import bcfj_jax as bj
 from bcfj_jax import InputError
 from bcfj_jax.analysis import features
+from bcfj_jax.analysis.studies.api import read
 from bcfj_jax.analysis.studies.block import Blocks
-from bcfj_jax.analysis.studies.finished import read
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.analysis.studies.store import Store
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import bcfj_jax as bj
 from bcfj_jax.analysis.studies import surface
-from bcfj_jax.analysis.studies.finished import Finished
+from bcfj_jax.analysis.studies.api import Finished
 from bcfj_jax.analysis.studies.specification import from_table
 from bcfj_jax.cli import app
 from bcfj_jax.core.errors import InputError

@@ -11,7 +11,7 @@ import pytest
 from joints import PLAIN, plain_joint
 
 import bcfj_jax as bj
-from bcfj_jax.analysis.tradeoff import advice, pages, reference, study
+from bcfj_jax.analysis.tradeoff import advice, command, reference, study
 from bcfj_jax.analysis.tradeoff.measures import (
     Measured,
     compared,
@@ -152,12 +152,12 @@ def test_the_line_of_the_model_form_names_what_moves_most():
         model_row("no time", contact="", peak_change=float("nan"), wall_s=float("nan")),
     ]
     done = study.Study(todo, rows, None, False)
-    assert "2 other choices" in pages.model_form(done)
-    assert "up to 75 % (head fixed: head_cage -75 %)" in pages.model_form(done)
-    table = pages.model_rows(done)
+    assert "2 other choices" in command.model_form(done)
+    assert "up to 75 % (head fixed: head_cage -75 %)" in command.model_form(done)
+    table = command.model_rows(done)
     assert [row[0] for row in table[1:]] == ["head fixed", "balls roll", "no time"]
     assert table[2][1:4] == ["seat_cage +25 %", "20 %", "1.5 times"] and table[3][1] == "-"
-    assert pages.model_form(study.Study(todo[:1], rows[:1], None, False)) == ""
+    assert command.model_form(study.Study(todo[:1], rows[:1], None, False)) == ""
 
 
 @pytest.mark.slow

@@ -376,7 +376,7 @@ def test_a_tradeoff_tries_what_a_mechanism_heeds_and_gives_its_whole_file():
     for given in (stopped, pendulum):
         todo = settings(given)
         assert not [setting.name for setting in todo if setting.group == "friction law"]
-        again = scenefile.load(written(advice.file(todo[0], "1 %"), "again.toml"))
+        again = scenefile.load(written(advice.pasted(todo[0], "1 %")["toml"], "again.toml"))
         assert again.resolved == given.resolved
     # Where contacts leave friction to the scene, its law is one of the settings.
     shared = STOPPED.replace('friction = "coulomb"\n', "").replace(

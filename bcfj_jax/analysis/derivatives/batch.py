@@ -39,16 +39,11 @@ _AT_ONCE = 64
 
 
 class More(NamedTuple):
-    """What is wanted of runs besides.
+    """What is wanted of runs besides."""
 
-    Attributes:
-        whole: all of a force, not the normal part alone.
-        lean: of runs that are solved by themselves normal forces and penetrations alone, with rates of 0.
-        near: from where all instants are searched (``AbstractModel.instants``); None: each from the run before.
-    """
-
-    whole: bool = False
-    lean: bool = False
+    whole: bool = False  # all of a force, not the normal part alone
+    lean: bool = False  # of runs that are solved by themselves normal forces and penetrations alone, with rates of 0
+    # From where all instants are searched (``AbstractModel.instants``); None: each from the run before.
     near: Any = None
 
 
@@ -56,25 +51,17 @@ _NOTHING_MORE = More()
 
 
 class Runs(NamedTuple):
-    """What N runs left, and how they ended.
+    """What N runs left, and how they ended."""
 
-    Attributes:
-        value: (N, ...) of ``Histories`` without states; of a force the normal part, (N, T, C, 1), or all.
-        derivative: (N, P, ...) per SI unit, of a force the normal part.
-        code, end: (N,) how and when [s] they ended; steps: (N,) attempted.
-        rounds: of all places of the batch; 0 where there are none.
-        near: (N, ...) from where instants near each run's are searched.
-        compile_s: what compiling took [s].
-    """
-
-    value: Histories
-    derivative: Histories
+    value: Histories  # (N, ...) of ``Histories`` without states; of a force the normal part, (N, T, C, 1), or all
+    derivative: Histories  # (N, P, ...) per SI unit, of a force the normal part
+    # code, end: (N,) how and when [s] they ended.
     code: np.ndarray
     end: np.ndarray
-    steps: np.ndarray
-    rounds: int
-    near: Any = None
-    compile_s: float = 0.0
+    steps: np.ndarray  # (N,) attempted
+    rounds: int  # of all places of the batch; 0 where there are none
+    near: Any = None  # (N, ...) from where instants near each run's are searched
+    compile_s: float = 0.0  # what compiling took [s]
 
     def one(self, run: int) -> tuple[Histories, Histories]:
         """One of them, and its derivatives."""

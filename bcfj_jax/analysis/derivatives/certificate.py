@@ -199,35 +199,22 @@ def of_feature(apart: float) -> str:
 
 
 class Check(NamedTuple):
-    """One parameter's part of a certificate.
+    """One parameter's part of a certificate."""
 
-    Attributes:
-        verdict: ``trusted``, ``averaged only`` or ``not differentiable here``.
-        remark: why, in words; "" where the figures say it.
-        compared_with: in words, each comparison.
-        pointwise, average: relative L2 errors over the horizon at most, the worst of the comparisons.
-        features: relative error of each feature's derivative at most.
-        growth: of the state's tangent over the horizon [-]; exponent: of that growth [1/s].
-        influence: ||p dF/dp|| over that of the strongest parameter [-].
-        where: time by which half of the pointwise difference has come about [s].
-        breakdown: time after which the averages' running difference exceeds 10 % [s]; NaN: it does not at the end.
-        feature_verdicts: of each feature's derivative.
-        unchecked: what far tighter solves or central differences did not check, and why, in a sentence; or "".
-    """
-
-    verdict: str
-    remark: str
-    compared_with: tuple[str, ...]
+    verdict: str  # ``trusted``, ``averaged only`` or ``not differentiable here``
+    remark: str  # why, in words; "" where the figures say it
+    compared_with: tuple[str, ...]  # in words, each comparison
+    # pointwise, average: relative L2 errors over the horizon at most, the worst of the comparisons.
     pointwise: float
     average: float
-    features: dict[str, float]
-    growth: float
-    exponent: float
-    influence: float
-    where: float
-    breakdown: float
-    feature_verdicts: dict[str, str] = {}
-    unchecked: str = ""
+    features: dict[str, float]  # relative error of each feature's derivative at most
+    growth: float  # of the state's tangent over the horizon [-]
+    exponent: float  # of that growth [1/s]
+    influence: float  # ||p dF/dp|| over that of the strongest parameter [-]
+    where: float  # time by which half of the pointwise difference has come about [s]
+    breakdown: float  # time after which the averages' running difference exceeds 10 % [s]; NaN: it does not at the end
+    feature_verdicts: dict[str, str] = {}  # of each feature's derivative
+    unchecked: str = ""  # what far tighter solves or central differences did not check, and why, in a sentence; or ""
 
     @property
     def lost(self) -> bool:
@@ -236,47 +223,32 @@ class Check(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """How good the derivatives are.
+    """How good the derivatives are."""
 
-    Attributes:
-        verdict: the worst of the parameters'.
-        parameters: a ``Check`` by name.
-        average: width of the moving average [s].
-        target: bound of the averages' relative error that ended the tightening, where it was reached.
-        tolerances, steps: of every level, loosest first.
-        direction: pointwise and average difference from central differences along one random direction of all
-            parameters, less the differences' own error; None: not taken, or it checks nothing.
-        reported: tolerance of the level whose derivatives are reported; tighter ones bound their error.
-    """
-
-    verdict: str
-    parameters: dict[str, Check]
-    average: float
-    target: float
+    verdict: str  # the worst of the parameters'
+    parameters: dict[str, Check]  # a ``Check`` by name
+    average: float  # width of the moving average [s]
+    target: float  # bound of the averages' relative error that ended the tightening, where it was reached
+    # tolerances, steps: of every level, loosest first.
     tolerances: tuple[float, ...]
     steps: tuple[int, ...]
+    # Pointwise and average difference from central differences along one random direction of all parameters, less the
+    # differences' own error; None: not taken, or it checks nothing.
     direction: dict[str, float] | None
-    reported: float = NAN
+    reported: float = NAN  # tolerance of the level whose derivatives are reported; tighter ones bound their error
 
 
 class Seen(NamedTuple):
-    """What is known of a parameter beside the comparisons of its histories.
+    """What is known of a parameter beside the comparisons of its histories."""
 
-    Attributes:
-        features, grown, influence: as ``Check`` has them.
-        end: of a run that failed [s], or NaN.
-        also: a comparison of all parameters together, which they passed.
-        unchecked: what was not compared, and why.
-        vague: whether central differences of all parameters together were.
-    """
-
+    # features, grown, influence: as Check has them.
     features: Mapping[str, float]
     grown: Growth
     influence: float
-    end: float
-    also: str = ""
-    unchecked: str = ""
-    vague: bool = False
+    end: float  # of a run that failed [s], or NaN
+    also: str = ""  # a comparison of all parameters together, which they passed
+    unchecked: str = ""  # what was not compared, and why
+    vague: bool = False  # whether central differences of all parameters together were
 
 
 def check(comparisons: Sequence[Comparison], seen: Seen) -> Check:

@@ -28,18 +28,13 @@ from bcfj_jax.xla.programs import program
 
 
 class Histories(NamedTuple):
-    """What a run left at T times; of a derivative, the same with parameters (P,) as the first axis.
+    """What a run left at T times; of a derivative, the same with parameters (P,) as the first axis."""
 
-    Attributes:
-        force: (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one.
-        state: (T, n) in units of the states' natural sizes.
-        curve: (C, 4) what is known of the continuous curve (``crests.Curve``); None where there are samples alone.
-    """
-
-    force: Any
+    force: Any  # (T, C, 3) [N], penetration, rate: (T, C) [m, m/s] of C channels, a contact's members one by one
     penetration: Any
     rate: Any
-    state: Any
+    state: Any  # (T, n) in units of the states' natural sizes
+    # (C, 4) what is known of the continuous curve (``crests.Curve``); None where there are samples alone.
     curve: Any = None
 
     @property

@@ -39,17 +39,11 @@ _DRIFT = 0.25
 
 
 class Fold(NamedTuple):
-    """A short run that stands for a long one.
+    """A short run that stands for a long one."""
 
-    Attributes:
-        run: its times, and which answers what.
-        channels: (K, C) which channel did 0, 1 ... K - 1 pitches ago what each does now.
-        end: of the short run [s].
-    """
-
-    run: Folded
-    channels: np.ndarray
-    end: float
+    run: Folded  # its times, and which answers what
+    channels: np.ndarray  # (K, C) which channel did 0, 1 ... K - 1 pitches ago what each does now.
+    end: float  # of the short run [s]
 
     @property
     def times(self) -> np.ndarray:

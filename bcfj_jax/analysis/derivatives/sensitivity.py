@@ -393,27 +393,18 @@ def _reverse(problem: Problem, how: Plan, certify: bool) -> Sensitivity:
 
 
 class Step(NamedTuple):
-    """One width of a ladder.
+    """One width of a ladder."""
 
-    Attributes:
-        value: of the knob [m or m/s].
-        bias: relative L2 difference of all forces from those at the sharpest width [-].
-        peak_bias: largest relative difference of a contact's greatest force from the sharpest [-].
-        size: ||dF/dp|| per parameter [N s^(1/2) per SI unit].
-        pointwise, average, verdict: of the certificate, per parameter.
-        steps: attempted steps of the last solve.
-        status: "ok" or "failed".
-    """
-
-    value: float
-    bias: float
-    peak_bias: float
-    size: dict[str, float]
+    value: float  # of the knob [m or m/s]
+    bias: float  # relative L2 difference of all forces from those at the sharpest width [-]
+    peak_bias: float  # largest relative difference of a contact's greatest force from the sharpest [-]
+    size: dict[str, float]  # ||dF/dp|| per parameter [N s^(1/2) per SI unit]
+    # pointwise, average, verdict: of the certificate, per parameter.
     pointwise: dict[str, float]
     average: dict[str, float]
     verdict: dict[str, str]
-    steps: int
-    status: str
+    steps: int  # attempted steps of the last solve
+    status: str  # "ok" or "failed"
 
 
 @taking(Bounding)

@@ -63,22 +63,16 @@ class _Start(NamedTuple):
 
 
 class _Pitch(NamedTuple):
-    """What one pitch gave.
+    """What one pitch gave."""
 
-    Attributes:
-        end: of the pitch, renumbered back, so that the next can begin there.
-        force (K, C, 3) [N], depth (K, C) [m] at K shares of it, and their derivatives, parameters (P) as the last axis.
-        grown: size of the disturbance over what it was.
-        pitch: [s], with its derivative (P,).
-    """
-
-    end: _Start
+    end: _Start  # of the pitch, renumbered back, so that the next can begin there
+    # Force (K, C, 3) [N], depth (K, C) [m] at K shares of it, and their derivatives, shares of parameters (P) as the last axis.
     force: Any
     depth: Any
     force_slopes: Any
     depth_slopes: Any
-    grown: Any
-    pitch: Any
+    grown: Any  # size of the disturbance over what it was
+    pitch: Any  # [s], and its derivative (P,)
     pitch_slope: Any
     code: Any
     steps: Any
@@ -126,50 +120,38 @@ def _pitch(
 
 
 class Steady(NamedTuple):
-    """Steady motion of a run that repeats itself every pitch, and its derivatives; of one turn of the drive.
+    """Steady motion of a run that repeats itself every pitch, and its derivatives; of one turn of the drive."""
 
-    Attributes:
-        pitch: [s]; turn: of the drive [s].
-        features: value by name, over one turn; feature_derivatives: by parameter and name, per SI unit.
-        apart: by parameter and name, relative difference of the derivatives at two tolerances.
-        verdicts: likewise: what that difference makes of them.
-        force: per channel (K, C, 3) over one pitch [N], K even shares of it; derivative: (P, K, C, 3) per SI unit.
-        off: what one more pitch would change the state by, in units of the states' natural sizes.
-        memory: share of a disturbance that is left after a pitch, the greatest that was seen.
-        reason: why there is none; "" where there is.
-        steps, wall_s, compile_s: of its solves.
-    """
-
-    pitch: float
-    turn: float
-    features: dict[str, float]
-    feature_derivatives: dict[str, dict[str, float]]
+    pitch: float  # [s]
+    turn: float  # of the drive [s]
+    features: dict[str, float]  # value by name, over one turn
+    feature_derivatives: dict[str, dict[str, float]]  # by parameter and name, per SI unit
+    # By parameter and name, relative difference of the derivatives at two tolerances.
     apart: dict[str, dict[str, float]]
-    verdicts: dict[str, dict[str, str]]
-    force: np.ndarray
-    derivative: np.ndarray
-    off: float
-    memory: float
-    reason: str
+    verdicts: dict[str, dict[str, str]]  # likewise: what that difference makes of them
+    force: np.ndarray  # per channel (K, C, 3) over one pitch [N], K even shares of it
+    derivative: np.ndarray  # (P, K, C, 3) per SI unit
+    off: float  # what one more pitch would change the state by, in units of the states' natural sizes
+    memory: float  # share of a disturbance that is left after a pitch, the greatest that was seen
+    reason: str  # why there is none; "" where there is
+    # steps, wall_s, compile_s: of its solves.
     steps: int
     wall_s: float
     compile_s: float
 
 
 class _Orbit(NamedTuple):
-    """A pitch that repeats the one before: force and depth as ``_Pitch``'s, parameters in shares (P) first.
+    """A pitch that repeats the one before; off, memory and steps of all pitches: as ``Steady``'s."""
 
-    off, memory: as ``Steady``'s; end: where the next would begin.
-    """
-
-    value: Histories
-    derivative: Histories
-    pitch: float
-    pitch_slope: np.ndarray
-    end: _Start
+    last: _Pitch
     off: float
     memory: float
     steps: int
+
+    @property
+    def pitch(self) -> float:
+        """[s]."""
+        return float(self.last.pitch)
 
 
 class Restless(Exception):
@@ -201,16 +183,17 @@ def first_of_steady(problem: Problem, state: np.ndarray, time: float) -> tuple[S
     orbits = _orbits(problem, state, time, solve)
 
     def found(solved: Sequence[_Orbit]) -> Steady:
-        last, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
-        numbers, slopes = _features(of_kinds, last)
+        orbit, named, of_kinds = solved[-1], {n: {} for n in wrt}, problem._replace(wanted=kinds)
+        numbers, slopes = _features(of_kinds, orbit)
+        derivative = np.moveaxis(orbit.last.force_slopes, -1, 0) / sizes[:, None, None, None]
         if len(solved) > 1:
             loose = _features(of_kinds, solved[0])[1]
             named = of_kinds.by_name(apart(loose, slopes, numbers, np.ones(len(wrt))))
         return Steady(
-            last.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
+            orbit.pitch, scene.period(params)[0], {f.name: float(x) for f, x in zip(kinds, numbers, strict=True)},
             of_kinds.by_name(slopes / sizes), named,
             {n: {name: of_feature(x) for name, x in row.items()} for n, row in named.items() if row},
-            last.value.force, last.derivative.force / sizes[:, None, None, None], last.off, last.memory, "",
+            orbit.last.force, derivative, orbit.off, orbit.memory, "",
             sum(one.steps for one in solved), clock() - begin - compile_s, compile_s,
         )  # fmt: skip
 
@@ -298,7 +281,7 @@ def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..
             kept = f"a disturbance keeps {orbit.memory:.2g} of itself in a pitch"
             raise Restless(f"the motion does not repeat itself: {kept}")
         yield orbit
-        begin = orbit.end
+        begin = orbit.last.end
 
 
 def _begin(state: np.ndarray, parameters: int, pitches: np.ndarray) -> _Start:
@@ -341,12 +324,7 @@ def _orbit(solve: Callable[[_Start], _Pitch], begin: _Start, wrong: float) -> _O
         wrong *= memory
     else:
         memory = 1.0
-    force, depth = (np.moveaxis(x, -1, 0) for x in (found.force_slopes, found.depth_slopes))
-    return _Orbit(
-        Histories(found.force, found.depth, np.zeros_like(found.depth), None),
-        Histories(force, depth, np.zeros_like(depth), None), float(found.pitch), np.asarray(found.pitch_slope), begin,
-        off, memory, steps,
-    )  # fmt: skip
+    return _Orbit(found, off, memory, steps)
 
 
 def _pitches(scene: AbstractModel, params: Params) -> int:
@@ -359,13 +337,17 @@ def _turn(problem: Problem, orbit: _Orbit) -> tuple[Histories, Histories]:
     """Histories of a turn, pitch by pitch, members renumbered, and their derivatives by shares."""
     pieces = earlier(problem.scene, problem.params, _pitches(problem.scene, problem.params))
 
-    def unfolded(x: np.ndarray, axis: int) -> np.ndarray:
-        whole = [np.take(x, piece, axis + 1) for piece in pieces]
-        ends = [np.delete(part, -1, axis) for part in whole[:-1]]
-        return np.concatenate([*ends, whole[-1]], axis)
+    def unfolded(force: np.ndarray, depth: np.ndarray, axis: int) -> Histories:
+        """As histories with rates of 0, times along an axis."""
+        each: list[np.ndarray] = []
+        for x in (force, depth):
+            whole = [np.take(x, piece, axis + 1) for piece in pieces]
+            each.append(np.concatenate([*(np.delete(part, -1, axis) for part in whole[:-1]), whole[-1]], axis))
+        return Histories(each[0], each[1], np.zeros_like(each[1]), None)
 
-    value = Histories(*(unfolded(x, 0) for x in orbit.value[:3]), state=None)
-    return value, Histories(*(unfolded(x, 1) for x in orbit.derivative[:3]), state=None)
+    last = orbit.last
+    by_force, by_depth = (np.moveaxis(x, -1, 0) for x in (last.force_slopes, last.depth_slopes))
+    return unfolded(last.force, last.depth, 0), unfolded(by_force, by_depth, 1)
 
 
 def _features(problem: Problem, orbit: _Orbit) -> tuple[np.ndarray, np.ndarray]:
@@ -375,17 +357,16 @@ def _features(problem: Problem, orbit: _Orbit) -> tuple[np.ndarray, np.ndarray]:
     times = count * orbit.pitch * shares(scene, params)
     value, derivative = _turn(problem, orbit)
     found, slopes = measure(times, value, derivative, [f for f in wanted if f.kind != "period"], contacts, True)
-    numbers, changes, rest = [], [], iter(zip(found, slopes, strict=True))
+    both, rest, pitch_slope = [], iter(zip(found, slopes, strict=True)), np.asarray(orbit.last.pitch_slope)
     for feature in wanted:
         if feature.kind == "period":
             # A member's own, or that of a contact with members: a turn; of any other a pitch.
             pitches = count if contacts.get(feature.contacts[0], 1) else 1
-            numbers.append(pitches * orbit.pitch)
-            changes.append(pitches * orbit.pitch_slope)
+            both.append((pitches * orbit.pitch, pitches * pitch_slope))
             continue
         number, slope = next(rest)
         # Times are shares of the pitch, which moves too.
-        moved = number * orbit.pitch_slope / orbit.pitch if KINDS[feature.kind].turn == "longer" else 0.0
-        numbers.append(number)
-        changes.append(slope + moved)
+        moved = number * pitch_slope / orbit.pitch if KINDS[feature.kind].turn == "longer" else 0.0
+        both.append((number, slope + moved))
+    numbers, changes = zip(*both, strict=True)
     return np.array(numbers), np.stack(changes)

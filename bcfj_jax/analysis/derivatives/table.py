@@ -172,8 +172,7 @@ def said(found: Sensitivity) -> str:
         return f"The simulation failed at {format_si(found.failure_time, 's')}: {found.reason}."
     checks = found.certificate.parameters if found.certificate else {}
     parts = [] if checks else ["Derivatives were not certified: nothing says how good they are."]
-    groups: dict[str, list[str]] = {}
-    unchecked: dict[str, list[str]] = {}
+    groups, unchecked = dict[str, list[str]](), dict[str, list[str]]()
     for name, check in checks.items():
         until = check.breakdown
         good = f" (until {format_si(until, 's')})" if math.isfinite(until) and until > found.times[0] else ""
@@ -195,6 +194,7 @@ def said(found: Sensitivity) -> str:
 
 
 def _counted(by_parameter: Iterable[Mapping[str, str]]) -> str:
+    """How many of each verdict."""
     told = [verdict for row in by_parameter for verdict in row.values()]
     return ", ".join(f"{told.count(v)} {_WORDS[v]}" for v in _WORDS if v in told)
 
@@ -287,17 +287,15 @@ def frame(found: Sensitivity) -> tuple[dict[str, Any], str]:
     """A feature and a parameter a row: value, derivative per SI unit, % per %, verdict."""
     checks = found.certificate.parameters if found.certificate else {}
     keys = ("feature", "parameter", "value", "unit", "derivative", "percent_per_percent", "verdict")
-    table: dict[str, list[Any]] = {key: [] for key in keys}
+    rows: list[tuple[Any, ...]] = []
     for feature, value in found.features.items():
         for name in found.wrt:
             slope = found.feature_derivatives[name][feature]
             share = slope * found.values[name] / value if value else np.nan
             verdict = checks[name].feature_verdicts.get(feature, "") if name in checks else ""
             verdict += ", bound from samples" if verdict and feature in found.sampled else ""
-            row = (feature, name, value, feature_unit(feature), slope, share, verdict)
-            for column, cell in zip(table.values(), row, strict=True):
-                column.append(cell)
-    return table, ""
+            rows.append((feature, name, value, feature_unit(feature), slope, share, verdict))
+    return {key: [row[k] for row in rows] for k, key in enumerate(keys)}, ""
 
 
 def dataset(found: Sensitivity) -> Dataset:

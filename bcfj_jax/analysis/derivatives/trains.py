@@ -74,30 +74,23 @@ class Marks(NamedTuple):
 class Train(NamedTuple):
     """M contacts, or their derivatives by a parameter, per SI unit; NaN where a contact is none, or does not begin or end
     within the run.
-
-    Attributes:
-        begin, peak_time, end: (M,) [s].
-        peak, impulse: (M,) of the normal force's size [N, N s].
-        center, width: (M,) mean and deviation of the time, weighed by the force [s].
-        force: (M, NODES) normal force's size at the phases ``PHASES`` [N]; its derivatives are on the moving clock.
-        pointwise: the same numbers, with the derivatives at fixed times.
-        unsure: (M,) difference of the impulse to that by half of the points, as a share of it.
-        bend: (M,) second derivative of the force at the peak [N/s^2].
-        tilt: (M,) first derivative there [N/s]; not 0 at a peak that is none.
     """
 
+    # begin, peak_time, end: (M,) [s].
     begin: Any
     peak_time: Any
     end: Any
+    # peak, impulse: (M,) of the normal force's size [N, N s].
     peak: Any
     impulse: Any
+    # center, width: (M,) mean and deviation of the time, weighed by the force [s].
     center: Any
     width: Any
-    force: Any
-    pointwise: Any
-    unsure: Any
-    bend: Any
-    tilt: Any
+    force: Any  # (M, NODES) normal force's size at the phases ``PHASES`` [N]; its derivatives are on the moving clock
+    pointwise: Any  # the same numbers, with the derivatives at fixed times
+    unsure: Any  # (M,) difference of the impulse to that by half of the points, as a share of it
+    bend: Any  # (M,) second derivative of the force at the peak [N/s^2]
+    tilt: Any  # (M,) first derivative there [N/s]; not 0 at a peak that is none
 
     @property
     def duration(self) -> Any:

@@ -196,15 +196,13 @@ def _assessed(
 
 
 def _slices(plain: Evaluator, point: np.ndarray) -> dict[str, Slice]:
-    rows = []
+    lines = np.tile(point, (point.size, _SLICE + 1, 1))
     for k, x in enumerate(point):
-        line = np.tile(point, (_SLICE + 1, 1))
-        line[:, k] = np.sort(np.append(np.linspace(0.0, 1.0, _SLICE), x))
-        rows.append(line)
-    points = np.concatenate(rows)
+        lines[k, :, k] = np.sort(np.append(np.linspace(0.0, 1.0, _SLICE), x))
+    points = lines.reshape(-1, point.size)
+    values = plain.space.values(points).reshape(len(point), _SLICE + 1, -1)
     with stage("the objective about the optimum"):
         true = plain(points).true.reshape(len(point), -1)
-    values = plain.space.values(points).reshape(len(point), _SLICE + 1, -1)
     return {name: Slice(values[k, :, k], true[k]) for k, name in enumerate(plain.space.names)}
 
 

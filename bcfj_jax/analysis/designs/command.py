@@ -58,22 +58,21 @@ def run(
         say(asked.note)
     say(f"{sentence(asked)}: {asked.search.starts} starts, {len(asked.times)} times to {asked.times[-1]:.6g} s")
     plots.get_ready()
-    growing = Growing(folder / "design.json", show)
+    growing, params = Growing(folder / "design.json", show), asked.given.params
 
-    given = asked.scene, asked.given.params, asked.times
-
-    def absurd(found: Design) -> list[plausibility.Finding]:
-        """What is not plausible of a design, which is said first."""
-        return plausibility.at(asked.scene, {**asked.given.params, **found.values}, asked.times)
+    def kept(found: Design, stage: str) -> tuple[list[plausibility.Finding], list[str]]:
+        """Write a design; what is not plausible of it, or of the given one where there is none, which is said first."""
+        doubts = plausibility.at(
+            asked.scene, params if found.status == FAILED else {**params, **found.values}, asked.times
+        )
+        growing.write(stage, found.content() | {"plausibility": plausibility.content(doubts)})
+        return doubts, [f"At the design that was found {plausibility.headline(doubts)}"] if doubts else []
 
     def so_far(found: Design) -> None:
-        doubts = absurd(found)
-        growing.write(found.status, found.content() | {"plausibility": plausibility.content(doubts)})
-        growing.tell([*_doubted(doubts), *_texts(found)], reason(found))
+        growing.tell([*kept(found, found.status)[1], *_texts(found)], reason(found))
 
-    found = design(*given, asked.objective, asked.free, tell=so_far, **vars(asked.search))
-    doubts = absurd(found) if found.status != FAILED else plausibility.at(*given)
-    growing.write(COMPLETE, found.content() | {"plausibility": plausibility.content(doubts)})
+    found = design(asked.scene, params, asked.times, asked.objective, asked.free, tell=so_far, **vars(asked.search))
+    doubts, doubted = kept(found, COMPLETE)
     with stage("drawing"):
         drawn = [result.draw_slices(found, folder / "slices.png")] if found.slices else []
         drawn += [result.draw_starts(found, folder / "starts.png")] if found.status != FAILED else []
@@ -81,12 +80,8 @@ def run(
     report.write(folder, said, asked.given.scene.model_form)
     keep_asked()
     headline, *tables = _texts(found)
-    parts = [*_doubted(doubts), f"{headline} {reason(found)}", *tables, f"results in {folder}"]
+    parts = [*doubted, f"{headline} {reason(found)}", *tables, f"results in {folder}"]
     return "\n\n".join(parts), found.status != FAILED
-
-
-def _doubted(absurd: Sequence[plausibility.Finding]) -> list[str]:
-    return [f"At the design that was found {plausibility.headline(absurd)}"] if absurd else []
 
 
 def _texts(found: Design) -> list[str]:
@@ -96,17 +91,13 @@ def _texts(found: Design) -> list[str]:
 
 def check(asked: Question) -> None:
     """Refuse what ``design`` would refuse, before anything is written or compiled."""
-    given = asked.scene, asked.given.params, asked.times
-    posed(given, asked.objective, asked.free, asked.search.checked())
+    posed((asked.scene, asked.given.params, asked.times), asked.objective, asked.free, asked.search.checked())
 
 
 def sentence(asked: Question) -> str:
     """The question in a sentence."""
     name = asked.objective if isinstance(asked.objective, str) else " + ".join(asked.objective)
     return f"{'minimizing' if asked.search.sense == 'minimise' else 'maximizing'} {name} over {', '.join(asked.free)}"
-
-
-# What is said of a design.
 
 
 def verdict(found: Design) -> str:
@@ -144,14 +135,11 @@ def page(title: str, found: Design, note: str, drawn: list[Picture], absurd: Seq
 
 def fact_rows(found: Design) -> list[list[str]]:
     """Table of the objective: before, after, the independent check, tolerances."""
-    rows = [["objective", "before", "after"], [found.objective, *_pair(found.before, found.after, found.unit)]]
+    pairs = [(found.objective, found.before, found.after)]
     if (check := found.confirmation) is not None:
-        rows.append([f"checked by the {check.how}", *_pair(check.before, check.after, found.unit)])
+        pairs.append((f"checked by the {check.how}", check.before, check.after))
     if (wide := found.robustness) is not None:
         first = found.robustness_before.sampled_worst if found.robustness_before else math.nan
-        rows.append(["worst over the tolerances, by runs", *_pair(first, wide.sampled_worst, found.unit)])
-    return rows
-
-
-def _pair(first: float, second: float, unit: str) -> list[str]:
-    return [brief(x, unit) if math.isfinite(x) else "-" for x in (first, second)]
+        pairs.append(("worst over the tolerances, by runs", first, wide.sampled_worst))
+    rows = ([name, *(brief(x, found.unit) for x in both)] for name, *both in pairs)
+    return [["objective", "before", "after"], *rows]

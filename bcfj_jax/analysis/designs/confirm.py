@@ -46,24 +46,19 @@ class By(NamedTuple):
 
 
 class Confirmation(NamedTuple):
-    """What independent runs found.
+    """What independent runs found."""
 
-    Attributes:
-        before, after: the true objective; NaN where a run failed; features_before, features_after: what it is made of.
-        gain: of the objective, positive where it became better; share: that over the optimiser's.
-        confirmed: whether the share is enough, ``SAME`` or ``OTHER``.
-        how: in words: fidelity, solver, accuracy; reason: why a run failed; "" for none.
-    """
-
+    # before, after: the true objective; NaN where a run failed.
     before: float
     after: float
+    # features_before, features_after: what it is made of.
     features_before: dict[str, float]
     features_after: dict[str, float]
-    gain: float
-    share: float
-    confirmed: bool
-    how: str
-    reason: str
+    gain: float  # of the objective, positive where it became better
+    share: float  # that over the optimiser's
+    confirmed: bool  # whether the share is enough, ``SAME`` or ``OTHER``
+    how: str  # in words: fidelity, solver, accuracy
+    reason: str  # why a run failed; "" for none
 
 
 def independent(scene: AbstractModel, model: AbstractModel | str, accuracy: str | float) -> By:
@@ -111,21 +106,18 @@ _DIFFERENCE, _ROUNDED = 1e-4, 1e-6
 
 
 class Robustness(NamedTuple):
-    """Of the true feature at the nominal design; NaN where unknown.
+    """Of the true feature at the nominal design; NaN where unknown."""
 
-    Attributes:
-        nominal: its value; linear_worst, linear_deviation: worst value and standard deviation by the gradient.
-        sampled_worst, sampled_deviation, sampled_mean: by runs; worst_at: SI values of the worst, by name.
-        samples, failed, reasons: runs asked for, those without a value, and why with their numbers.
-    """
-
-    nominal: float
+    nominal: float  # its value
+    # linear_worst, linear_deviation: worst value and standard deviation by the gradient.
     linear_worst: float
     linear_deviation: float
+    # sampled_worst, sampled_deviation, sampled_mean: by runs.
     sampled_worst: float
     sampled_deviation: float
     sampled_mean: float
-    worst_at: dict[str, float]
+    worst_at: dict[str, float]  # SI values of the worst, by name
+    # samples, failed, reasons: runs asked for, those without a value, and why with their numbers.
     samples: int
     failed: int
     reasons: dict[str, int]

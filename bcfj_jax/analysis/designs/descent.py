@@ -77,10 +77,9 @@ def _path(start: np.ndarray, track: list, message: str) -> Path:
     known = np.isfinite(goals)
     if not known.any():
         return Path(start, start, np.nan, np.nan, np.full(len(track), np.nan), len(track), "no point had a value")
-    k = int(np.nanargmin(goals))
-    running = np.minimum.accumulate(np.where(known, goals, np.inf))
-    best = np.array([track[int(np.nanargmin(goals[: i + 1]))][1] if np.isfinite(r) else np.nan
-                     for i, r in enumerate(running)])  # fmt: skip
+    k, least = int(np.nanargmin(goals)), np.where(known, goals, np.inf)
+    first = [int(np.argmin(least[: i + 1])) for i in range(len(track))]
+    best = np.array([track[j][1] if known[j] else np.nan for j in first])
     return Path(start, track[k][2], track[k][1], float(goals[k]), best, int((~known).sum()), message)
 
 

@@ -68,17 +68,14 @@ class File(tables.Table):
 
 @dataclass(frozen=True)
 class Question:
-    """A design ready to be found.
-
-    Attributes:
-        scene, times: the model that is searched, and its times [s]; note: which one, where the file left it open; else "".
-        objective, free, search: as ``design`` takes them.
-    """
+    """A design ready to be found."""
 
     given: SceneFile
+    # scene, times: the model that is searched, and its times [s].
     scene: AbstractModel
     times: np.ndarray
-    note: str
+    note: str  # which one, where the file left it open; else ""
+    # objective, free, search: as design takes them.
     objective: str | dict[str, float]
     free: dict[str, space.Free]
     search: space.Search

@@ -32,21 +32,14 @@ from bcfj_jax.xla.threads import cores, each
 
 
 class Values(NamedTuple):
-    """At N points: what the descent sees, its gradient by unit coordinates, and the true objective.
+    """At N points: what the descent sees, its gradient by unit coordinates, and the true objective."""
 
-    Attributes:
-        smooth: (N,) with norms or crests in place of peaks, times the objective's sign, which makes less better.
-        slope: (N, P).
-        goal: (N,) as ``smooth``, always with crests: by it points are compared.
-        true: (N,) with greatest samples, without that sign.
-        reasons: (N,) why a point has no value; "" where it has one.
-    """
-
+    # (N,) with norms or crests in place of peaks, times the objective's sign, which makes less better.
     smooth: np.ndarray
-    slope: np.ndarray
-    goal: np.ndarray
-    true: np.ndarray
-    reasons: list[str]
+    slope: np.ndarray  # (N, P)
+    goal: np.ndarray  # (N,) as ``smooth``, always with crests: by it points are compared
+    true: np.ndarray  # (N,) with greatest samples, without that sign
+    reasons: list[str]  # (N,) why a point has no value; "" where it has one
 
 
 @dataclass
@@ -59,10 +52,10 @@ class Spent:
     compile_s: float = 0.0
     failures: Counter = field(default_factory=Counter)
 
-    def batch(self, wall_s: float, compile_s: float) -> None:
-        """Account for one."""
+    def batch(self, begin: float, compile_s: float) -> None:
+        """Account for one that began at a ``time.perf_counter()``."""
         self.batches += 1
-        self.wall_s += wall_s
+        self.wall_s += time.perf_counter() - begin - compile_s
         self.compile_s += compile_s
 
     def why(self) -> str:
@@ -76,24 +69,20 @@ _Read = list[tuple[Histories, Histories] | str]
 
 @dataclass(frozen=True)
 class Evaluator:
-    """A scene's objective over the unit box of its free parameters.
+    """A scene's objective over the unit box of its free parameters."""
 
-    Attributes:
-        scene, params, times, how: as ``force_history`` takes them.
-        space, objective: what is free, what is made least.
-        batch: points in one batch; spent: the account of all calls.
-        steady: when the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then
-            shares of a turn. None for the runs themselves.
-    """
-
+    # scene, params, times, how: as force_history takes them.
     scene: AbstractModel
     params: Params
     times: np.ndarray
     how: Plan
+    # space, objective: what is free, what is made least.
     space: Space
     objective: Objective
-    batch: int
-    spent: Spent = field(default_factory=Spent)
+    batch: int  # points in one batch
+    spent: Spent = field(default_factory=Spent)  # the account of all calls
+    # When the runs end [s] whose steady motion is looked at (``derivatives.steady``); ``times`` are then shares of a
+    # turn. None for the runs themselves.
     steady: float | None = None
 
     def __call__(self, unit: np.ndarray, norm: float = np.inf) -> Values:
@@ -119,7 +108,6 @@ class Evaluator:
         read, sign = self._read(values[good]), self.objective.sign
         begin = time.perf_counter()
         for k, one in zip(good, read, strict=True):
-            why = one if isinstance(one, str) else reason(STEEP, self.how.max_steps)
             if not isinstance(one, str):
                 smooth, goal, true = self._objectives(*one, norm)
                 slope = sign * smooth.slope * self.space.slope(values[k])
@@ -127,8 +115,8 @@ class Evaluator:
                     found.smooth[k], found.slope[k], found.goal[k] = sign * smooth.value, slope, sign * goal.value
                     found.true[k] = true.value
                     continue
-            found.reasons[k] = why
-            self.spent.failures[why] += 1
+            found.reasons[k] = one if isinstance(one, str) else reason(STEEP, self.how.max_steps)
+            self.spent.failures[found.reasons[k]] += 1
         self.spent.wall_s += time.perf_counter() - begin
         return found
 
@@ -197,7 +185,7 @@ class Evaluator:
         # The first alone: it may compile, for which all others would wait.
         first, *others = range(len(points))
         read = [turned(first), *each(turned, others)]
-        self.spent.batch(time.perf_counter() - begin - sum(spent), sum(spent))
+        self.spent.batch(begin, sum(spent))
         return read
 
     def _runs(self, points: np.ndarray, near: Any) -> list[Runs]:
@@ -211,8 +199,7 @@ class Evaluator:
             return run(scene, runs, names, self.how, self.batch, More(lean=True, near=near))
 
         begin, found = time.perf_counter(), each(some, np.array_split(points, shares))
-        compile_s = max(part.compile_s for part in found)
-        self.spent.batch(time.perf_counter() - begin - compile_s, compile_s)
+        self.spent.batch(begin, max(part.compile_s for part in found))
         return found
 
     def _refusal(self, point: np.ndarray) -> str:

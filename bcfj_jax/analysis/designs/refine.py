@@ -38,22 +38,15 @@ _AWAY = 1e-3
 
 
 class Refined(NamedTuple):
-    """Where Newton's method ended.
+    """Where Newton's method ended."""
 
-    Attributes:
-        point, values: unit coordinates (P,), and what is there.
-        active: (P,) -1 at a lower bound that the objective pushes against, 1 at an upper one, 0 free.
-        step: the next step's longest coordinate, as a share of its range: how far from the optimum; NaN: unknown.
-        curvature: least eigenvalue of the Hessian of what is free over the objective's size; infinite with none.
-        arrived: whether the step is below ``ARRIVED`` and the curvature positive.
-    """
-
+    # point, values: unit coordinates (P,), and what is there.
     point: np.ndarray
     values: Values
-    active: np.ndarray
-    step: float
-    curvature: float
-    arrived: bool
+    active: np.ndarray  # (P,) -1 at a lower bound that the objective pushes against, 1 at an upper one, 0 free
+    step: float  # the next step's longest coordinate, as a share of its range: how far from the optimum; NaN: unknown
+    curvature: float  # least eigenvalue of the Hessian of what is free over the objective's size; infinite with none
+    arrived: bool  # whether the step is below ``ARRIVED`` and the curvature positive
 
 
 def activity(point: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -114,12 +107,9 @@ def _pull(u: np.ndarray, values: Values) -> float:
 
 def _hessian(evaluate: Evaluate, u: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Of the free coordinates; one-sided steps at a bound."""
-    shift = np.zeros((2 * free.size, u.size))
-    for i, k in enumerate(free):
-        shift[2 * i, k], shift[2 * i + 1, k] = _DIFFERENCE, -_DIFFERENCE
-    points = np.clip(u + shift, 0.0, 1.0)
-    slopes = evaluate(points).slope[:, free]
-    gaps = np.array([points[2 * i, k] - points[2 * i + 1, k] for i, k in enumerate(free)])
+    units = np.eye(u.size)[free]
+    points = np.clip(u + _DIFFERENCE * np.stack([units, -units], axis=1).reshape(-1, u.size), 0.0, 1.0)
+    slopes, gaps = evaluate(points).slope[:, free], np.sum((points[0::2] - points[1::2]) * units, axis=1)
     rows = (slopes[0::2] - slopes[1::2]) / gaps[:, None]
     return 0.5 * (rows + rows.T)
 
@@ -189,9 +179,9 @@ def stationarity(point: np.ndarray, values: np.ndarray, slopes: np.ndarray) -> t
     active = slopes[near]
     size = max(float(np.abs(active).max()), 1e-300)
     # A bound's multiplier cancels a slope that pushes against it.
-    walls = [-np.eye(point.size)[k] for k in np.flatnonzero(point <= ARRIVED)]
-    walls += [np.eye(point.size)[k] for k in np.flatnonzero(point >= 1.0 - ARRIVED)]
-    columns = np.vstack([active / size, *(w[None] for w in walls)]).T
+    units = np.eye(point.size)
+    walls = np.vstack([-units[point <= ARRIVED], units[point >= 1.0 - ARRIVED]])
+    columns = np.vstack([active / size, walls]).T
     weights = np.concatenate([np.ones(len(active)), np.zeros(len(walls))])
     left, right = np.vstack([columns, weights]), np.append(np.zeros(point.size), 1.0)
     return int(near.sum()), float(nnls(left, right)[1])

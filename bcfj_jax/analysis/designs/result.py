@@ -40,57 +40,46 @@ class Slice(NamedTuple):
 
 
 class Design(NamedTuple):
-    """A finished design.
+    """A finished design."""
 
-    Attributes:
-        status: "ok", or the worst of what is wrong: "failed" (no start had a value), "not confirmed" (by the
-            independent run), "gradient not trusted" (by the certificate, where there is one), "not converged" (no
-            optimum in the sense of derivatives: a kink, a flat place, or too few iterations), "one start alone" (no
-            other came to the same value), "no gain". While it is told of: "not checked yet" (the best descent's end),
-            "not complete yet" (refined and checked by independent runs).
-        reason: all that is to be said, in words.
-        objective, sense, unit: what was made least or most.
-        values, before_values: SI values of the free parameters after and before.
-        at_bound: by name "lower" or "upper" for what lies at a bound and is pushed against it.
-        before, after: the true objective by the optimiser's own solver; gain, positive where it became better.
-        gradient: by name, of the crest (with the robust part, if any), per SI unit.
-        step, curvature: as ``refine.Refined``: how far the optimum may still be, a share of a range.
-        starts: of every start its way, first that of the given design; agree: how many ended within 1e-4 of the best
-            descent's value, near: how many of these within 1e-2 of every range of its place.
-        confirmation: the independent run beside; None where it was not asked for.
-        certificate: of the derivatives at the optimum; None for equilibria and where it was not asked for.
-        robustness: over the tolerances, of the optimum and of the design before; None without tolerances.
-        slices: the objective along each parameter, by name.
-        failures: runs without a value, by reason.
-        stats: batches, points, wall_s, compile_s, lanes (points of a batch).
-        space: the free parameters.
-    """
-
+    # "ok", or the worst of what is wrong: "failed" (no start had a value), "not confirmed" (by the independent run),
+    # "gradient not trusted" (by the certificate, where there is one), "not converged" (no optimum in the sense of
+    # derivatives: a kink, a flat place, or too few iterations), "one start alone" (no other came to the same value),
+    # "no gain". While it is told of: "not checked yet" (the best descent's end), "not complete yet" (refined and
+    # checked by independent runs).
     status: str
-    reason: str
+    reason: str  # all that is to be said, in words
+    # objective, sense, unit: what was made least or most.
     objective: str
     sense: str
     unit: str
+    # values, before_values: SI values of the free parameters after and before.
     values: dict[str, float]
     before_values: dict[str, float]
-    at_bound: dict[str, str]
+    at_bound: dict[str, str]  # by name "lower" or "upper" for what lies at a bound and is pushed against it
+    # before, after: the true objective by the optimiser's own solver; gain, positive where it became better.
     before: float
     after: float
     gain: float
-    gradient: dict[str, float]
+    gradient: dict[str, float]  # by name, of the crest (with the robust part, if any), per SI unit
+    # step, curvature: as refine.Refined: how far the optimum may still be, a share of a range.
     step: float
     curvature: float
-    starts: tuple[Way, ...]
+    starts: tuple[Way, ...]  # of every start its way, first that of the given design
+    # How many ended within 1e-4 of the best descent's value, near: how many of these within 1e-2 of every range of its
+    # place.
     agree: int
     near: int
-    confirmation: Confirmation | None
+    confirmation: Confirmation | None  # the independent run beside; None where it was not asked for
+    # Of the derivatives at the optimum; None for equilibria and where it was not asked for.
     certificate: Certificate | None
+    # Over the tolerances, of the optimum and of the design before; None without tolerances.
     robustness: Robustness | None
     robustness_before: Robustness | None
-    slices: dict[str, Slice]
-    failures: dict[str, int]
-    stats: dict[str, float]
-    space: Space
+    slices: dict[str, Slice]  # the objective along each parameter, by name
+    failures: dict[str, int]  # runs without a value, by reason
+    stats: dict[str, float]  # batches, points, wall_s, compile_s, lanes (points of a batch)
+    space: Space  # the free parameters
 
     _view = __name__
     __repr__ = presented.text

@@ -88,7 +88,13 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
     if not free:
         raise InputError("free", "no parameter", some)
     texts("free", list(free), some)
-    given = {scene.canonical(name): _fields(name, one) for name, one in free.items()}
+    given: dict[str, Free] = {}
+    for name, one in free.items():
+        fits = isinstance(one, Free) or (isinstance(one, Sequence) and 2 <= len(one) <= len(Free._fields))
+        if isinstance(one, str) or not fits:
+            raise InputError(f"free '{name}'", quoted(one), f"give ({', '.join(Free._fields)}), the first two at least")
+        fields: Any = one
+        given[scene.canonical(name)] = Free(*fields)
     axes, tolerance = [], []
     for name, one in given.items():
         where = f"free '{name}'"
@@ -101,15 +107,6 @@ def space(scene: AbstractModel, params: Params, free: Mapping[str, Free | Sequen
         tolerance.append(scalar(f"{where} tolerance", half, one.tolerance, power))
     relative = np.array([one.relative for one in given.values()])
     return Space(tuple(axes), np.array(tolerance), relative, tuple(known[name] for name in given))
-
-
-def _fields(name: str, one: Any) -> Free:
-    """What was given for one parameter, as ``Free``."""
-    if isinstance(one, Free):
-        return one
-    if isinstance(one, str) or not isinstance(one, Sequence) or not 2 <= len(one) <= len(Free._fields):
-        raise InputError(f"free '{name}'", quoted(one), f"give ({', '.join(Free._fields)}), the first two at least")
-    return Free(*one)
 
 
 SENSES = {"minimise": 1.0, "maximise": -1.0}

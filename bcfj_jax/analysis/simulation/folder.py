@@ -30,8 +30,6 @@ from bcfj_jax.solve.extremes import Extremes
 from bcfj_jax.solve.simulation import Run
 
 NEEDED = ("forces.csv", "contacts.csv", "summary.json", "run.toml")
-
-
 _AGAIN = "run bcfj simulate again in another folder"
 
 
@@ -81,7 +79,9 @@ def read(folder: Path, given: SceneFile, known: dict[str, Any]) -> Run:
         raise InputError(str(folder), "forces.csv and contacts.csv have no time [s] in common", _AGAIN)
     members = given.scene.members
 
-    def histories(table: dict[str, list[str]], end: str, read: Any = _numbers) -> dict[str, np.ndarray]:
+    def histories(
+        table: dict[str, list[str]], end: str, read: Callable[..., np.ndarray] = _numbers
+    ) -> dict[str, np.ndarray]:
         """By contact the columns of this end, members side by side, where the table has them all."""
         found = {}
         for name, count in members.items():

@@ -62,9 +62,6 @@ def verdict(run: Run) -> str:
     return f"{reached}." if run.status == "ok" else f"{reached}; {run.status}: {run.reason}."
 
 
-# Accuracy.
-
-
 def measured_errors(accuracy: Accuracy) -> dict[str, dict[str, float]]:
     """By contact its measured errors, fractions: rms and peak of the contact's peak, impulse of its impulse."""
     parts = {"rms": accuracy.rms, "peak": accuracy.peak, "impulse": accuracy.impulse}
@@ -90,18 +87,6 @@ def accuracy_sentences(run: Run) -> list[str]:
 
 def _percent(share: float, digits: int) -> str:
     return f"{100.0 * share:.{digits}g} %" if np.isfinite(share) else "unknown"
-
-
-def _accuracy_json(accuracy: Accuracy) -> dict[str, Any]:
-    return {
-        "asked": accuracy.asked, "measured": measured_errors(accuracy), "from": accuracy.begin,
-        "agree_until": accuracy.agree_until, "differs": accuracy.differs or None, "tolerance": accuracy.tolerance,
-        "wall_s": accuracy.wall_s,
-        "units": {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"},
-    }  # fmt: skip
-
-
-# Contacts.
 
 
 def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:
@@ -148,13 +133,18 @@ def summary(run: Run, turning: bool) -> dict[str, Any]:
         contacts[name] |= {"peak_of_samples": contacts[name]["peak"]} | whole | more | kept
     for name, codes in state.items():
         contacts[name]["share_of_time"] = share_of_time(run.times, codes)
-    chosen = {"fidelity": run.choice._asdict()} if run.choice else {}
+    chosen, accuracy, known = {"fidelity": run.choice._asdict()} if run.choice else {}, run.accuracy, {}
+    if accuracy is not None:
+        of_times = {"from": accuracy.begin, "agree_until": accuracy.agree_until, "differs": accuracy.differs or None}
+        units = {"asked": "1", "measured": "1", "from": "s", "agree_until": "s", "wall_s": "s"}
+        known = {"asked": accuracy.asked, "measured": measured_errors(accuracy), **of_times}
+        known |= {"tolerance": accuracy.tolerance, "wall_s": accuracy.wall_s, "units": units}
     return chosen | {
         "status": run.status, "reason": run.reason, "failure_time": run.failure_time, "contacts": contacts,
         "units": features.UNITS
         | (RESOLVED_UNITS if run.extremes else {})
         | {page.BETWEEN: "1", "share_of_time": "1", "failure_time": "s", "wall_s": "s", "compile_s": "s"},
-        **({"accuracy": _accuracy_json(run.accuracy)} if run.accuracy else {}),
+        **({"accuracy": known} if known else {}),
         "solver": {key: stats[key] for key in ("accepted", "rejected", "tolerance")},
         "wall_s": stats["wall_s"], "compile_s": stats["compile_s"],
     }  # fmt: skip
@@ -211,9 +201,6 @@ def work_warnings(run: Run) -> list[str]:
 def _several(names: Iterable[str]) -> str:
     first, *more = names
     return f"{first} and {len(more)} more" if len(more) > 2 else ", ".join([first, *more])
-
-
-# The folder.
 
 
 def input_rows(given: SceneFile) -> list[list[str]]:

@@ -41,21 +41,14 @@ _AT_ONCE = {True: 8, False: 256}
 
 
 class Batch(NamedTuple):
-    """What N points gave.
+    """What N points gave."""
 
-    Attributes:
-        features: (N, F), NaN where a run failed; with derivatives these behind them, (N, F (1 + P)).
-        reason: (N,) why each run failed, "" where it did not; end: (N,) when it ended [s].
-        steps: (N,) attempted; rounds: of all places of the batch; 0 where there are none.
-        force: (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0).
-    """
-
-    features: np.ndarray
-    reason: list[str]
-    end: np.ndarray
-    steps: np.ndarray
-    rounds: int
-    force: np.ndarray
+    features: np.ndarray  # (N, F), NaN where a run failed; with derivatives these behind them, (N, F (1 + P))
+    reason: list[str]  # (N,) why each run failed, "" where it did not
+    end: np.ndarray  # (N,) when it ended [s]
+    steps: np.ndarray  # (N,) attempted
+    rounds: int  # of all places of the batch; 0 where there are none
+    force: np.ndarray  # (N, T, C, 3) [N] if asked for, else (N, 0, 0, 0)
 
 
 def of_study(study: Study, values: np.ndarray, ends: np.ndarray, size: int, safety: float) -> Batch:

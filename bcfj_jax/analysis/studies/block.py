@@ -36,23 +36,17 @@ SAFER = 0.1
 
 
 class Table(NamedTuple):
-    """What a block's n points gave, one row a point.
+    """What a block's n points gave, one row a point."""
 
-    Attributes:
-        point: numbers in the design; values: (n, D) of the varied parameters; results: (n, F) of ``Study.columns``.
-        steps: (n,) attempted; rounds: of all places of the batch (``solve.work_queue``).
-        force: (n, T, C, 3) [N], or empty; ends: (n,) last times [s].
-    """
-
-    point: np.ndarray
-    values: np.ndarray
-    results: np.ndarray
+    point: np.ndarray  # numbers in the design
+    values: np.ndarray  # (n, D) of the varied parameters
+    results: np.ndarray  # (n, F) of ``Study.columns``
     status: list[str]
     reason: list[str]
-    steps: np.ndarray
-    rounds: int
-    force: np.ndarray
-    ends: np.ndarray
+    steps: np.ndarray  # (n,) attempted
+    rounds: int  # of all places of the batch (``solve.work_queue``)
+    force: np.ndarray  # (n, T, C, 3) [N], or empty
+    ends: np.ndarray  # (n,) last times [s]
 
 
 class Blocks:

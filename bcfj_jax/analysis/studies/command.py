@@ -11,8 +11,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.plausibility import Finding, at, headline, judged
 from bcfj_jax.analysis.studies import api, specification, view, worker
-from bcfj_jax.analysis.studies.api import Result
-from bcfj_jax.analysis.studies.finished import Finished, read
+from bcfj_jax.analysis.studies.api import Finished, Result, read
 from bcfj_jax.analysis.studies.specification import Study
 from bcfj_jax.analysis.studies.store import Store
 from bcfj_jax.core.errors import InputError, nearest

@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax.analysis.derivatives.names import feature_unit
+from bcfj_jax.analysis.studies.api import Finished, Source, read
 from bcfj_jax.analysis.studies.command import DONE, INTERRUPTED, finished
-from bcfj_jax.analysis.studies.design import KINDS, needs
-from bcfj_jax.analysis.studies.finished import Finished, Source, read
+from bcfj_jax.analysis.studies.specification import KINDS, needs
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io import outputs, plots, report
 
@@ -38,31 +38,23 @@ _RESAMPLES = 200
 
 
 class Indices(NamedTuple):
-    """Sensitivity indices of one feature.
+    """Sensitivity indices of one feature."""
 
-    Attributes:
-        feature: its name.
-        method: of ``design.KINDS``.
-        parameters: (D,) names.
-        values: by name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1",
-            "S1_conf", "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
-        pairs: by name, (D, D), NaN on and below the diagonal: "S2", "S2_conf", where the study drew for them.
-        dummy: PAWN of a parameter that does nothing; what is not above it has no visible effect.
-            NaN with other methods.
-        points, blocks: what was used; blocks are points where the design has none.
-        dropped: blocks left out since a point of them failed or has no such feature.
-        failed, undefined: points of each kind.
-    """
-
-    feature: str
-    method: str
-    parameters: tuple[str, ...]
+    feature: str  # its name
+    method: str  # of ``specification.KINDS``
+    parameters: tuple[str, ...]  # (D,) names
+    # By name, (D,): "S1", "S1_conf", "ST", "ST_conf"; "mu", "mu_star", "mu_star_conf", "sigma"; "S1", "S1_conf",
+    # "pawn". What ends in _conf is half of a 95 % interval, by bootstrap.
     values: Mapping[str, np.ndarray]
+    # By name, (D, D), NaN on and below the diagonal: "S2", "S2_conf", where the study drew for them.
     pairs: Mapping[str, np.ndarray]
+    # PAWN of a parameter that does nothing; what is not above it has no visible effect. NaN with other methods.
     dummy: float
+    # points, blocks: what was used; blocks are points where the design has none.
     points: int
     blocks: int
-    dropped: int
+    dropped: int  # blocks left out since a point of them failed or has no such feature
+    # failed, undefined: points of each kind.
     failed: int
     undefined: int
 
@@ -174,13 +166,9 @@ def content(good: Sequence[Indices], refused: dict[str, str], seed: int) -> dict
     for one in good:
         entry: dict[str, Any] = {"method": one.method}
         entry |= {name: dict(zip(one.parameters, x, strict=True)) for name, x in one.values.items()}
+        above = list(zip(*np.triu_indices(len(one.parameters), 1), strict=True))
         for name, matrix in one.pairs.items():
-            entry[name] = {
-                f"{a} x {b}": matrix[i, j]
-                for i, a in enumerate(one.parameters)
-                for j, b in enumerate(one.parameters)
-                if i < j
-            }
+            entry[name] = {f"{one.parameters[i]} x {one.parameters[j]}": matrix[i, j] for i, j in above}
         if np.isfinite(one.dummy):
             entry["pawn_dummy"] = one.dummy
         counts = ("points", "blocks", "dropped", "failed", "undefined")
@@ -212,10 +200,8 @@ def pairs(one: Indices) -> list[list[str]]:
     """Second-order indices in words, a row a pair, the largest first."""
     if "S2" not in one.pairs:
         return []
-    value, half = one.pairs["S2"], one.pairs["S2_conf"]
-    above = [(i, j) for i, j in zip(*np.triu_indices(len(one.parameters), 1), strict=True)]
-    above.sort(key=lambda at: -value[at])
-    names = one.parameters
+    value, half, names = one.pairs["S2"], one.pairs["S2_conf"], one.parameters
+    above = sorted(zip(*np.triu_indices(len(names), 1), strict=True), key=lambda at: -value[at])
     return [[f"{names[i]} x {names[j]}", f"{value[i, j]:.3f} ± {half[i, j]:.3f}"] for i, j in above]
 
 

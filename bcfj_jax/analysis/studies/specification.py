@@ -1,14 +1,16 @@
-"""Study files: which points of which scene, and what is kept of each; checked, in SI (docs/studies.md)."""
+"""Studies: where their points are, the same for the same seed; study files, checked, in SI (docs/studies.md)."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +24,8 @@ from bcfj_jax.analysis.derivatives.names import Feature, complete, event, expand
 from bcfj_jax.analysis.derivatives.steady import check_recurs
 from bcfj_jax.analysis.engine import columns
 from bcfj_jax.analysis.features import OF_TURN
-from bcfj_jax.analysis.studies.design import KINDS, Design
 from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.core.extras import library
 from bcfj_jax.core.quantities import CATALOGUE, scalar
 from bcfj_jax.io import scenefile, tables
 from bcfj_jax.io.scenefile import SceneFile
@@ -36,25 +38,112 @@ from bcfj_jax.xla.programs import program
 MOST_POINTS = 100_000_000
 
 
-@dataclass(frozen=True)
-class Study:
-    """A study ready to run.
-
-    Attributes:
-        given, design: the scene that is varied, and its points.
-        features, histories: what is kept of each point; whether forces are, too.
-        derivatives: parameters by which features are differentiated.
-        steady: whether features are those of the steady motion (``derivatives.steady``).
-        own_end: whether each point runs to the horizon of its own parameters.
+class Kind(NamedTuple):
+    """A kind of design: the keys in a study file of its size ("" where its axes make it) and of what it alone has; what an
+    estimator of sensitivity indices needs whole, how many of these at least, and the method ("" where there are no indices).
     """
 
+    size: str = ""
+    option: str = ""
+    parts: str = "points"
+    fewest: int = 0
+    method: str = ""
+
+
+# Fewest: of Saltelli's blocks enough for a bootstrap, of trajectories as many as Morris used (Campolongo: 10), of points
+# several for each of RBD-FAST's 10 harmonics.
+KINDS = {
+    "grid": Kind(),
+    "list": Kind(),
+    "latin_hypercube": Kind("points", fewest=100, method="RBD-FAST, PAWN"),
+    "sobol": Kind("points", fewest=100, method="RBD-FAST, PAWN"),
+    "saltelli": Kind("samples", "second_order", "blocks", 32, "Sobol"),
+    "morris": Kind("trajectories", "levels", "trajectories", 4, "Morris"),
+}
+
+
+def needs(name: str) -> Any:
+    """A module of a library that studies alone need; an ``InputError`` where it is not installed."""
+    return library(name, "bcfj study", "study")
+
+
+@dataclass(frozen=True)
+class Design:
+    """A design."""
+
+    # Of ``KINDS``: "grid" (all combinations, the last axis fastest), "list" (the axes' values side by side),
+    # "latin_hypercube" or "sobol" (scrambled; SciPy's ``qmc``), "saltelli" or "morris" (SALib's).
+    kind: str
+    axes: tuple[Axis, ...]
+    # size, seed: of those that are drawn: points, base samples or trajectories.
+    size: int = 0
+    seed: int = 0
+    second_order: bool = False  # of "saltelli", whether for second-order indices too
+    levels: int = 4  # of "morris"
+
+    @property
+    def length(self) -> int:
+        """Points that an estimator needs together: D + 2, or 2 D + 2 for second order; a trajectory's D + 1; else 1."""
+        count = len(self.axes)
+        return {"saltelli": (2 * count if self.second_order else count) + 2, "morris": count + 1}.get(self.kind, 1)
+
+    @property
+    def count(self) -> int:
+        """How many points that is, without making them."""
+        if self.kind == "grid":
+            return math.prod(axis.steps for axis in self.axes)
+        return self.axes[0].steps if self.kind == "list" else self.size * self.length
+
+    @property
+    def box(self) -> dict[str, Any]:
+        """SALib's statement of the problem in shares: scales are ours, so that a log axis is uniform in its logarithm."""
+        names = [axis.name for axis in self.axes]
+        return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+
+    def points(self) -> np.ndarray:
+        """The points (N, D), in SI."""
+        if not KINDS[self.kind].size:
+            grids = [axis.grid() for axis in self.axes]
+            mesh = np.meshgrid(*grids, indexing="ij") if self.kind == "grid" else grids
+            return np.stack([part.ravel() for part in mesh], axis=1)
+        with warnings.catch_warnings():
+            # A count that is no power of two is said in the documentation, not on the terminal.
+            warnings.simplefilter("ignore")
+            shares = self._drawn()
+        return np.stack([axis.at(shares[:, k]) for k, axis in enumerate(self.axes)], axis=1)
+
+    def _drawn(self) -> np.ndarray:
+        """Shares (N, D); of Saltelli's (2010) cross-sampled Sobol sequence, or of Morris's (1991) trajectories."""
+        from scipy.stats import qmc
+
+        drawn = {"latin_hypercube": qmc.LatinHypercube, "sobol": qmc.Sobol}.get(self.kind)
+        if drawn is not None:
+            return drawn(len(self.axes), rng=np.random.default_rng(self.seed)).random(self.size)
+        key = {"saltelli": "calc_second_order", "morris": "num_levels"}[self.kind]
+        sample = needs(f"SALib.sample.{'sobol' if self.kind == 'saltelli' else 'morris'}").sample
+        return sample(self.box, self.size, seed=self.seed, **{key: getattr(self, KINDS[self.kind].option)})
+
+    @property
+    def resolved(self) -> dict[str, Any]:
+        """[design] of a study file, with every default."""
+        kind = KINDS[self.kind]
+        found: dict[str, Any] = {"kind": self.kind, "seed": self.seed} | ({kind.size: self.size} if kind.size else {})
+        return found | ({kind.option: getattr(self, kind.option)} if kind.option else {})
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study ready to run."""
+
+    # given, design: the scene that is varied, and its points.
     given: SceneFile
     design: Design
+    # features, histories: what is kept of each point; whether forces are, too.
     features: tuple[Feature, ...]
     histories: bool
-    derivatives: tuple[str, ...]
-    steady: bool
-    own_end: bool
+    derivatives: tuple[str, ...]  # parameters by which features are differentiated
+    steady: bool  # whether features are those of the steady motion (``derivatives.steady``)
+    own_end: bool  # whether each point runs to the horizon of its own parameters
 
     @cached_property
     def points(self) -> np.ndarray:

@@ -28,8 +28,7 @@ import numpy as np
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.analysis.studies.block import Blocks, Table, block_size
-from bcfj_jax.analysis.studies.design import needs
-from bcfj_jax.analysis.studies.specification import Study
+from bcfj_jax.analysis.studies.specification import Study, needs
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.io.folder import inside
 

@@ -55,17 +55,15 @@ def dataset(found: Result) -> Dataset:
     columns = {name: found.column(name) for name in study.columns}
     units = {feature.name: feature_unit(feature.name) for feature in study.features}
     about = {"design": study.design.kind, "scene": scene.kind, "failed": found.failed}
-    dims, shape = ("point",), (study.count,)
-    coordinates: dict[str, Any] = {"point": (dims, found.column("point"), "")}
-    if study.design.kind == "grid":
-        dims, shape = study.names, tuple(axis.steps for axis in study.design.axes)
-        at = {name: found.column(name).reshape(shape) for name in study.names}
-        coordinates = {
-            name: ((name,), np.moveaxis(at[name], k, 0).reshape(shape[k], -1)[:, 0], scene.quantities[name].unit)
-            for k, name in enumerate(study.names)
-        }
-    else:
-        coordinates |= {name: (dims, found.column(name), scene.quantities[name].unit) for name in study.names}
+    grid = study.design.kind == "grid"
+    dims, shape = (
+        (study.names, tuple(axis.steps for axis in study.design.axes)) if grid else (("point",), (study.count,))
+    )
+    coordinates: dict[str, Any] = {} if grid else {"point": (dims, found.column("point"), "")}
+    for k, name in enumerate(study.names):
+        at = found.column(name)
+        at = np.moveaxis(at.reshape(shape), k, 0).reshape(shape[k], -1)[:, 0] if grid else at
+        coordinates[name] = ((name,) if grid else dims, at, scene.quantities[name].unit)
     variables: dict[str, Any] = {n: (dims, x.reshape(shape), units.get(n, "")) for n, x in columns.items()}
     status = found.column("status").astype(str).reshape(shape)
     return Dataset({**variables, "status": (dims, status, "")}, coordinates, about)

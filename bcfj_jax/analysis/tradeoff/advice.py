@@ -75,15 +75,10 @@ def _one(study: Study, known: Sequence[float], budget: float, trusted: bool) -> 
     setting, row, own = study.settings[best], study.rows[best], study.rows[0]
     as_fast = own["wall_s"] / row["wall_s"] if own["status"] == OK and own["setting"] == AS_GIVEN else None
     return {
-        "setting": setting.name,
-        "wall_s": row["wall_s"],
-        "times_as_fast_as_given": as_fast,
-        "errors": {name: row[name] for name in MAIN},
-        "expected_error": known[best],
-        "physics": setting.physics or "the model is the given one",
-        "change": change(setting),
-        "toml": file(setting, f"{100 * budget:g} %"),
-    }
+        "setting": setting.name, "wall_s": row["wall_s"], "times_as_fast_as_given": as_fast,
+        "errors": {name: row[name] for name in MAIN}, "expected_error": known[best],
+        "physics": setting.physics or "the model is the given one", **pasted(setting, f"{100 * budget:g} %"),
+    }  # fmt: skip
 
 
 def asks(setting: Setting, budget: float) -> bool:
@@ -91,29 +86,23 @@ def asks(setting: Setting, budget: float) -> bool:
     return not setting.integrated or setting.error <= budget
 
 
-def shared(advice: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Recommended settings by name, each with the budgets it is for: "5 %, 2 %"."""
+def shared(advice: Mapping[str, Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], str]]:
+    """The advice for each recommended setting, of several budgets that of the last, and what it is for: "5 %, 2 %"."""
     found: dict[str, list[str]] = {}
     for budget, one in advice.items():
         if one["setting"]:
             found.setdefault(one["setting"], []).append(budget.removesuffix(" %"))
-    return {name: f"{', '.join(budgets)} %" for name, budgets in found.items()}
+    return [(advice[f"{budgets[-1]} %"], f"{', '.join(budgets)} %") for budgets in found.values()]
 
 
-def change(setting: Setting) -> str:
-    """What of the user's file it changes, as TOML; "" for the file as it stands."""
-    import tomli_w
-
-    return tomli_w.dumps({section: dict(values) for section, values in setting.change.items()})
-
-
-def file(setting: Setting, budget: str) -> str:
-    """The whole scene file of a setting, which ``scenefile`` loads."""
+def pasted(setting: Setting, budget: str) -> dict[str, str]:
+    """As TOML what of the user's file it changes, "" for the file as it stands; and the whole, which ``scenefile`` loads."""
     import tomli_w
 
     head = f"# Recommended by bcfj tradeoff for an error of {budget}: {setting.name}.\n"
-    physics = f"# Another model than the given one: {setting.physics}.\n" if setting.physics else ""
-    return head + physics + tomli_w.dumps(dict(setting.table))
+    head += f"# Another model than the given one: {setting.physics}.\n" if setting.physics else ""
+    change = tomli_w.dumps({section: dict(values) for section, values in setting.change.items()})
+    return {"change": change, "toml": head + tomli_w.dumps(dict(setting.table))}
 
 
 def doubts(reference: Reference | None) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from bcfj_jax.analysis.tradeoff.measures import Measured, derivative_error, errors, measured, worst
 from bcfj_jax.analysis.tradeoff.settings import accuracy_of, level, overlaid
-from bcfj_jax.analysis.tradeoff.trial import TANGENTS, Clock, loaded, parameters, slopes, trial
+from bcfj_jax.analysis.tradeoff.trial import READ, TANGENTS, Clock, loaded, parameters, slopes, trial
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic
 from bcfj_jax.io.scenefile import SceneFile
@@ -54,32 +54,46 @@ NOT_ASKED = "not asked for"
 
 
 class Reference(NamedTuple):
-    """The truth and its certificate.
+    """The truth and its certificate."""
 
-    Attributes:
-        truth: forces and what is compared of them; None where two methods could not be had.
-        slopes: d(force)/d ln(parameter) (P, T, C, 3) [N], or None.
-        certificate: methods, their differences, why there is no more; as ``tradeoff.json`` has it.
-        digest: of the file that keeps it.
-    """
-
-    truth: Measured | None
-    slopes: np.ndarray | None
-    certificate: dict[str, Any]
-    digest: str = ""
+    truth: Measured | None  # forces and what is compared of them; None where two methods could not be had
+    slopes: np.ndarray | None  # d(force)/d ln(parameter) (P, T, C, 3) [N], or None
+    certificate: dict[str, Any]  # methods, their differences, why there is no more; as ``tradeoff.json`` has it
+    digest: str = ""  # of the file that keeps it
 
     @property
     def least_error(self) -> float:
         """Error below which settings are not distinguished."""
-        return SEPARATES * worst(self.certificate["errors"]) if self.truth else float("nan")
+        return SEPARATES * worst(self.certificate["errors"]) if self.truth else math.nan
 
     @property
     def least_slope_error(self) -> float:
         """The same of derivatives."""
-        return SEPARATES * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else float("nan")
+        return SEPARATES * float(self.certificate["derivatives"]["error"]) if self.slopes is not None else math.nan
 
 
-def _made(name: str, run: Callable[[], Any], clock: Clock, failures: list[str]) -> Any:
+def reference(given: SceneFile, clock: Clock, say: Callable[[str], None], derivatives: bool = True) -> Reference:
+    """Certify a scene's truth, and its derivatives where they are wanted, in the time of the whole study."""
+    names, begin, found = parameters(given), clock.left(), None
+    truth, certificate = _values(given, clock, say)
+    said: dict[str, Any] = {"parameters": names, "methods": [], "error": math.nan, "reason": ""}
+    if truth is None:
+        return Reference(None, None, certificate | {"derivatives": said})
+    if not derivatives:
+        said["reason"] = NOT_ASKED
+    elif not names:
+        said["reason"] = "no parameter to take them by"
+    elif not given.scene.traits.history:
+        said["reason"] = "fidelities without inertia have no solver"
+    elif TANGENTS * (begin - clock.left()) > clock.left() / 3.0:
+        said["reason"] = f"they {_NO_TIME}"
+    else:
+        say(f"reference derivatives by {', '.join(names)}")
+        found = _slopes(given, said, clock)
+    return Reference(truth, found, certificate | {"derivatives": said})
+
+
+def _tried(name: str, run: Callable[[], Any], clock: Clock, failures: list[str]) -> Any:
     """What a run gives; None where it fails, or takes longer than the seconds left, which is said among the failures."""
     try:
         with stage(f"reference by {name}"):
@@ -91,29 +105,6 @@ def _made(name: str, run: Callable[[], Any], clock: Clock, failures: list[str]) 
     return None
 
 
-def reference(given: SceneFile, clock: Clock, say: Callable[[str], None], derivatives: bool = True) -> Reference:
-    """Certify a scene's truth, and its derivatives where they are wanted, in the time of the whole study."""
-    names, begin = parameters(given), clock.left()
-    without = {"parameters": names, "methods": [], "error": float("nan"), "reason": ""}
-    truth, certificate = _values(given, clock, say)
-    certificate |= {"derivatives": without}
-    slopes = None
-    if truth is None:
-        return Reference(None, None, certificate)
-    if not derivatives:
-        without["reason"] = NOT_ASKED
-    elif not names:
-        without["reason"] = "no parameter to take them by"
-    elif not given.scene.traits.history:
-        without["reason"] = "fidelities without inertia have no solver"
-    elif TANGENTS * (begin - clock.left()) > clock.left() / 3.0:
-        without["reason"] = f"they {_NO_TIME}"
-    else:
-        say(f"reference derivatives by {', '.join(names)}")
-        slopes, certificate["derivatives"] = _slopes(given, names, clock)
-    return Reference(truth, slopes, certificate)
-
-
 def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
     """The scene by another solver, with steps enough."""
     accuracy = {**accuracy_of(given, error, solver), "max_steps": max(given.max_steps, MAX_STEPS)}
@@ -123,71 +114,74 @@ def _method(given: SceneFile, solver: str, error: float) -> SceneFile:
 def _values(given: SceneFile, clock: Clock, say: Callable[[str], None]) -> tuple[Measured | None, dict[str, Any]]:
     """The truth and its certificate."""
     best: dict[str, Any] = {"status": "failed", "reason": "", "methods": [], "errors": {}}
-    truth, spent, left, failures = None, 0.0, clock.left, list[str]()
+    truth, spent, failures, stiff = None, 0.0, list[str](), given.scene.traits.stiff
     for candidates in _candidates(given):
-        if truth is not None and spent * _DEARER > left() / 3.0:
+        if truth is not None and spent * _DEARER > clock.left() / 3.0:
             best["reason"] = f"a tighter one {_NO_TIME}"
             break
-        pair, spent = [], 0.0
-        for label, file, pick in candidates:
-            # Beside an explicit method. Of two implicit ones a step costs about as much. Another budget of steps is another
-            # program, so that there are few.
-            if pair and pair[0][0]["steps"] and not given.scene.traits.stiff:
-                each = _IMPLICIT * pair[0][0]["wall_s"] / pair[0][0]["steps"]
-                excess = file.max_steps / max(left() / 3.0 / each, _LEAST_STEPS)
-                file = replace(file, max_steps=file.max_steps // 4 ** max(math.ceil(math.log(excess / 2.0, 4.0)), 0))
-            found = _made(label["solver"], lambda file=file: trial(file, repeated=False), clock, failures)
+        pair: list[tuple[dict[str, Any], Measured]] = []
+        spent = 0.0
+        for solver, error, file, every in candidates:
+            if pair and not stiff:
+                file = _shortened(file, pair[0][0], clock.left() / 3.0)
+            found = _tried(solver, lambda file=file: trial(file, repeated=False), clock, failures)
             if clock.over:
                 best["reason"] = f"a tighter one {_LATE}"
                 break
             if found is None:
                 continue
             spent += found.cost["wall_s"]
-            if found.run.status == "ok":
-                pair.append((label | found.cost, measured(pick(found.run), given.times, given.scene.traits.turning)))
-            else:
-                failures.append(f"{label['solver']}: {found.run.reason}")
+            if found.run.status != "ok":
+                failures.append(f"{solver}: {found.run.reason}")
+                continue
+            known = measured(_thinned(found.run, every), given.times, given.scene.traits.turning)
+            pair.append(({"solver": solver, "force_error": error, **found.cost}, known))
             if len(pair) == 2:
                 break
         if len(pair) < 2:
             break
-        (first, truth_now), (second, other) = pair
-        apart = errors(other, truth_now, given.times)
+        (first, now), (second, other) = pair
+        apart = errors(other, now, given.times)
         if truth is not None and not worst(apart) < worst(best["errors"]):
             break
-        truth = truth_now
+        truth = now
         best |= {"status": "ok", "methods": [first, second], "errors": apart}
         say(f"reference: {first['solver']} and {second['solver']} differ by {worst(apart):.1e}")
-        if worst(apart) <= _GOAL[given.scene.traits.stiff]:
+        if worst(apart) <= _GOAL[stiff]:
             break
     if truth is None:
         best["reason"] = f"no two methods reached the end: {'; '.join(failures)}"
     return truth, best
 
 
-def _candidates(given: SceneFile) -> Iterator[list[tuple[dict[str, Any], SceneFile, Callable[[Run], Run]]]]:
-    """Ever tighter candidates: a label, the scene file, and what turns its run into one at the user's times."""
-    if not given.scene.traits.history:
-        count, name = given.resolved["time"]["samples"], level(given)
-        double = loaded(overlaid(given.resolved, {"time": {"samples": 2 * count - 1}}))
-        labels = ({"solver": solver, "force_error": float("nan")} for solver in (name, f"{name}, other starts"))
-        yield list(zip(labels, (given, double), (lambda run: run, _half), strict=True))
+def _shortened(file: SceneFile, first: dict[str, Any], seconds: float) -> SceneFile:
+    """A file whose budget of steps fits, beside an explicit method that took so many steps; of two implicit ones a step costs
+    about as much. Another budget is another program, so that there are few.
+    """
+    if not first["steps"]:
+        return file
+    excess = file.max_steps / max(seconds / (_IMPLICIT * first["wall_s"] / first["steps"]), _LEAST_STEPS)
+    return replace(file, max_steps=file.max_steps // 4 ** max(math.ceil(math.log(excess / 2.0, 4.0)), 0))
+
+
+def _candidates(given: SceneFile) -> Iterator[list[tuple[str, float, SceneFile, int]]]:
+    """Ever tighter candidates: solver, force error, the scene file, and which of its samples are at the user's times."""
+    if given.scene.traits.history:
+        for methods in _METHODS[given.scene.traits.stiff]:
+            yield [(solver, error, _method(given, solver, error), 1) for solver, error in methods]
         return
-    for methods in _METHODS[given.scene.traits.stiff]:
-        yield [
-            ({"solver": solver, "force_error": error}, _method(given, solver, error), lambda run: run)
-            for solver, error in methods
-        ]
+    count, name = given.resolved["time"]["samples"], level(given)
+    double = loaded(overlaid(given.resolved, {"time": {"samples": 2 * count - 1}}))
+    yield [(name, math.nan, given, 1), (f"{name}, other starts", math.nan, double, 2)]
 
 
-def _half(run: Run) -> Run:
-    """Every other sample."""
-    parts = {key: {k: x[::2] for k, x in getattr(run, key).items()} for key in ("force", "penetration", "rate", "slip")}
-    return run._replace(times=run.times[::2], **parts)
+def _thinned(run: Run, every: int) -> Run:
+    parts = {key: {k: x[::every] for k, x in getattr(run, key).items()} for key in READ}
+    return run._replace(times=run.times[::every], **parts)
 
 
-def _slopes(given: SceneFile, names: tuple[str, ...], clock: Clock) -> tuple[np.ndarray | None, dict[str, Any]]:
-    """Derivatives and their certificate."""
+def _slopes(given: SceneFile, said: dict[str, Any], clock: Clock) -> np.ndarray | None:
+    """Derivatives, and what is ``said`` of them."""
     truth, first, spent, failures = None, {}, 0.0, list[str]()
     witnesses: list[tuple[float, dict[str, Any]]] = []
     for solver, error in _SLOPES[given.scene.traits.stiff]:
@@ -197,7 +191,7 @@ def _slopes(given: SceneFile, names: tuple[str, ...], clock: Clock) -> tuple[np.
             failures.append(f"{solver}: {_NO_TIME}")
             break
         file, begin = _method(given, solver, error), clock.left()
-        each = _made(solver, lambda file=file: slopes(file, names), clock, failures)
+        each = _tried(solver, lambda file=file: slopes(file, said["parameters"]), clock, failures)
         if clock.over:
             break
         spent = begin - clock.left()
@@ -211,16 +205,12 @@ def _slopes(given: SceneFile, names: tuple[str, ...], clock: Clock) -> tuple[np.
         witnesses.append((derivative_error(each.value, truth), how_dear))
         if not given.scene.traits.stiff:
             break
-    said = {
-        "parameters": names,
-        "methods": [first] if first else [],
-        "error": float("nan"),
-        "reason": "; ".join(failures),
-    }
+    said |= {"methods": [first] if first else [], "reason": "; ".join(failures)}
     if not witnesses:
-        return None, said
-    error, nearest = min(witnesses, key=lambda witness: witness[0])
-    return truth, said | {"methods": [first, nearest], "error": error}
+        return None
+    said["error"], nearest = min(witnesses, key=lambda witness: witness[0])
+    said["methods"] = [first, nearest]
+    return truth
 
 
 def save(found: Reference, folder: Path) -> str:
@@ -245,7 +235,7 @@ def restore(certificate: Any, folder: Path, digest: Any) -> Reference | None:
         found = arrays.pop("slopes", None)
         # A journal has no word for what is not a number.
         slopes = certificate["derivatives"]
-        error = float("nan") if slopes["error"] is None else slopes["error"]
+        error = math.nan if slopes["error"] is None else slopes["error"]
         return Reference(Measured(**arrays), found, certificate | {"derivatives": slopes | {"error": error}}, digest)
     except (OSError, ValueError, TypeError, KeyError, EOFError):
         return None

@@ -43,7 +43,7 @@ _SPEND, _LEAST, _MOST, _ONCE = 0.2, 3, 9, 5.0
 # No program compiles in less; to look one up takes a millisecond, more on a busy machine.
 _LOOK_UP = 0.05
 # What of a run is compared, contact by contact.
-_READ = ("force", "penetration", "rate", "slip")
+READ = ("force", "penetration", "rate", "slip")
 # How much dearer the next level of a ladder is taken to be, at least; derivatives than values, compiling included.
 _NEXT, TANGENTS = 1.5, 4.0
 T = TypeVar("T")
@@ -53,11 +53,8 @@ class Clock:
     """Seconds left, and what the next piece of work will take by those before it, compiling included."""
 
     def __init__(self, budget: float) -> None:
-        self._end = time.monotonic() + budget
-        self._compiles: list[float] = []
-        self._tangents: list[float] = []
-        self._programs: set[Hashable] = set()
-        self._ladders: dict[str, float] = {}
+        self._end, self._programs, self._ladders = time.monotonic() + budget, set[Hashable](), dict[str, float]()
+        self._compiles, self._tangents = list[float](), list[float]()
 
     def left(self) -> float:
         """Seconds, below 0 where it is over."""
@@ -116,24 +113,22 @@ def loaded(table: Mapping[str, Any]) -> SceneFile:
 def trial(given: SceneFile, repeated: bool = True) -> Trial:
     """Run a scene file, several times where that is cheap; errors as ``simulate``."""
 
-    def again() -> Callable[[], Run]:
+    def again() -> Run:
         """The same run, of what was checked already."""
         scene = given.scene.suited(given.params, float(given.times[-1]), given.solver)
         tolerance = plan(scene, given.accuracy, given.max_steps, given.solver).tolerance
-        how = Plan(tolerance, given.max_steps, solver=given.solver)
-        return lambda: timed(scene, given.params, given.times, how)
+        return timed(scene, given.params, given.times, Plan(tolerance, given.max_steps, solver=given.solver))
 
     return repeatedly(lambda: simulated(given, resolved_peaks=False), again if repeated else None)
 
 
-def repeatedly(once: Callable[[], Run], again: Callable[[], Callable[[], Run]] | None) -> Trial:
-    """A run and what it costs, by several that are the same, of which ``again`` makes each; None where one is enough."""
+def repeatedly(once: Callable[[], Run], again: Callable[[], Run] | None) -> Trial:
+    """A run and what it costs, by several that are the same, which ``again`` makes; None where one is enough."""
     run = once()
     compile_s, walls = run.stats["compile_s"], [run.stats["wall_s"]]
     if again is not None and walls[0] < _ONCE:
         # The first run after a compilation also fills caches: it is not counted.
-        more = again()
-        walls = [more().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
+        walls = [again().stats["wall_s"] for _ in range(int(np.clip(_SPEND / walls[0], _LEAST, _MOST)))]
     cost = {"wall_s": float(np.median(walls)), "compile_s": compile_s if compile_s > _LOOK_UP else 0.0}
     return Trial(run, cost | {"repeats": len(walls), "steps": run.stats["accepted"] + run.stats["rejected"]})
 
@@ -197,7 +192,7 @@ def _read(path: Path, why: str) -> Trial | RuntimeError:
         result = json.loads(str(kept["result"]))
         if "error" in result:
             return RuntimeError(f"32-bit numbers: {result['error']}")
-        parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in _READ}
+        parts = {name: {c: kept[f"{name} {c}"] for c in result["contacts"][name]} for name in READ}
         return Trial(Run(times=kept["times"], **parts, **result["status"]), result["cost"])
 
 
@@ -221,13 +216,13 @@ def _narrow(given: SceneFile, tolerance: float, out: Path) -> None:
     params = {name: jax.numpy.asarray(np.float32(value)) for name, value in given.params.items()}
     how = Plan(jax.numpy.asarray(np.float32(tolerance)), given.max_steps, solver=given.solver)
     once = lambda: timed(given.scene, params, given.times, how)  # noqa: E731
-    run, cost = repeatedly(once, lambda: once)
+    run, cost = repeatedly(once, once)
     result = {
-        "contacts": {name: list(getattr(run, name)) for name in _READ},
+        "contacts": {name: list(getattr(run, name)) for name in READ},
         "status": {"status": run.status, "reason": run.reason, "failure_time": run.failure_time, "stats": run.stats},
         "cost": cost,
     }
-    arrays = {f"{name} {c}": np.asarray(x, float) for name in _READ for c, x in getattr(run, name).items()}
+    arrays = {f"{name} {c}": np.asarray(x, float) for name in READ for c, x in getattr(run, name).items()}
     with atomic(out) as temporary, temporary.open("wb") as file:
         np.savez(file, times=given.times, result=json.dumps(result), **arrays)  # pyright: ignore[reportArgumentType]
 
