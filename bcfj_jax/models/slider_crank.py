@@ -82,6 +82,7 @@ def slider_crank(
     crank = Body("crank", "hinge", mass=0.30, inertia=1.0e-4, drive=Drive("constant", speed="crank_speed"))
     rod: dict[str, Any] = {"parent": "crank", "at": ("crank_length", 0, 0), "mass": 0.21, "inertia": 2.5e-4}
     rod["center"] = half("rod_length")
+    more: list[dict[str, Any]]
     if ideal:
         more = [{"drive": Drive("function", function=motion, breaks=())} for motion in (_rod_angle, _slider_place)]
     else:
