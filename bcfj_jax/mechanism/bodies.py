@@ -284,14 +284,9 @@ class Body(eqx.Module):
 
     def starting(self, p: Params) -> tuple[list[Number], list[Number]]:
         """Coordinates and velocities at time 0."""
-        given = dict(self.start)
-        q = [self._start(key, given, p) for key in self.coordinates]
-        return q, [self._start(key, given, p) for key in self.rates]
-
-    def _start(self, key: str, given: dict[str, Size], p: Params) -> Number:
-        if key not in given:
-            return 1.0 if key == "q0" else 0.0
-        return sizes.value(given[key], self.name, key, p)
+        found = dict.fromkeys((*self.coordinates, *self.rates), 0.0) | ({"q0": 1.0} if "q0" in self.coordinates else {})
+        found |= {key: sizes.value(size, self.name, key, p) for key, size in self.start}
+        return [found[key] for key in self.coordinates], [found[key] for key in self.rates]
 
     def parameters(self, turning: bool) -> Parameters:
         """Its own parameters with their defaults; ``turning``: whether anything turns it."""

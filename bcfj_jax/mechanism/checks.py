@@ -14,14 +14,14 @@ from jax import Array
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import is_traced, positive
-from bcfj_jax.core.vectors import spread
+from bcfj_jax.core.vectors import length, spread
 from bcfj_jax.mechanism import inputs
 from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, principal, refuse_impossible
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.loads import CoordinateLoad, checked
+from bcfj_jax.mechanism.loads import LOADS, CoordinateLoad, Spring, checked
 from bcfj_jax.mechanism.scales import expected
-from bcfj_jax.mechanism.sizes import Params
+from bcfj_jax.mechanism.sizes import Params, nothing
 from bcfj_jax.xla import programs
 
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
@@ -29,6 +29,8 @@ from bcfj_jax.xla import programs
 _DEEP, _TOUCH = 20.0, 1e-9
 # Least eigenvalue of a mass matrix whose diagonal is 1.
 _REGULAR = 1e-12
+# What a load acts by, if it has them.
+_ACTING = ("stiffness", "damping", "turning_stiffness", "turning_damping")
 # Of joint "sphere".
 _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free', or put this part on the other body"
 
@@ -128,6 +130,16 @@ def _check_loads(scene: Dynamics, where: str) -> None:
                     found = f"'{name}' has {free} free coordinates"
                     remedy = "give a body that slides or hinges freely"
                     raise InputError(f"{where} load '{load.name}' body", found, remedy)
+    for load in (x for x in scene.loads if type(x) in LOADS.values()):
+        acting = [getattr(load, name) for name in _ACTING if hasattr(load, name)]
+        if acting and all(map(nothing, acting)) and getattr(load, "table", None) is None:
+            found = "its stiffness and damping are 0: it does nothing"
+            raise InputError(f"{where} load '{load.name}'", found, "give one of them, or a table where it takes one")
+        if not isinstance(load, CoordinateLoad) and load.touches in ((GROUND,), (load.acts_on, load.acts_on)):
+            found = f"it acts on '{load.acts_on}' alone: it moves nothing"
+            raise InputError(
+                f"{where} load '{load.name}'", found, "give a body that moves, of two ends two that differ"
+            )
 
 
 def _check_static(where: str, part: Any) -> None:
@@ -254,6 +266,10 @@ def _check_start(scene: Dynamics, params: dict[str, Array], where: str) -> None:
     if any(b.massless and b.rates and not b.members for b in scene.bodies):
         _check_masses(scene, params, where)
     _check_regularisation(scene, params, where)
+    for name, far in (asked(_lengths, scene, params) if _pushing(scene) else {}).items():
+        if not np.min(far) > 0.0:
+            found = "both ends are at one place at the start, where its force has no direction"
+            raise InputError(f"{where} load '{name}'", found, "place them apart, or leave free_length out")
     depths, expected, speed = asked(_at_start, scene, params)
     deep = []
     for name, depth in depths.items():
@@ -316,6 +332,17 @@ def _check_regularisation(scene: Dynamics, params: dict[str, Array], where: str)
             found = f"with {width:g} m the contact pushes the body away before it has arrived: it starts {gap:g} m away"
             remedy = "reduce smoothing, start further away, or use a law without restitution (memory_free)"
             raise InputError(f"{where} smoothing", found, remedy)
+
+
+def _pushing(scene: Dynamics) -> list[Spring]:
+    """Springs that push where they have no length."""
+    return [x for x in scene.loads if isinstance(x, Spring) and x.side != "pull" and not nothing(x.free_length)]
+
+
+def _lengths(scene: Dynamics, params: dict[str, Array]) -> dict[str, Array]:
+    """Their lengths at the start [m]."""
+    bodies = scene.instant(jnp.zeros(()), scene.initial_state(params), params, laws=False).bodies
+    return {load.name: jnp.asarray(length(load.apart(bodies, params))) for load in _pushing(scene)}
 
 
 def _stored_energy(scene: Dynamics, params: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:

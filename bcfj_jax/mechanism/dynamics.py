@@ -22,19 +22,7 @@ from bcfj_jax.contact.wrench import ContactForce, FrictionState, couple, press
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
 from bcfj_jax.core.status import OK
-from bcfj_jax.core.vectors import (
-    ZERO,
-    Number,
-    Vector,
-    add,
-    cross,
-    dot,
-    negative,
-    scale,
-    spread,
-    subtract,
-    turned,
-)  # fmt: skip
+from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, negative, scale, spread, subtract, turned
 from bcfj_jax.mechanism import alike, arrays, equations, rows, sizes
 from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.bodies import GROUND, INERTIAS, STILL, Body, Own, Part, carried, quaternion_rate

@@ -27,13 +27,7 @@ from bcfj_jax.core.numerics import is_traced
 from bcfj_jax.mechanism import checks, efforts, instruments, scenery, sizes, statics, stepping, stiff
 from bcfj_jax.mechanism.bodies import GROUND
 from bcfj_jax.mechanism.dynamics import Dynamics
-from bcfj_jax.mechanism.model import (
-    IMPLICIT_SOLVERS,
-    Account,
-    Bodies,
-    ModelTraits,
-    Params,
-)
+from bcfj_jax.mechanism.model import IMPLICIT_SOLVERS, Account, Bodies, ModelTraits, Params
 from bcfj_jax.mechanism.scales import DEPTH, SPEED, expected_scale
 
 # Local error a step, in units of ``error_scale``, per unit of force error asked for: of explicit methods, derived by

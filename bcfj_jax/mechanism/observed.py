@@ -118,6 +118,14 @@ def _check_friction(model: AbstractModel, place: str, feature: str) -> None:
 START, BEGIN = "start of the run", "time of the start"
 
 
+def _begun(name: str) -> Any:
+    def call(self: Any, t: Any, y: Array, args: Any, *more: Any) -> Any:
+        prepared, begin = args[1]
+        return getattr(self.inner, name)(t + begin, y, (self.model, prepared), *more)
+
+    return call
+
+
 class _Later(AbstractStructure):
     """The structure of a model, at times counted from ``BEGIN``; ``args`` is (model, (prepared, begin))."""
 
@@ -125,18 +133,7 @@ class _Later(AbstractStructure):
     model: AbstractModel
 
     solve, alone = map(partial(of, "inner"), ("solve", "alone"))  # pyright: ignore[reportAssignmentType]
-
-    def field(self, t: Any, y: Array, args: Any) -> Array:
-        prepared, begin = args[1]
-        return self.inner.field(t + begin, y, (self.model, prepared))
-
-    def factor(self, t: Any, y: Array, args: Any, scale: Any) -> Any:
-        prepared, begin = args[1]
-        return self.inner.factor(t + begin, y, (self.model, prepared), scale)
-
-    def time_derivative(self, t: Any, y: Array, args: Any) -> Array:
-        prepared, begin = args[1]
-        return self.inner.time_derivative(t + begin, y, (self.model, prepared))
+    field, factor, time_derivative = map(_begun, ("field", "factor", "time_derivative"))  # pyright: ignore[reportAssignmentType]
 
 
 def _later(name: str) -> Any:

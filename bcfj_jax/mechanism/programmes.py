@@ -151,12 +151,11 @@ class Programme(eqx.Module):
         if self.table is not None:
             return {}
         found = sizes.own(self.size, name, "size", unit, f"size of {name}")
-        if self.ramp is not None:
-            found |= sizes.own(self.ramp, name, "ramp", "s", f"time over which {name} is raised")
-        if self.amplitude is not None:
-            found |= sizes.own(self.amplitude, name, "amplitude", unit, f"amplitude of the fluctuation of {name}")
-            found |= sizes.own(self.frequency, name, "frequency", "Hz", f"frequency of the fluctuation of {name}")
-        if self.reversal is not None:
-            found |= sizes.own(self.reversal, name, "reversal", "s", f"when {name} begins to change its sign")
-            found |= sizes.own(self.reversal_ramp, name, "reversal_ramp", "s", f"time in which {name} changes its sign")
+        for key, of, meaning in (
+            ("ramp", "s", "time over which {} is raised"), ("amplitude", unit, "amplitude of the fluctuation of {}"),
+            ("frequency", "Hz", "frequency of the fluctuation of {}"), ("reversal", "s", "when {} begins to change its sign"),
+            ("reversal_ramp", "s", "time in which {} changes its sign"),
+        ):  # fmt: skip
+            if getattr(self, key) is not None:
+                found |= sizes.own(getattr(self, key), name, key, of, meaning.format(name))
         return found

@@ -19,9 +19,9 @@ from jax import Array
 from bcfj_jax.contact.gaps import Look
 from bcfj_jax.core import shapes
 from bcfj_jax.core.shapes import Drawing, Shape
-from bcfj_jax.core.vectors import add, array, dot, scale, seen, spread, stacked, subtract
+from bcfj_jax.core.vectors import WORLD, add, array, dot, scale, seen, spread, stacked, subtract
 from bcfj_jax.mechanism import sizes
-from bcfj_jax.mechanism.bodies import GROUND, Body, Part
+from bcfj_jax.mechanism.bodies import GROUND, Body, Part, rotated
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.model import Arrow, Orbit, Params, Pose, Scenery
@@ -104,8 +104,7 @@ def _basis(b: Body, p: Params) -> np.ndarray:
     if b.tilt is None:
         return shapes.frame(n)
     k, angle = np.array(sizes.axis(b.tilt[0], b.name)), _number(b.tilt[1], b.name, "tilt", p)
-    skew = np.array([[0.0, -k[2], k[1]], [k[2], 0.0, -k[0]], [-k[1], k[0], 0.0]])
-    return (np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew) @ shapes.frame(n)
+    return np.array(rotated(WORLD, tuple(k), angle), float).T @ shapes.frame(n)
 
 
 def _joint(m: Dynamics, b: Body, p: Params, size: float, own: list[Shape], travel: Any) -> list[Shape]:

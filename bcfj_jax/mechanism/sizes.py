@@ -20,6 +20,7 @@ import equinox as eqx
 import numpy as np
 from jax import Array
 
+from bcfj_jax.contact.gaps.base import direction as unit_direction
 from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.mechanism.arrays import refuse_traced
@@ -171,18 +172,4 @@ def stated(size: Size, part: str, key: str, unit: str, meaning: str = "") -> Par
 
 def axis(direction: Any, where: str) -> Any:
     """A unit vector from "x", "-y" or three numbers, as Python floats; a function is kept."""
-    if callable(direction):
-        return direction
-    if isinstance(direction, str):
-        sign, letter = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
-        if letter not in ("x", "y", "z"):
-            raise InputError(
-                where, f"no axis '{direction}'", "give x, y or z, with a minus or without, or three numbers"
-            )
-        return tuple(sign if letter == other else 0.0 for other in "xyz")
-    numbers = plain(where, direction)
-    right = isinstance(numbers, tuple) and len(numbers) == 3 and all(isinstance(x, (int, float)) for x in numbers)
-    size = sum(x * x for x in numbers) ** 0.5 if right else 0.0
-    if not size > 0.0:
-        raise InputError(where, f"axis {quoted(direction)}", "give three numbers, not all zero")
-    return tuple(x / size for x in numbers)
+    return direction if callable(direction) else unit_direction(plain(where, direction), where)

@@ -159,7 +159,7 @@ class _Search:
     def newton(self, at: _At, p: Params, beside: Array) -> _At:
         """One step with s at its largest from places and slips; ``beside``: a move of the places given (0)."""
         places, here = at[0], self.ways(at[0], p)
-        held = self.slid(here, at[1], -beside, p)
+        held = self.slid(here, stuck.fallen(here, at[1], -beside), -beside, p)
         force, _, mass, matrix = self.known(places, here, held, p)
         move = jnp.linalg.solve(jnp.diag(mass / _MOST) + matrix, force + mass / _MOST * beside)
         return self.moved(places, move), self.slid(here, held, move, p)

@@ -44,20 +44,14 @@ def proximity(m: Dynamics, t: Array, y: Array, p: Params) -> Proximity:
         bends = c.gap.bends(values)
         turns = np.isfinite(bends.angle)
         there = b.place if turns else a.place
-        moved = subtract(
-            second.velocity_at(subtract(b.place, second.place)), first.velocity_at(subtract(there, first.place))
-        )
+        ours, theirs = subtract(there, first.place), subtract(b.place, second.place)
+        moved = subtract(second.velocity_at(theirs), first.velocity_at(ours))
         spin = plus(length(first.spin), length(second.spin)) if turns else 0.0
         speed = plus(length(moved), times(bends.arm, spin))
         width, members = values.get("smoothing", 0.0), m.side_by_side(c)
         for face, touch in now.faces[c.name]:
-            row = (
-                face.depth + width,
-                touch.rate,
-                jnp.maximum(speed, jnp.abs(touch.rate)),
-                spin / bends.angle,
-                bends.length,
-            )
+            fast = jnp.maximum(speed, jnp.abs(touch.rate))
+            row = face.depth + width, touch.rate, fast, spin / bends.angle, bends.length
             rows.append([jnp.atleast_1d(spread(x, members)) for x in row])
     begun = [(x.depth, x.rate, x.speed, jnp.zeros_like(x.depth), x.bends) for x in m.begun(t, now, p)]
     faces = [jnp.concatenate(part)[_order(m)] for part in zip(*rows, strict=True)] if rows else [jnp.zeros(0)] * 5

@@ -33,7 +33,8 @@ from bcfj_jax.mechanism.dynamics import Dynamics, Instant
 from bcfj_jax.mechanism.loads import CoordinateLoad
 from bcfj_jax.mechanism.sizes import Params
 
-# By contact and face (slip [m/s], turn [rad/s]), world; by load on a joint the rate of its coordinate.
+# By contact and face (slip [m/s], turn [rad/s], the slip by which a fall on the face goes along it a speed into it), world; by
+# load on a joint the rate of its coordinate.
 Slips = dict[str, Any]
 
 
@@ -89,18 +90,16 @@ def ways(m: Dynamics, now: Instant, places: Array, mass: Array, p: Params, bound
             first, second = c.parts(now.bodies.parts)
             turn, k = subtract(second.spin, first.spin), m.side_by_side(c)
             found[c.name] = [
-                tuple(
-                    tuple(spread(x, k) for x in vector)
-                    for vector in (add(touch.slide, scale(touch.rate, face.normal)), turn)
-                )
+                tuple(tuple(spread(x, k) for x in vector) for vector in (slip, turn, slip))
                 for face, touch in now.faces[c.name]
+                for slip in (add(touch.slide, scale(touch.rate, face.normal)),)
             ]
         return found | {load.name: jnp.asarray(m._coordinate(load.body, t, now, p)[2]) for load in _dry(m)}
 
     slips, faces, closing = jax.jacfwd(seen)(jnp.zeros_like(mass)), {}, []
     for c in _contacts(m, bound):
         faces[c.name] = [(face.normal, jnp.asarray(touch.normal)) for face, touch in now.faces[c.name]]
-        for (normal, force), (slip, _) in zip(faces[c.name], slips[c.name], strict=True):
+        for (normal, force), (slip, *_) in zip(faces[c.name], slips[c.name], strict=True):
             rate = sum((jnp.asarray(x)[..., None] * way for x, way in zip(normal, slip, strict=True)), jnp.zeros(()))
             closing.append((jnp.broadcast_to(force, jnp.shape(rate)[:-1]), rate))
     return Ways(slips, faces, _level(closing, mass))
@@ -130,6 +129,18 @@ def _mobility(c: Contact, slip: Vector, read: Params, bound: bool) -> tuple[Arra
     return c.friction.holding(squared, read, TIME)
 
 
+def fallen(here: Ways, held: Slips, move: Array) -> Slips:
+    """Slips of a start that is moved (n,): what fell on a face from there comes down elsewhere along it."""
+    found, ways = dict(held), here.along(move / TIME)
+    for name, faces in here.faces.items():
+        rows = zip(faces, held[name], ways[name], strict=True)
+        found[name] = [
+            (subtract(slip, scale(dot(normal, way), fall)), turn, fall)
+            for (normal, _), (slip, turn, fall), (*_, way) in rows
+        ]
+    return found
+
+
 def added(m: Dynamics, here: Ways, held: Slips, move: Array, p: Params, bound: bool) -> Slips:
     """Slips after a move (n,): none where nothing touches, and no more than friction holds."""
     if not held:
@@ -138,12 +149,17 @@ def added(m: Dynamics, here: Ways, held: Slips, move: Array, p: Params, bound: b
     new, creeping = (here.along(v / TIME) for v in (move, here.level @ move))
     for c in _contacts(m, bound):
         read, found[c.name], moved = c.coefficients(p), [], new if c.bristles else creeping
-        for (normal, force), one, more in zip(here.faces[c.name], held[c.name], moved[c.name], strict=True):
-            slip, turn = (add(x, y) for x, y in zip(one, more, strict=True))
+        ways = (way for *_, way in new[c.name])
+        for (normal, force), one, more, way in zip(here.faces[c.name], held[c.name], moved[c.name], ways, strict=True):
+            slip, turn = (add(x, y) for x, y in zip(one[:2], more[:2], strict=True))
             slip = subtract(slip, scale(dot(normal, slip), normal))
             share = _mobility(c, slip, read, bound)[1]
             kept = [[jnp.where(force > 0.0, x, 0.0) for x in vector] for vector in (scale(share, slip), turn)]
-            found[c.name].append(tuple(map(tuple, kept)))
+            closing = jnp.asarray(dot(normal, way))
+            fall = scale(jnp.where(closing > 0.0, 1.0 / jnp.where(closing > 0.0, closing, 1.0), 0.0), way)
+            fall = subtract(fall, scale(dot(normal, fall), normal))
+            fall = [jnp.where(force > 0.0, x, y) for x, y in zip(one[2], fall, strict=True)]
+            found[c.name].append((*map(tuple, kept), tuple(fall)))
     for load in _dry(m):
         slip = held[load.name] + (new if load.bristles else creeping)[load.name]
         found[load.name] = slip * (load.holding(slip, p, TIME)[1] if bound else 1.0)
@@ -155,7 +171,7 @@ def rubbed(m: Dynamics, now: Instant, held: Slips, p: Params, bound: bool) -> tu
     faces = dict(now.faces)
     for c in _contacts(m, bound):
         read, faces[c.name] = c.coefficients(p), []
-        for (face, touch), (slip, turn) in zip(now.faces[c.name], held[c.name], strict=True):
+        for (face, touch), (slip, turn, _) in zip(now.faces[c.name], held[c.name], strict=True):
             mobility, _ = _mobility(c, slip, read, bound)
             drag = scale(-touch.normal * mobility, slip)
             bears = touch._replace(force=add(touch.force, drag), drag=drag)
@@ -189,7 +205,7 @@ def given(m: Dynamics, held: Slips, creeping: Slips) -> Slips:
     for c in _contacts(m, True):
         if c.bristles:
             pairs = zip(held[c.name], creeping[c.name], strict=True)
-            found[c.name] = [(add(slip, more), turn) for (slip, _), (more, turn) in pairs]
+            found[c.name] = [(add(slip, more), *rest) for (slip, *_), (more, *rest) in pairs]
     return found | {load.name: held[load.name] + creeping[load.name] for load in _dry(m) if load.bristles}
 
 
@@ -198,7 +214,7 @@ def bent(m: Dynamics, held: Slips) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for c in m.bundles:
         if c.bristles:
-            found |= apart(c, [scale(TIME, slip) for slip, _ in held[c.name]])
+            found |= apart(c, [scale(TIME, slip) for slip, *_ in held[c.name]])
     return found | {load.name: TIME * held[load.name] for load in _dry(m) if load.bristles}
 
 
@@ -207,7 +223,7 @@ def needed(m: Dynamics, now: Instant, held: Slips, p: Params) -> dict[str, tuple
     found: dict[str, list[tuple[Array, Array]]] = {}
     for c in m.bundles:
         read = c.coefficients(p)
-        for (_, touch), (slip, _) in zip(now.faces[c.name], held[c.name], strict=True):
+        for (_, touch), (slip, *_) in zip(now.faces[c.name], held[c.name], strict=True):
             size = jnp.where(jnp.asarray(touch.normal) > 0.0, _WITHOUT * jnp.sqrt(jnp.asarray(dot(slip, slip))), 0.0)
             mobility, share = _mobility(c, (_FAR, 0.0, 0.0), read, True)
             for name, pair in apart(c, (size, jnp.broadcast_to(mobility * share * _FAR, size.shape))).items():

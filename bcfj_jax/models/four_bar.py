@@ -152,47 +152,20 @@ def four_bar(
         raise InputError(
             "scene 'four_bar' controller", f"no controller '{controller}'", nearest(controller, CONTROLLERS)
         )
-    rods = (
-        Body(
-            "crank",
-            "hinge",
-            center=half("crank_length"),
-            mass=1.0,
-            inertia=_slender("crank"),
-            start={"angle": "crank_angle"},
-        ),
-        *(
-            Body(
-                name,
-                "planar",
-                at=at,
-                mass=1.0,
-                inertia=_slender(name),
-                start={key: _entry(placed, i) for i, key in enumerate(("x", "y", "angle"))},
-            )
-            for name, at, placed in (("coupler", (0, 0, 0), _coupler), ("rocker", ("ground_length", 0, 0), _rocker))
-        ),
-    )
+    crank_end, base = ("crank_length", 0, 0), ("ground_length", 0, 0)
+    rods = [Body(
+        "crank", "hinge", center=half("crank_length"), mass=1.0, inertia=_slender("crank"), start={"angle": "crank_angle"}
+    )]  # fmt: skip
+    for name, at, placed in (("coupler", (0, 0, 0), _coupler), ("rocker", base, _rocker)):
+        start = {key: _entry(placed, i) for i, key in enumerate(("x", "y", "angle"))}
+        rods.append(Body(name, "planar", at=at, mass=1.0, inertia=_slender(name), start=start))
     how: dict[str, Any] = {"law": law, "elastic": elastic, "friction": friction, "smoothing": smoothing}
-    pins = (
-        Contact(
-            "pin_1",
-            ("coupler", "crank"),
-            PinInBearing(),
-            at=(half("coupler_length", -1.0), ("crank_length", 0, 0)),
-            **how,
-        ),
-        Contact(
-            "pin_2", ("rocker", "coupler"), PinInBearing(), at=(half("rocker_length"), half("coupler_length")), **how
-        ),
-        Contact(
-            "pin_3",
-            ("ground", "rocker"),
-            PinInBearing(),
-            at=(("ground_length", 0, 0), half("rocker_length", -1.0)),
-            **how,
-        ),
-    )
+    ends: dict[tuple[str, str], Any] = {
+        ("coupler", "crank"): (half("coupler_length", -1.0), crank_end),
+        ("rocker", "coupler"): (half("rocker_length"), half("coupler_length")),
+        ("ground", "rocker"): (base, half("rocker_length", -1.0)),
+    }
+    pins = [Contact(f"pin_{i}", pair, PinInBearing(), at=at, **how) for i, (pair, at) in enumerate(ends.items(), 1)]
     loads = (Gravity("-y"), *(() if controller == "none" else (_control(controller),)))
     given = picked(_PINS, [*pins[0].reads, "gravity", *(f"clearance_{pin.name}" for pin in pins)])
     return Mechanism("four_bar", rods, pins, loads, _OWN, given, end=1.0, samples=4001)

@@ -82,19 +82,14 @@ def slider_crank(
     crank = Body("crank", "hinge", mass=0.30, inertia=1.0e-4, drive=Drive("constant", speed="crank_speed"))
     rod: dict[str, Any] = {"parent": "crank", "at": ("crank_length", 0, 0), "mass": 0.21, "inertia": 2.5e-4}
     rod["center"] = half("rod_length")
+    more: list[dict[str, Any]]
     if ideal:
-        moved = [Drive("function", function=motion, breaks=()) for motion in (_rod_angle, _slider_place)]
-        parts = (
-            crank,
-            Body("rod", "hinge", **rod, drive=moved[0]),
-            Body("slider", "slide", axis="x", mass=0.14, drive=moved[1]),
-        )
+        more = [{"drive": Drive("function", function=motion, breaks=())} for motion in (_rod_angle, _slider_place)]
+    else:
+        more = [{"start": {"speed": _fold}}, {"start": {"position": _outmost}}]
+    parts = (crank, Body("rod", "hinge", **rod, **more[0]), Body("slider", "slide", axis="x", mass=0.14, **more[1]))
+    if ideal:
         return Mechanism("slider_crank", parts, own=_OWN, end=_turns, samples=2001)
-    parts = (
-        crank,
-        Body("rod", "hinge", **rod, start={"speed": _fold}),
-        Body("slider", "slide", axis="x", mass=0.14, start={"position": _outmost}),
-    )
     journal = Contact(
         "journal", ("slider", "rod"), PinInBearing(), law=law, elastic=elastic, friction=friction, smoothing=smoothing,
         at=((0, 0, 0), ("rod_length", 0, 0)),

@@ -169,3 +169,32 @@ def test_a_block_held_by_bristles_is_stuck_up_to_break_away():
         assert {STATES[code] for code in run.state["pad"]} == {"stuck"}, share
     run = bj.simulate(scene, scene.parameters({"push.size": 1.05 * 0.5 * 9.81}), np.linspace(0.0, 0.5, 11))
     assert STATES[run.state["pad"][-1]] == "sliding"
+
+
+def check_on_rail(*loads):
+    cart = bj.Body("cart", "slide", axis="x", mass=1.0, start={"position": 0.2})
+    scene = bj.Mechanism("rail", [cart], loads=loads)
+    scene.check(scene.parameters())
+
+
+@pytest.mark.parametrize(
+    ("load", "told"),
+    [
+        (bj.loads.Spring("tie", ("cart", "cart"), 10.0, at=((0, 0, 0), (0.1, 0, 0))), "it acts on 'cart' alone"),
+        (bj.loads.Bush("tie", ("ground", "ground")), "it acts on 'ground' alone"),
+        (bj.loads.Force("tie", "ground", "x", 1.0), "it acts on 'ground' alone"),
+        (bj.loads.Torque("tie", "cart", "z", 1.0, against="cart"), "it acts on 'cart' alone"),
+        (bj.loads.Spring("tie", ("ground", "cart"), free_length=0.1), "stiffness and damping are 0"),
+        (bj.loads.JointSpring("tie", "cart", rest=0.1), "stiffness and damping are 0"),
+        (bj.loads.Spring("tie", ("ground", "cart"), 10.0, free_length=0.1, at=((0.2, 0, 0), (0, 0, 0))), "at one place"),
+    ],
+)  # fmt: skip
+def test_a_load_that_does_nothing_is_told(load, told):
+    """Between one body and itself, on the ground, by no number, or along a line that has no direction at the start."""
+    with pytest.raises(bj.InputError, match=rf"load 'tie'.*{told}"):
+        check_on_rail(load)
+
+
+def test_a_slack_cable_and_a_spring_without_length_may_begin_at_one_place():
+    ends = {"between": ("ground", "cart"), "stiffness": 10.0, "at": ((0.2, 0, 0), (0, 0, 0))}
+    check_on_rail(bj.loads.Spring("slack", free_length=0.1, side="pull", **ends), bj.loads.Spring("tie", **ends))

@@ -19,10 +19,10 @@ RUBS = {"friction_static": 0.5, "friction_dynamic": 0.4, "friction_speed": 1e-3,
 GIVEN = RUBS | {"stiffness": 1e8, "exponent": 1.0, "damping": 0.1}
 
 
-def slope(angle=0.3, friction="coulomb", start=0.3, **more):
+def slope(angle=0.3, friction="coulomb", start=0.3, height=0.0, **more):
     """A block of 2 kg on a plane that falls along x."""
     given = {k: v for k, v in (GIVEN | more).items() if k != "friction_static" or friction != "coulomb"}
-    block = Body("block", "particle", mass=2.0, start={"x": start})
+    block = Body("block", "particle", mass=2.0, start={"x": start} | ({"z": height} if height else {}))
     floor = Contact("floor", (GROUND, "block"), gaps.PointOnPlane("z"), "memory_free", friction=friction)
     down = Gravity((np.sin(angle), 0.0, -np.cos(angle)))
     return Mechanism("slope", [block], [floor], [down], given=given, start="static", end=0.01)
@@ -85,6 +85,18 @@ def test_a_block_on_two_corners_slides_and_does_not_turn(angle):
     for k, sign in enumerate((-1.0, 1.0)):
         bears = G * (np.cos(angle) + sign * np.sin(angle))
         np.testing.assert_allclose(run.force[f"corner_{k}"][:, 0], bears, rtol=1e-4)
+
+
+@pytest.mark.parametrize("more", [{}, {"friction": "lugre", "bristle_stiffness": 1e5, "bristle_damping": 0.0}])
+def test_a_block_above_a_slope_comes_down_under_its_place(more):
+    """It falls along its weight, in axes of the plane by h tan a: dx/dh = tan a, and dx/dx = 1."""
+    scene = slope(height=2e-3, **more)
+    params = scene.parameters()
+    state, slope_ = jax.jit(lambda p: (scene.initial_state(p), jax.jacfwd(scene.initial_state)(p)))(params)
+    depth = 2.0 * G * np.cos(0.3) / 1e8
+    np.testing.assert_allclose(state[:3], [0.3 + 2e-3 * np.tan(0.3), 0.0, -depth], atol=4e-6)
+    np.testing.assert_allclose(slope_["block.z"][:3], [np.tan(0.3), 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(slope_["block.x"][:3], [1.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_a_slope_too_steep_names_what_would_hold():

@@ -26,10 +26,10 @@ from jax import Array
 
 from bcfj_jax.contact.part import Part
 from bcfj_jax.core import limits, shapes
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
-from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, array, dot, seen, subtract, turned
+from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, array, dot, scale, seen, subtract, turned
 
 Coefficients = Mapping[str, Array]
 # Lengths are sqrt(v . v + ROUND^2) [m]: coincident centres have no direction, no force and finite derivatives.
@@ -117,6 +117,7 @@ class AbstractGap(Part):
         members: number of like contacts that ``faces`` gives side by side; 0 where its bodies decide.
         signed: whether the normal force that is read is the first face's less the second's, and not their sum.
         preloads: whether its clearance may be negative: surfaces that overlap by so much in the middle, so that both press.
+        midway: whether neither body holds a plane or a hollow: bristles turn with the mean of both angular velocities.
         round: whether b's marker is free within a circle about a's, of the radius ``clearance``, across a's z axis.
     """
 
@@ -129,6 +130,7 @@ class Ground(bj.gaps.AbstractGap):
     needs: ClassVar[tuple[str, ...]] = ()
     quantities: ClassVar[Mapping[str, Quantity]] = {}
     signed: ClassVar[bool] = False
+    midway: ClassVar[bool] = False
     round: ClassVar[bool] = False
     preloads: ClassVar[bool] = False
 
@@ -148,7 +150,7 @@ class Ground(bj.gaps.AbstractGap):
 
     def carried(self, a: Vector, b: Vector) -> Vector:
         """Angular velocity with which bristles turn, from those of a and b: a's, which holds the plane or the hollow."""
-        return a
+        return scale(0.5, add(a, b)) if self.midway else a
 
     def bends(self, c: Coefficients) -> Bends:
         """What bends the penetration's course near contact (``Bends``); where not known, every step is looked at."""
@@ -317,10 +319,12 @@ def rows(option: str, given: Any, width: int, remedy: str) -> tuple[tuple[float,
         raise InputError(f"gap, option '{option}'", f"{given!r}", remedy) from None
 
 
-def direction(axis: Any) -> tuple[float, float, float]:
+def direction(axis: Any, where: str = "gap, option 'axis'") -> tuple[float, float, float]:
     """A unit vector in a body's axes, as Python floats: from "x", "-z", or three numbers."""
+    remedy = "give x, y or z, with a minus or without, or three numbers, not all zero"
     if isinstance(axis, str):
-        one_of("axis", axis, ("x", "y", "z", "-x", "-y", "-z"))
+        if axis.removeprefix("-") not in ("x", "y", "z"):
+            raise InputError(where, f"no axis '{axis}'", remedy)
         sign = -1.0 if axis.startswith("-") else 1.0
         x, y, z = (sign if axis[-1] == letter else 0.0 for letter in "xyz")
         return x, y, z
@@ -330,8 +334,5 @@ def direction(axis: Any) -> tuple[float, float, float]:
         if not (0.0 < size < np.inf):
             raise ValueError
     except (TypeError, ValueError):
-        found = f"axis {axis!r} is not a direction"
-        raise InputError(
-            "gap, option 'axis'", found, "give x, y or z, with a minus or without, or three numbers"
-        ) from None
+        raise InputError(where, f"axis {quoted(axis)} is not a direction", remedy) from None
     return x / size, y / size, z / size

@@ -129,6 +129,7 @@ class BoxOnBox(AbstractEdged):
     Coefficients: ``rounding`` [m]; ``half_length_a``, ``half_width_a``, ``half_height_a``, and of b, along x, y, z [m].
     """
 
+    midway: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("rounding", *(f"{side}_{k}" for k in "ab" for side in _SIDES))
     quantities: ClassVar[Mapping[str, Quantity]] = {
         f"{side}_{k}": Quantity(
@@ -156,9 +157,6 @@ class BoxOnBox(AbstractEdged):
         far, down = _joined((far, back, across)), _vectors((negative(out), normal, way))
         points = _vectors((theirs, subtract(subtract(ours, apart), scale(back, normal)), arm))
         return (Face(2.0 * c["rounding"] - far, down, add(points, scale(0.5 * far, down))),)
-
-    def carried(self, a: Vector, b: Vector) -> Vector:
-        return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(2.0 * c["rounding"], arm=sum(c[name] for name in self.needs[1:]))

@@ -139,6 +139,7 @@ class CapsuleOnCapsule(AbstractEdged):
             bear there.
     """
 
+    midway: ClassVar[bool] = True
     edges_a: tuple[tuple[float, ...], ...] = eqx.field(
         static=True, default=(), converter=lambda x: _edges("edges_a", x)
     )
@@ -177,9 +178,6 @@ class CapsuleOnCapsule(AbstractEdged):
 
     def axial_by(self, a: Frame, b: Frame, c: Coefficients, normal: Vector) -> Vector:
         return super().axial_by(a, b, c, normal) if self.members else a.axes[2]
-
-    def carried(self, a: Vector, b: Vector) -> Vector:
-        return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
         # As either turns, the nearest point slides along both.

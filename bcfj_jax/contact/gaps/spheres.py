@@ -23,7 +23,7 @@ from bcfj_jax.contact.gaps.base import (
     yes_or_no,
 )
 from bcfj_jax.core import shapes
-from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, dot, length, negative, plus, scale, subtract, turned
+from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, dot, length, negative, plus, scale, subtract, turned
 
 Direction = tuple[float, float, float]
 
@@ -141,6 +141,7 @@ class SphereOnSphere(AbstractGap):
     Coefficients: ``radius_a``, ``radius_b`` [m].
     """
 
+    midway: ClassVar[bool] = True
     needs: ClassVar[tuple[str, ...]] = ("radius_a", "radius_b")
 
     def faces(self, a: Frame, b: Frame, c: Coefficients) -> tuple[Face, ...]:
@@ -149,9 +150,6 @@ class SphereOnSphere(AbstractGap):
         normal = scale(-1.0 / distance, apart)
         middle = 0.5 * (c["radius_b"] - c["radius_a"] + distance)
         return (Face(c["radius_a"] + c["radius_b"] - distance, normal, scale(middle, normal)),)
-
-    def carried(self, a: Vector, b: Vector) -> Vector:
-        return scale(0.5, add(a, b))
 
     def bends(self, c: Coefficients) -> Bends:
         return Bends(c["radius_a"] + c["radius_b"], np.inf)
