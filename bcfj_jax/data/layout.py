@@ -125,8 +125,8 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     # Rows that do not fit are faults already; their cells would be named a second time.
     last = kept[-1] + 1 if kept else 0
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
-    fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
-    columns = [[r.cells[0] for r in fitted]] if kept else []
+    fitted = [r._replace(cells=[r.cells[j] if j < len(r.cells) else "" for j in kept]) for r in whole]
+    columns = [[r.cells[j] for r in fitted] for j in range(min(2, len(kept)))]
     named = preamble.in_words([titles[j] for j in kept], about)
     named = preamble.titled(named, facts, columns, bool(names))
     if not any(map(is_time, named)):
@@ -375,10 +375,6 @@ def _kept(titles: list[str], data: Sequence[Row], wide: int) -> list[int]:
     nameless = [j for j in range(max(wide, len(titles))) if made or j >= len(titles) or not titles[j]]
     filled = {j for j in nameless if any(j < len(r.cells) and not is_missing(r.cells[j]) for r in data)}
     return [j for j in range(wide) if j not in nameless or j in filled]
-
-
-def _fitted(row: Row, kept: list[int]) -> Row:
-    return row._replace(cells=[row.cells[j] if j < len(row.cells) else "" for j in kept])
 
 
 def _ragged(
