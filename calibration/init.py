@@ -18,6 +18,7 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.readers import sheets
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
 from bcfj_jax.io.outputs import create, placed
@@ -164,9 +165,9 @@ def found_in(record: Path, said: Said) -> Understood:
         except InputError as error:
             refused.append(f"'{name}': {error.found}; {error.remedy}")
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
-    # Tables named alike but for a number are runs: "Run 1", "h = 30 mm", "Sheet2".
-    alike = {re.sub(r"\d+(?:[.,]\d+)?", "#", f.table) for f in found}
-    if len(found) == 1 or (len(kinds) == 1 and len(alike) == 1):
+    # Sheets named alike but for a number are runs, as "h = 30 mm"; "plate 1" and "plate 2" of other files are sensors.
+    alike = record.suffix in sheets.KINDS and len({re.sub(r"\d+(?:[.,]\d+)?", "#", f.table) for f in found}) == 1
+    if len(found) == 1 or (len(kinds) == 1 and (alike or all(beside.label(f.table) for f in found))):
         return beside.joined([(f.table, f) for f in found])
     which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
     many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"

@@ -16,10 +16,7 @@ _MARKS = (
 )
 _PAGE = "a web page: open it in a spreadsheet and save the table as .xlsx or CSV"
 BINARY = (
-    (
-        b"PK\x03\x04",
-        "a zip archive: of Excel name it .xlsx, else unpack it and give its file, or several as 'run*.csv'",
-    ),
+    (b"PK\x03\x04", "a zip archive: where Excel wrote it name it .xlsx, else unpack it, then give its file"),
     (b"\x1f\x8b", "a gzip archive: unpack it, then give the file in it"),
     (b"\xd0\xcf\x11\xe0", "an old Excel file: name it .xls"),
     (b"\x89HDF", "an HDF5 file: name it .h5"),

@@ -185,7 +185,7 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool)
     channels = [j for j in range(len(titles)) if j != timed]
     if not named and len(names := sources(facts)) == len(channels) and all(names):
         titles = [names[channels.index(j)] if j in channels else t for j, t in enumerate(titles)]
-    units = [u.rpartition(":")[2].strip("[]()") for u in re.split(r"[\s,;|]+", unit) if unit]  # "CH1:V,CH2:V"
+    units = [u for each in re.split(r"[\s,;|]+", unit) if (u := each.rpartition(":")[2].strip("[]()"))]  # "CH1:V,CH2:V"
     unit = units[0] if len(units) == 1 else unit
     whole = next((part for part in (channels, range(len(titles))) if len(part) == len(units) > 1), ())
     if whole and all(map(known, units)):

@@ -239,7 +239,8 @@ def one_channel(table: Record, header: str, texts: np.ndarray, time: str) -> Non
     if not 1 < len(names) <= _COUNTED or clock.size != texts.size or (np.diff(clock) > 0.0).all():
         return
     blocks = 1 + np.count_nonzero(texts[1:] != texts[:-1])
-    if 2 * blocks > texts.size or any(named(n, u) for n in names for u in READ):
+    # "load" and "unload" are phases.
+    if 2 * blocks > texts.size or sum(any(named(n, u) for u in READ) for n in names) > 1:
         shown, first = ", ".join(f"'{n}'" for n in names[:8]), next((n for n in names if named(n, "N")), names[0])
         remedy = f'say which is to be read: --rows "{header} = {first}" of init calibration'
         raise InputError(table.name, f"'{header}' says what each row reads: {shown}", remedy)

@@ -11,12 +11,6 @@ from bcfj_jax.data.columns import Content, Sampled, Tables, sampled, wrong_lengt
 
 KINDS, LIBRARY = (".c3d",), "ezc3d"
 SIGNATURE = b""
-# What is read of a plate: letter, key, axes and key of the unit.
-_PLATE = (
-    ("F", "force", "xyz", "force"),
-    ("M", "moment", "xyz", "moment"),
-    ("COP ", "center_of_pressure", "xy", "position"),
-)
 
 
 def read(file: str, wanted: str) -> Content:
@@ -33,12 +27,19 @@ def read(file: str, wanted: str) -> Content:
     rate = float(head["analogs"]["frame_rate"])
     plates = content["data"].get("platform", [])
     for k, plate in enumerate(plates):
+        units = {
+            key: str(plate.get(f"unit_{key}", "")).replace("Nmm", "N mm") for key in ("force", "moment", "position")
+        }
+        read = [
+            ("F", "force", "xyz", "force"),
+            ("M", "moment", "xyz", "moment"),
+            ("COP ", "center_of_pressure", "xy", "position"),
+        ]
         channels = [
-            Sampled(f"{letter}{axis}", str(plate.get(f"unit_{unit}", "")).replace("Nmm", "N mm") or None,
-                np.asarray(plate[key])[j], 0.0, 1.0 / rate)
-            for letter, key, axes, unit in _PLATE
+            Sampled(f"{letter}{axis}", units[unit] or None, np.asarray(plate[key])[j], 0.0, 1.0 / rate)
+            for letter, key, axes, unit in read
             for j, axis in enumerate(axes)
-        ]  # fmt: skip
+        ]
         tables |= sampled(f"plate {k + 1}", channels)
     analogs = np.asarray(content["data"]["analogs"])
     if analogs.size and not plates:
