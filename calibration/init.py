@@ -18,6 +18,7 @@ import numpy as np
 
 from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.readers import sheets
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
 from bcfj_jax.io.outputs import create, placed
@@ -164,7 +165,9 @@ def found_in(record: Path, said: Said) -> Understood:
         except InputError as error:
             refused.append(f"'{name}': {error.found}; {error.remedy}")
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
-    if len(found) == 1 or (len(kinds) == 1 and all(beside.label(f.table) for f in found)):
+    # Sheets named alike but for a number are runs, as "h = 30 mm"; "plate 1" and "plate 2" of other files are sensors.
+    alike = record.suffix in sheets.KINDS and len({re.sub(r"\d+(?:[.,]\d+)?", "#", f.table) for f in found}) == 1
+    if len(found) == 1 or (len(kinds) == 1 and (alike or all(beside.label(f.table) for f in found))):
         return beside.joined([(f.table, f) for f in found])
     which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
     many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
@@ -245,21 +248,18 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         *(
             line
-            for one in _parts(found)
+            for one in [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
+            or [found]
             for line in (
                 "[[experiment]]",
                 *read_as(one, said, file),
-                *(
-                    [Line('contacts = "each"', "every contact is a record, each with a speed of its own")]
-                    if found.each
-                    else []
-                ),
-                *([f"runs_by = {toml(found.runs[0])}"] if _asked_runs(found, said) else []),
+                *[Line('contacts = "each"', "every contact is a record, each with a speed of its own")] * found.each,
+                *[f"runs_by = {toml(found.runs[0])}"] * _asked_runs(found, said),
                 _observed(one, kind),
                 *_saturated(found),
                 NOISE,
                 *_window(s, kind),
-                *([_columned(found, kind)] if known.by_column else []),
+                *[_columned(found, kind)] * known.by_column,
                 *_parameters(entries, said.struck, _asks(found, kind, said)),
             )
         ),
@@ -267,11 +267,6 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *_free(s, known, kind, found, None if elastic else lossless),
     ]
     return joined(lines), [e.key for e in entries if e.value is None]
-
-
-def _parts(found: Understood) -> list[Understood]:
-    """Of runs that stand beside each other one for each entry, else what was found."""
-    return [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts] or [found]
 
 
 def _asks(found: Understood, kind: str, said: Said) -> bool:

@@ -30,7 +30,7 @@ _OF_SAMPLES = re.compile(
     r"sampl|scan|acqui|update|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"
     r"サンプル|サンプリング|采样|дискретиз"
 )
-_OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")
+_OF_TIMES = re.compile(r"^(?:x|t|time|horiz(?:ontal)?)(?:axis)?(?=inc|delta|step|interval|resol|dt)|(?:delta|inc)[xt]$")
 _RATES = ("fs", "rate", "frequency", "sps", "fps", "samplespersecond", "samplespersec")
 _STEPS = ("dt", "increment", "interval", "tinc", "tinterval", "hresolution", "clock", "samplinginc", "schrittweite")
 # Frequencies of something else, and lengths of records.
@@ -40,7 +40,7 @@ _OTHERS = re.compile(
 )
 STARTS = {
     "x0", "xzero", "t0", "tstart", "start", "xorigin", "xstart", "firsttime", "horizontalstart", "xfirst", "xorg", "hoffset",
-    "timeoffirstsample",
+    "timeoffirstsample", "xaxisoffset",
 }  # fmt: skip
 _NUMBER = re.compile(r"(?:.*:)?\s*([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?)\s*\[?([^\]]*)\]?\s*")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+")
@@ -84,7 +84,7 @@ def is_time(header: str) -> bool:
     """Whether a column is one of times, by its unit or else its name."""
     name, unit = column(header)
     if unit is None:
-        return name.strip().lower() in TIMES
+        return name.strip().lower().removesuffix("_s") in TIMES
     with contextlib.suppress(InputError):
         return bool(scale_of(unit, "s", header))
     return False

@@ -66,11 +66,7 @@ def matrix(name: str, values: np.ndarray, names: Sequence[str] = ()) -> Columns:
         return {}
     tall = values if values.shape[0] >= values.shape[1] else values.T
     named = names if len(set(names)) == tall.shape[1] else [f"{name} {j + 1}" for j in range(tall.shape[1])]
-    return {named[j]: Column(None, len(tall), _part(tall, j)) for j in range(tall.shape[1])}
-
-
-def _part(values: np.ndarray, j: int) -> Callable[[], Any]:
-    return lambda: values[:, j]
+    return {named[j]: Column(None, len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
 
 
 def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:

@@ -15,8 +15,9 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16", "UTF-16"),
 )
 _PAGE = "a web page: open it in a spreadsheet and save the table as .xlsx or CSV"
-_BINARY = (
-    (b"PK\x03\x04", "a zip archive, as Excel writes: name it .xlsx"),
+BINARY = (
+    (b"PK\x03\x04", "a zip archive: where Excel wrote it name it .xlsx, else unpack it, then give its file"),
+    (b"\x1f\x8b", "a gzip archive: unpack it, then give the file in it"),
     (b"\xd0\xcf\x11\xe0", "an old Excel file: name it .xls"),
     (b"\x89HDF", "an HDF5 file: name it .h5"),
     (b"PAR1", "a Parquet file: name it .parquet"),
@@ -44,7 +45,7 @@ def decoded(raw: bytes, path: Path, where: str, encoding: str | None = None) -> 
             return _stated(raw, path, where, codec)[0], name
     begin = raw[:64].lstrip()
     lines = raw.count(b"\n{") > 8  # A log of objects, one a line, is a text.
-    for mark, remedy in _BINARY:
+    for mark, remedy in BINARY:
         if begin.startswith((mark, mark.upper())) and not (mark == b"{" and lines):
             raise InputError(str(path), "is no text file", f"it begins as {remedy}")
     raw = raw.rstrip(b"\0\x1a") if raw[-2:] in (b"\0\0", b"\n\x1a") else raw  # A logger's space that was not written.

@@ -125,8 +125,9 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     # Rows that do not fit are faults already; their cells would be named a second time.
     last = kept[-1] + 1 if kept else 0
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
-    fitted = [r if len(r.cells) == len(kept) == wide else _fitted(r, kept) for r in whole]
-    columns = [[r.cells[0] for r in fitted]] if kept else []
+    if len(kept) < wide or any(len(r.cells) != wide for r in whole):
+        whole = [r._replace(cells=[r.cells[j] if j < len(r.cells) else "" for j in kept]) for r in whole]
+    columns = [[r.cells[j] for r in whole] for j in range(min(2, len(kept)))]
     named = preamble.in_words([titles[j] for j in kept], about)
     named = preamble.titled(named, facts, columns, bool(names))
     if not any(map(is_time, named)):
@@ -134,7 +135,7 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     lines_named, lines_united = (tuple(r.line for r in some) for some in (names, units))
     comments = sum(r.comment and r not in names for r in rows)
     return Layout(
-        tuple(named), fitted, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
+        tuple(named), whole, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
     )  # fmt: skip
 
 
@@ -375,10 +376,6 @@ def _kept(titles: list[str], data: Sequence[Row], wide: int) -> list[int]:
     nameless = [j for j in range(max(wide, len(titles))) if made or j >= len(titles) or not titles[j]]
     filled = {j for j in nameless if any(j < len(r.cells) and not is_missing(r.cells[j]) for r in data)}
     return [j for j in range(wide) if j not in nameless or j in filled]
-
-
-def _fitted(row: Row, kept: list[int]) -> Row:
-    return row._replace(cells=[row.cells[j] if j < len(row.cells) else "" for j in kept])
 
 
 def _ragged(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 from bcfj_jax.data import clock
@@ -19,10 +19,12 @@ Facts = list[tuple[str, str]]
 _LAST, _FEWEST = 40, 30
 _UNITS = (
     "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
-    "einheiten",
+    "einheiten", "yaxisunit", "yaxisunits", "単位", "单位", "unité", "unidad",
 )  # fmt: skip
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
-_SOURCES = ("source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle")
+_SOURCES = (
+    "source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle", "channelname", "ch名称", "信号名",
+)  # fmt: skip
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
 # "column 2: force [kN]".
@@ -79,14 +81,16 @@ def states(cells: Sequence[Any]) -> bool:
     given = [str(c).strip() for c in cells if not is_missing(c)]
     if len(given) == 1:
         key, sign, value = given[0].replace("=", ":").partition(":")
-        known = bool(value.strip()) and (is_number(value) or _is_known(key))
+        said = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
-        return bool(sign and known) or (marked and _DATA.fullmatch(given[0]) is not None)
+        return bool(sign and said) or (marked and _DATA.fullmatch(given[0]) is not None)
     if given and (given[0].endswith("=") or (len(given) == 2 and given[0].endswith(":"))):
         return True
+    if given and clock.plain(given[0]) in _UNITS:
+        return len(given) == 2 or all(map(known, given[1:]))
     if len(given) != 2 or is_number(given[0]) or clock.is_of_day(given[0]):
         return False
-    return clock.plain(given[0]) in _UNITS or (valued(given[1]) and not clock.is_time(given[0]))
+    return valued(given[1]) and not clock.is_time(given[0])
 
 
 def described(rows: Sequence[Any], wide: int) -> list[str]:
@@ -103,7 +107,8 @@ def described(rows: Sequence[Any], wide: int) -> list[str]:
 def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
     """Titles with units that lines about the table state of their names: "time in ms, force: kN", "force unit: kN"."""
     texts = [" ".join(filter(None, map(str, r.cells))) for r in rows]
-    united = list(titles)
+    listed = _listed(rows)
+    united = [f"{t} [{listed[t]}]" if t in listed and column(t)[1] is None else t for t in titles]
     for j, title in enumerate(titles):
         if not title or column(title)[1] is not None:
             continue
@@ -114,6 +119,16 @@ def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
         if len(units) == 1:
             united[j] = f"{title} [{units.pop()}]"
     return united
+
+
+def _listed(rows: Sequence[Any]) -> dict[str, str]:
+    """The unit of each channel by its name, where a table of settings above has a column of units and a row a channel."""
+    found, at = {}, 0
+    for cells in ([str(c).strip("[]() ") for c in r.cells] for r in rows):
+        at = next((j for j, c in enumerate(cells) if j and clock.plain(c) in _UNITS), at)
+        if 0 < at < len(cells) and cells[at] and known(cells[at]) and not is_number(cells[at]):
+            found.setdefault(cells[0], cells[at])
+    return found
 
 
 def before_names(cell: Any) -> bool:
@@ -137,9 +152,9 @@ def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
     # All settings in one row.
     yield from ((a, b) for a, b in pairwise(filled[2:]) if _is_known(a))
     joined = " ".join(filled)
-    key, mark, value = joined.partition(":")
-    for name, sign, said in ((key, mark, value), joined.partition("=")):
-        if sign and name.strip() and said.strip():
+    for text, mark in product(dict.fromkeys([joined, *filled, *re.split(r"[,;]\s+", joined)]), ":="):
+        name, _, said = text.partition(mark)
+        if name.strip() and said.strip():
             yield name.strip(), said.strip()
     if found := _VALUE.fullmatch(joined):
         yield found[1], found[2]
@@ -160,17 +175,18 @@ def _is_known(key: str) -> bool:
 
 def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool) -> list[str]:
     """Titles with the units, and where the table has no names the names, that stand beside it."""
-    said = {clock.plain(key): value.rpartition(":")[2].strip() for key, value in reversed(facts)}
+    said = {clock.plain(key): value.strip() for key, value in reversed(facts)}
     unit = next((said[key].strip("()[]") for key in _UNITS if key in said), "")
     timed = next((j for j, t in enumerate(titles) if clock.is_time(t)), None)
     even = clock.stated(facts, "") if timed is None else None
-    if not named and even and _steps(columns[0], even[1]):
-        titles, timed = ["time [s]", *titles[1:]], 0
+    timed = next((j for j, c in enumerate(columns) if not named and even and _steps(c, even[1])), timed)
+    titles = ["time [s]" if j == timed and even else t for j, t in enumerate(titles)]
     # Of each channel its own name and unit.
     channels = [j for j in range(len(titles)) if j != timed]
     if not named and len(names := sources(facts)) == len(channels) and all(names):
         titles = [names[channels.index(j)] if j in channels else t for j, t in enumerate(titles)]
-    units = [u.strip("[]()") for u in re.split(r"[\s,;|]+", unit) if unit]
+    units = [u for each in re.split(r"[\s,;|]+", unit) if (u := each.rpartition(":")[2].strip("[]()"))]  # "CH1:V,CH2:V"
+    unit = units[0] if len(units) == 1 else unit
     whole = next((part for part in (channels, range(len(titles))) if len(part) == len(units) > 1), ())
     if whole and all(map(known, units)):
         marks = {j: u for j, u in zip(whole, units, strict=True) if column(titles[j])[1] is None}

@@ -17,9 +17,10 @@ import numpy as np
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data import clock, isolated, numbers, preamble, textfile
 from bcfj_jax.data.columns import Column, Columns, Content, Tables, vector
+from bcfj_jax.data.decoding import BINARY
 from bcfj_jax.data.layout import File, Row, found
 from bcfj_jax.data.readers import READERS, reader_of, sheets
-from bcfj_jax.data.record import Record
+from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.data.sensitivity import Sensitivities
 from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io import opening
@@ -35,7 +36,7 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
     stated.check(where)
     known = kind in _TEXTS or any(kind in r.KINDS for r in READERS)
     if not (known or opening.READERS or path.exists()):
-        _unknown(path, where)
+        _unknown(path, where, b"")
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
     found = replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
@@ -49,9 +50,7 @@ def _clocked(table: Record, rate: str, where: str) -> Record:
         raise InputError(f"{where} rate", f"'{clip(rate)}' is no rate of samples", 'give one such as "20 kHz"')
     if table.clock:
         raise InputError(f"{where} rate", f"{table.name} has a clock, '{table.clock}'", "take the rate out")
-    times = even[1] * np.arange(table.lines.size)
-    marks = (".", *table.decimals) if table.decimals else ()
-    return replace(table, header=("time [s]", *table.header), columns=(times, *table.columns), decimals=marks)
+    return table.beside("time [s]", even[1] * np.arange(table.lines.size))
 
 
 def tables(path: Path, where: str, stated: Stated) -> list[str]:
@@ -63,10 +62,11 @@ def tables(path: Path, where: str, stated: Stated) -> list[str]:
     return [name for name, held in {**found.tables, **found.sheets}.items() if held]
 
 
-def _unknown(path: Path, where: str) -> None:
+def _unknown(path: Path, where: str, head: bytes) -> None:
     kinds = sorted({*_TEXTS, *(k for r in READERS for k in r.KINDS)})
     found = f"{clip(str(path))} is of no kind known here"
-    raise InputError(where, found, f"known are {', '.join(kinds)}; a reader of your own needs --code FILE")
+    begun = next((f"it begins as {remedy}; " for mark, remedy in BINARY if head.startswith(mark)), "")
+    raise InputError(where, found, f"{begun}known are {', '.join(kinds)}; a reader of your own needs --code FILE")
 
 
 def _read(path: Path, kind: str, head: bytes, where: str, inside: str | None, stated: Stated) -> Record:
@@ -77,7 +77,7 @@ def _read(path: Path, kind: str, head: bytes, where: str, inside: str | None, st
             return replace(_chosen({"": table}, path, where, inside), reader=name)
     reader = reader_of(kind, head)
     if reader is None and kind not in _TEXTS and (b"\0" in head or not head.strip()):
-        _unknown(path, where)
+        _unknown(path, where, head)
     if reader is None:
         if inside is not None:
             raise InputError(f"{where} table", f"{path} holds no tables inside", "take the key out")
@@ -174,7 +174,7 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     lines = np.arange(1, longest + 1)
     named = wanted if len(tables) > 1 or inside else ""
     header = preamble.titled(header, facts, arrays, True)
-    return Record(path, tuple(header), arrays, lines, "row", named, found=said, facts=tuple(facts))
+    return with_sweeps(Record(path, tuple(header), arrays, lines, "row", named, found=said, facts=tuple(facts)))
 
 
 def _with_clock(found: Columns, facts: preamble.Facts, where: str) -> tuple[Columns, str]:

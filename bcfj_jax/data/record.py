@@ -245,6 +245,11 @@ class Record:
             filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else ~_blank(cells)
         return self if filled.all() else self.where(filled)
 
+    def beside(self, header: str, cells: np.ndarray) -> Record:
+        """The table with a column (N,) of numbers before the others."""
+        marks = (".", *self.decimals) if self.decimals else ()
+        return replace(self, header=(header, *self.header), columns=(cells, *self.columns), decimals=marks)
+
     def where(self, keep: np.ndarray) -> Record:
         """The rows to keep, (N,) of truth values."""
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
@@ -284,10 +289,10 @@ def with_sweeps(table: Record) -> Record:
     lengths = np.diff(np.r_[begins, clock.size])
     if begins.size < 2 or lengths.min() < _RUN_ROWS or np.ptp(clock[begins]) > _ANEW * np.ptp(clock):
         return table
-    said = f"{table.found}; its clock begins anew {begins.size - 1} times: column '{SWEEP}' numbers what is between"
-    columns = (np.repeat(np.arange(1, begins.size + 1), lengths), *table.columns)
-    marks = (".", *table.decimals) if table.decimals else ()
-    return replace(table, header=(SWEEP, *table.header), columns=columns, decimals=marks, found=said)
+    said = f"its clock begins anew {begins.size - 1} times: column '{SWEEP}' numbers what is between"
+    return replace(table, found="; ".join(filter(None, (table.found, said)))).beside(
+        SWEEP, np.repeat(np.arange(1, begins.size + 1), lengths)
+    )
 
 
 def split(

@@ -159,16 +159,12 @@ def table(
         parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in names[:12])
     parts.append(f"{len(names)} columns: {clip(named)}{', ...' if len(names) > 12 else ''}")
-    if not Record(path, names, tuple(columns), lines).clock and (even := clock.stated(layout.facts, str(path))):
+    made = Record(path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults))
+    if not made.clock and (even := clock.stated(layout.facts, str(path))):
         start, step = even
-        names, columns = ("time [s]", *names), [start + step * np.arange(lines.size), *columns]
-        decimals = (".", *decimals) if decimals else ()
+        made = made.beside("time [s]", start + step * np.arange(lines.size))
         parts.append(f"a clock from {start:.6g} s every {step:.6g} s, as stated beside the table")
-    found = Record(
-        path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults), "; ".join(parts),
-        facts=tuple(layout.facts),
-    )  # fmt: skip
-    return with_sweeps(found)
+    return with_sweeps(replace(made, found="; ".join(parts), facts=tuple(layout.facts)))
 
 
 def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
@@ -191,8 +187,9 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     kind, count = kinds.most_common(1)[0] if kinds else (("",), 0)
     if count < _MOSTLY * len(some) or not _is_about(kind):
         return lines, []
-    signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:-1]]
+    signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:]]
     usual = next(filter(None, signs), "\t")
+    signs[:-1] = [sign or usual for sign in signs[:-1]]
     # One sign between all numbers, as "&" or "->", parts names, too.
     parting = {text.strip() for text in kind[1:-1]}
     sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
@@ -201,14 +198,17 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
         fits = len(line) <= _LONGEST_LINE and parts(line) == kind
         first = first or k * fits
         cells = _TOKEN.findall(re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line) if fits else []
-        own = [a + b for a, b in zip(cells, [*(s or usual for s in signs), ""], strict=True)] if fits else []
+        own = [a + b for a, b in zip(cells, signs, strict=True)] if fits else []
         made.append(
             "".join(own) if fits else line.replace(sign, usual).replace(kind[-1].strip() or "\0", "") if sign else line
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
-    names = [name or f"column {k}" for k, name in enumerate(names, 1)] if any(names) else []
+    named = any(names)
+    names = [name or f"column {k}" for k, name in enumerate(names, 1)]
     units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
     units = units if all(map(known, filter(None, units))) else []
+    titled = first > 1 and len(lines[first - 2].split(usual)) >= len(names)
+    names = names if named or (any(units) and not titled) else []
     return made, [Row(first, [*row]) for row in (names, units) if any(row)]
 
 

@@ -28,7 +28,9 @@ _VOLTS = re.compile(r"((?:.*[\W_])?[A-Za-z]{3,}[\W_\d]*?)_V")
 _INSIDE = re.compile(r"(.*?[^\s/])\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s+([^\s()\[\]][^()\[\]]*)")
 # A header whose name and unit are not parted by brackets.
 _BEHIND_SLASH = re.compile(r"(.*?\S)\s*/\s*(\S.*)")
-_LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)(\S+)")
+_LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)([^\s_]+)")
+# "speed_mm_s" and "acc_m_s2": a slash is no letter of names in programs.
+_PER_SECOND = re.compile(r"(.*?[^\s_])_(mm|cm|m|ft)_(?:per_)?s(?:\^?(2))?")
 # "Force (A)" and "F/B" name a sensor, not a unit.
 _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.
@@ -336,6 +338,8 @@ def column(header: str) -> tuple[str, str | None]:
         return f"{match[1]} {match[3]}", match[2]
     if (match := _OTHER_BRACKETS.fullmatch(plain)) and known(match[2] or match[3] or ""):
         return match[1], match[2] or match[3] or ""
+    if match := _PER_SECOND.fullmatch(plain):
+        return match[1], f"{match[2]}/s{'^2' if match[3] else ''}"
     if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
         return match[1], match[2]
     if (match := _IN.fullmatch(plain)) and known(match[2]):

@@ -41,6 +41,7 @@ _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1
 # What strikes, and not what is struck.
 _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
+    r"|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro)?"
 )
 # So many whole numbers without a unit, or in volts, may be counts.
 _COUNTED, _VOLTS = 20, ("V", "Volt", "Volts", "volt", "volts", "Vdc", "VDC")
@@ -182,10 +183,12 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     # A letter alone may be of anything.
     kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
+    kind = "mm" if {"x", "y", "z"} <= {h.lower() for h in table.header} and other.lower() in ("x", "y", "z") else kind
     unit = column(heavy)[1] or ("g" if re.search(r"(?i)\(g\)$", other) else kind or "N")
     said = column(heavy or other)[0]
     unit = unit if unit == "g" else WEIGHTS.get(unit, unit)
-    units = "" if kind or heavy else ', or its own unit: g, m/s^2, mm, or V with --sensitivity "10 mV/N"'
+    units = ', if it is an acceleration; head a weight "force [g]"' if unit == "g" else ""
+    units = units if kind or heavy else ', or its own unit: g, m/s^2, mm, or V with --sensitivity "10 mV/N"'
     said = f', or say which it is: --observe "{said} [{unit}]" of init calibration{units}' if said else ""
     return f'head one with its unit, as in "force [N]"{said}'
 
@@ -228,6 +231,19 @@ def one_of(table: Record, header: str, unit: str) -> None:
         which = ", ".join(f"'{h}'" for h in hits)
         ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
+
+
+def one_channel(table: Record, header: str, texts: np.ndarray, time: str) -> None:
+    """Refuse a table whose rows are readings of several channels, named by texts (N,) in a column, at the same times."""
+    names, clock = list(dict.fromkeys(texts.tolist())), values_of(table, time, "s")
+    if not 1 < len(names) <= _COUNTED or clock.size != texts.size or (np.diff(clock) > 0.0).all():
+        return
+    blocks = 1 + np.count_nonzero(texts[1:] != texts[:-1])
+    # "load" and "unload" are phases.
+    if 2 * blocks > texts.size or sum(any(named(n, u) for u in READ) for n in names) > 1:
+        shown, first = ", ".join(f"'{n}'" for n in names[:8]), next((n for n in names if named(n, "N")), names[0])
+        remedy = f'say which is to be read: --rows "{header} = {first}" of init calibration'
+        raise InputError(table.name, f"'{header}' says what each row reads: {shown}", remedy)
 
 
 def _unit_pulse(values: np.ndarray) -> np.ndarray:

@@ -27,14 +27,11 @@ def check_clock(clock: np.ndarray, part: Record, time: str) -> None:
     late = np.flatnonzero(np.diff(clock) <= 0)
     if late.size:
         k = int(late[0]) + 1
+        twice = "take the repeated rows out, or another clock by time or rate (--time, --rate)"
         said, remedy = f"follows {clock[k - 1]:.9g} s", "sort the rows"
-        if clock[k] == clock[k - 1]:
-            said, remedy = (
-                "stands twice",
-                "take the repeated rows out, or another clock by time or rate (--time, --rate)",
-            )
+        said, remedy = ("stands twice", twice) if clock[k] == clock[k - 1] else (said, remedy)
         found = f"time {clock[k]:.9g} s {said}{others(part.lines[late + 1].tolist(), part.counted)}"
-        remedy = f"times must increase: {remedy}, or split the runs with rows = {{ column = [values] }}"
+        remedy = f"times must increase: {remedy}, or split the runs with rows = {{ column = [values] }} or --runs-by"
         raise InputError(part.place(k, time), found, remedy)
 
 

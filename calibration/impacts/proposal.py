@@ -29,11 +29,14 @@ from calibration.impacts.otherwise import refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
+_FELL = "(?:drop|fall|free fall|chute|ca[ií]da|queda)"
+_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
 _GIVEN = {
-    "m": ("height", "drop height", "drop_height", "fall height", "fallhoehe", "fallhöhe", "hoehe", "höhe", "h", "hauteur"),
-    "m/s": (
-        "speed", "velocity", "v", "v0", "approach speed", "approach_speed", "impact speed", "impact velocity",
-        "geschwindigkeit", "aufprallgeschwindigkeit", "vitesse",
+    "m": re.compile(
+        rf"h|(?:{_FELL} ?)?(?:height|h(?:ö|oe)he)|(?:hauteur|altura|altezza|výška|wysokość|高さ|高度)(?: de (?:la )?{_FELL})?"
+    ),
+    "m/s": re.compile(
+        rf"v0?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
     ),
 }  # fmt: skip
 _TANGENTIAL = {
@@ -162,9 +165,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     _hinted(table, hints, found)
     if "s" not in found and table.clock:
         found["s"] = table.clock
+    table = split(table, hints.rows, where, "")[0][1] if hints.rows else table
     rows, table = _filtered(table, found.get("s", ""))
-    if hints.rows:
-        table = split(table, hints.rows, where, "")[0][1]
     parts = split(table, {}, where, run)
     count, parts = len(parts) if run else 1, parts[:_MOST_RUNS]
     every = clip(", ".join(h for h in table.header if h), 200)
@@ -194,7 +196,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
-            raise InputError(where, missing, "choose a record that holds one")
+            raise InputError(where, missing, "choose a record that holds one, or another column by --observe")
         event = records[-1].events[0]
         if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
             raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
@@ -270,7 +272,8 @@ def _run_column(table: Record) -> str:
         steps = np.diff(clock)
         # Runs are apart in time, or each has a clock of its own; the samples of a slower channel are not.
         apart = (steps[changes - 1] < 0) | (steps[changes - 1] > 5.0 * np.median(steps))
-        if apart.all() and (np.diff(numbers) == 1.0).all() and numbers[0] in (0.0, 1.0) and lengths.min() >= _RUN_ROWS:
+        begins = numbers[0] in (0.0, 1.0) or sweep
+        if apart.all() and (np.diff(numbers) == 1.0).all() and begins and lengths.min() >= _RUN_ROWS:
             return h
     return sweep
 
@@ -294,7 +297,7 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
     """The column that gives speeds, or else heights, of runs, with its unit, and the speed of each run [m/s]."""
     for unit in ("m/s", "m"):
         for header in table.header:
-            if not header or headers.name_of(header) not in _GIVEN[unit] or not _is_fixed(table, header, run):
+            if not header or not _is_given(header, unit) or not _is_fixed(table, header, run):
                 continue
             if column(header)[1] is not None and headers.read_unit(table, header) != unit:
                 continue
@@ -305,16 +308,22 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
     return ("", ""), ()
 
 
+def _is_given(header: str, unit: str) -> bool:
+    """Whether a name is that of a height or speed of runs."""
+    return _GIVEN[unit].fullmatch(headers.name_of(header).replace("_", " ")) is not None
+
+
 def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
     """Rows beside the one text that has a clock, where a column of text parts the table into curves."""
     if not time:
         return {}, table
     timed = np.array([not is_missing(text) for text in table.texts(time, str(table.path))])
-    if timed.all():
-        return {}, table
     for h, cells in zip(table.header, table.columns, strict=True):
-        if h and not headers.is_numeric(cells):
+        if h and h != time and not headers.is_numeric(cells):
             texts = np.array([str(c) for c in cells])
+            if timed.all():
+                headers.one_channel(table, h, texts, time)
+                continue
             whole = [t for t in dict.fromkeys(texts.tolist()) if timed[texts == t].all()]
             if len(whole) == 1 and timed[texts == whole[0]].sum() == timed.sum():
                 return {h: whole[0]}, table.where(texts == whole[0])
@@ -335,7 +344,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
 
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
-        size = -_range(table, header, unit) if unit in ("m/s^2", "N") else 0.0
+        size = -_range(table, header, unit) if unit in ("m/s^2", "N", "m") else 0.0
         total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", headers.name_of(header)))
         return not (headers.named(header, unit) or total), headers.name_of(header) not in headers.NAMES[unit], size
 
@@ -364,8 +373,12 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
 
 
 def _range(table: Record, header: str, unit: str) -> float:
+    """How far a column moves; of a place how far from a straight line, for along one no contact is."""
     values = headers.values_of(table, header, unit)
-    return float(np.ptp(values[np.isfinite(values)])) if np.isfinite(values).any() else 0.0
+    values, at = values[np.isfinite(values)], np.flatnonzero(np.isfinite(values))
+    if unit == "m" and values.size > 2:
+        values = values - np.polyval(np.polyfit(at, values, 1), at)
+    return float(np.ptp(values)) if values.size else 0.0
 
 
 def _is_fixed(table: Record, header: str, run: str = "") -> bool:
@@ -375,7 +388,7 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     seen: dict[str, set[str]] = {}
     for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    named = any(headers.name_of(header) in names for names in _GIVEN.values())
+    named = any(_is_given(header, unit) for unit in _GIVEN)
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 

@@ -226,3 +226,88 @@ def test_friction_alone_beside_a_motion_is_a_force_that_rubs(tmp_path):
     (tmp_path / "bit.csv").write_text("time [s],bit speed [rpm],torque [N m],weight on bit [N]\n" + rows)
     with pytest.raises(InputError, match=r"never rests.*'torque \[N m\]' is a torque: write a scene"):
         init.run(tmp_path / "bit.csv", tmp_path, init.Said(), said.append)
+
+
+def test_a_table_of_channels_above_gives_units_and_axes_named_beside_a_clock(tmp_path):
+    listed = "AMP settings;;;\nCH;Name;Range;Unit\nCH1;Load;5V;N\nCH2;Acc;5V;m/s2\nData;;;\nNo;t [ms];CH1;CH2\n"
+    rows = "".join(f"{k};{ms};{f:.3f};0\n" for k, (ms, f) in enumerate(zip(MS, FORCE, strict=True)))
+    assert of(tmp_path, "listed.csv", listed + rows).columns["N"] == "CH1 [N]"
+    axes = "X-Axis Unit:\ts\nX-Axis Delta:\t5e-05\nY-Axis Unit:\tN\n"
+    holds(of(tmp_path, "a.txt", axes + "".join(f"{k}\t{t:.6E}\t{f:.6E}\n" for k, (t, f) in enumerate(PAIRS))), FORCE)
+    titled = "サンプリング周波数(Hz),20000\nCH名称,荷重,加速度\n単位,N,G\n"
+    content = titled + "".join(f"{t:.6f},{f:.3f},{0.1 * f:.4f}\n" for t, f in PAIRS)
+    holds(of(tmp_path, "b.csv", content.encode("cp932")), FORCE)
+    each = "Sample Interval,Analog:5.0E-05\nVertical Units,CH1:V,CH2:V\nSource,CH1,CH2\nSecond,Volt,Volt\n"
+    rows = "".join(f"{t:.6f},{0.01 * f:.5f},0.{k % 5}\n" for k, (t, f) in enumerate(PAIRS))
+    holds(of(tmp_path, "c.csv", each + rows, sensitivity="CH1 = 10 mV/N"), FORCE)
+    comment = "% hit 3, fs = 20 kHz\n% n force[N]\n" + "".join(f"{k} {f:.3f}\n" for k, f in enumerate(FORCE))
+    holds(of(tmp_path, "d.dat", comment), FORCE)
+
+
+def test_rows_that_read_several_channels_ask_for_one(tmp_path):
+    rows = "".join(f"{ms},{name},{f:.3f}\n" for ms, f in zip(MS, FORCE, strict=True) for name in ("load_N", "acc"))
+    (tmp_path / "long.csv").write_text("t_ms,what,value\n" + rows)
+    with pytest.raises(InputError, match=r"'what' says what each row reads.*--rows \"what = load_N\""):
+        init.found_in(tmp_path / "long.csv", init.Said())
+    hints = Hints(observe="value [N]", rows={"what": "load_N"})
+    holds(init.found_in(tmp_path / "long.csv", init.Said(hints=hints)), FORCE)
+    # A text that stands beside the samples parts nothing.
+    rows = "".join(
+        f"{ms},{'up' if k < 90 else 'down'},{f:.3f}\n" for k, (ms, f) in enumerate(zip(MS, FORCE, strict=True))
+    )
+    holds(of(tmp_path, "one.csv", "t_ms,phase,load_N\n" + rows), FORCE)
+
+
+def test_heights_speeds_and_runs_by_their_words(tmp_path):
+    rows = [(k, ms, f) for k in (7, 8) for ms, f in zip(MS, FORCE, strict=True)]
+    for name, size, unit in (
+        ("Vitesse d'impact (m/s)", 0.9, "m/s"),
+        ("drop_height_cm", 5, "m"),
+        ("speed_mm_s", 900, "m/s"),
+    ):
+        text = f"shot_id,{name},t_ms,load_N\n" + "".join(f"{k},{size},{ms},{f:.3f}\n" for k, ms, f in rows)
+        found = of(tmp_path, "a.csv", text)
+        holds(found, FORCE, FORCE)
+        assert found.runs[0] == "shot_id" and found.given == (name, unit)
+        assert found.speeds == pytest.approx([np.sqrt(2 * 9.81 * 0.05) if unit == "m" else 0.9] * 2, rel=1e-3)
+    text = "shot_id,rebound height (mm),t_ms,load_N\n" + "".join(f"{k},50,{ms},{f:.3f}\n" for k, ms, f in rows)
+    assert of(tmp_path, "b.csv", text).given == ("", "")
+    frame = pytest.importorskip("pandas").DataFrame(
+        {"shot": [k for k, *_ in rows], "t_s": 1e-3 * np.array([*MS, *MS], float)}
+    )
+    frame.assign(force_N=[f for *_, f in rows]).to_parquet(tmp_path / "c.parquet")
+    holds(of(tmp_path, "c.parquet", (tmp_path / "c.parquet").read_bytes()), FORCE, FORCE)
+    for text in ("Ensayo;masa del martillo: 0,8 kg", "Pad;hmotnost = 0,8 kg"):
+        rows = "".join(f"{ms};{f:.3f}\n" for ms, f in zip(MS, FORCE, strict=True)).replace(".", ",")
+        assert of(tmp_path, "d.csv", f"{text}\nt [ms];F [N]\n{rows}").mass == pytest.approx(0.8)
+
+
+def test_a_place_is_read_along_the_axis_that_bends_and_archives_are_to_be_unpacked(tmp_path):
+    clock = np.arange(300) / 500
+    high = np.abs(0.2 - 0.5 * 9.8 * clock**2) - 0.1 * (clock > 0.3)
+    rows = "".join(f"{t:.3f},{2e3 * t:.3f},-3.4,{1e3 * z:.3f}\n" for t, z in zip(clock, high, strict=True))
+    assert of(tmp_path, "ball.csv", "t [s],X [mm],Y [mm],Z [mm]\n" + rows).columns["m"].endswith("Z [mm]")
+    with pytest.raises(InputError, match=r'--observe "Z \[mm\]"'):
+        of(tmp_path, "bare.csv", "t [s],X,Y,Z\n" + rows)
+    for name, begins in (("a.csv.gz", b"\x1f\x8b\x08"), ("b.zip", b"PK\x03\x04")):
+        with pytest.raises(InputError, match=r"unpack it"):
+            of(tmp_path, name, begins + bytes(99))
+    grams = "ready\n" + "".join(f"{50 * k},{f:.3f} g\n" for k, f in enumerate(FORCE))
+    with pytest.raises(
+        InputError, match=r'--observe "column 2 \[g\]".*if it is an acceleration; head a weight "force \[g\]"'
+    ):
+        of(tmp_path, "c.txt", grams)
+
+
+def test_tables_alike_but_for_a_number_and_rates_of_the_struct_about_them(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for height in (30, 60):
+        sheet = book.create_sheet(f"h={height} mm")
+        for row in (("t [ms]", "F [N]"), *zip(map(float, MS), FORCE.tolist(), strict=True)):
+            sheet.append(row)
+    book.save(tmp_path / "a.xlsx")
+    holds(of(tmp_path, "a.xlsx", (tmp_path / "a.xlsx").read_bytes()), FORCE, FORCE)
+    content = {"device": "q", "fs": 20e3, "channels": [{"name": "force", "unit": "N", "data": [*FORCE]}]}
+    holds(of(tmp_path, "b.json", json.dumps(content)), FORCE)

@@ -165,6 +165,8 @@ def test_columns_and_scales():
         assert column(header) == ("F", "kN")
     for header in ("m/s", "Force (raw)", "Force (A)", "F/B", "run/experiment", "F_N", "Fx (1)"):
         assert column(header) == (header, None)
+    assert column("contact_force_kN") == ("contact_force", "kN") and column("v_x_mm_s") == ("v_x", "mm/s")
+    assert column("acc_m_s2") == ("acc", "m/s^2") and column("a_m_per_s2") == ("a", "m/s^2")
     assert column("t/s") == ("t", "s") and column("s/mm") == ("s", "mm") and column("v m/s") == ("v", "m/s")
     assert scale_of("-", "1", "here") == 1.0
     assert scale_of("us", "s", "here") == 1e-6

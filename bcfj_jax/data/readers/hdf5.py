@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,11 +32,11 @@ def read(file: str, wanted: str) -> Content:
         item: Any = thing
         unit = next((item.attrs[k] for k in item.attrs if k.lower() in (*UNIT_NAMES, "yunit", "yunits")), None)
         if item.dtype.names:
-            tables[name] = {field: Column(None, item.size, _part(item, field)) for field in item.dtype.names}
+            tables[name] = {f: Column(None, item.size, lambda f=f: item[f]) for f in item.dtype.names}
             return
         parent, _, own = name.rpartition("/")
         columns = tables.setdefault(parent, {})
-        found = _matlab_text(item) if item.attrs.get("MATLAB_class") == b"char" else _dataset(item, unit)
+        found = _dataset(item, unit)
         if found:
             columns[own] = found
         elif item.ndim == 2 and item.dtype.kind in "iuf" and 1 < min(item.shape) <= 64 and item.size < 1 << 24:
@@ -62,21 +61,14 @@ def _said(thing: Any) -> Columns:
     return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
 
 
-def _part(item: Any, field: str) -> Callable[[], Any]:
-    return lambda: item[field]
-
-
 def _dataset(item: Any, unit: object) -> Column | None:
+    if item.attrs.get("MATLAB_class") == b"char":
+        return Column(None, 1, lambda: np.array(["".join(map(chr, np.ravel(item[()])))]))
     if item.shape is None or (item.ndim and max(item.shape) != item.size):
         return None
     if item.dtype.kind == "O":
         return Column(text(unit), item.size, lambda: item.asstr()[()]) if item.dtype.metadata else None
     return Column(text(unit), item.size, lambda: item[()]) if item.dtype.kind in "iufbS" else None
-
-
-def _matlab_text(item: Any) -> Column:
-    letters = "".join(chr(code) for code in np.ravel(item[()]))
-    return Column(None, 1, lambda: np.array([letters]))
 
 
 def is_hdf5(file: str) -> bool:

@@ -52,7 +52,8 @@ def _segment(lines: Sequence[str], ends: Sequence[int], separator: str, comma: b
     top = next(k for k in range(ends[0], 0, -1) if lines[k].startswith("Channels"))
     said = {cells[0]: cells[1:] for cells in (line.split(separator) for line in lines[top : ends[0]])}
     count = int(float(said["Channels"][0]))
-    names, rows = lines[begin].split(separator), [r.split(separator) for r in lines[begin + 1 : stop] if r.strip()]
+    names, rows = lines[begin].split(separator), [line for line in lines[begin + 1 : stop] if line.strip()]
+    rows = [[c.strip() for c in (row.replace(",", ".") if comma else row).split(separator)] for row in rows]
     # The last column holds comments; of several clocks one stands before each channel.
     own = kind.lower() == "multi"
     at = [2 * j + 1 if own else j + 1 for j in range(count)]
@@ -61,7 +62,7 @@ def _segment(lines: Sequence[str], ends: Sequence[int], separator: str, comma: b
         raise Refused(f"line {begin + 2 + short} holds fewer cells than {count} channels need", "complete the row")
     channels = []
     for j, k in enumerate(at):
-        texts = [row[k].strip().replace(",", ".") if comma else row[k].strip() for row in rows]
+        texts = [row[k] for row in rows]
         while own and texts and not texts[-1]:
             texts.pop()  # A channel that has fewer samples than the longest.
         stated = int(float(_of(said, "Samples", j, len(texts))))
@@ -71,7 +72,7 @@ def _segment(lines: Sequence[str], ends: Sequence[int], separator: str, comma: b
         if not step > 0.0:
             raise Refused(f"'{names[k]}' has a step of {step:g} s", "write the file with X_Columns = One")
         values = np.array([float(text) for text in texts])
-        if kind.lower() == "one" and not own and (uneven := _uneven(rows, comma, start, step)):
+        if kind.lower() == "one" and not own and (uneven := _uneven([row[0] for row in rows], start, step)):
             raise Refused(
                 f"its X_Value leaves X0 and Delta_X by {uneven:.3g} steps", "write it with X_Columns = No, or as CSV"
             )
@@ -80,9 +81,8 @@ def _segment(lines: Sequence[str], ends: Sequence[int], separator: str, comma: b
     return sampled("", channels)
 
 
-def _uneven(rows: Sequence[Sequence[str]], comma: bool, start: float, step: float) -> float:
+def _uneven(texts: Sequence[str], start: float, step: float) -> float:
     """By how many steps the first column leaves the stated clock, where by more than it may be rounded; else 0."""
-    texts = [row[0].strip().replace(",", ".") if comma else row[0].strip() for row in rows]
     if not all(texts):
         return 0.0
     away = np.abs(np.array([float(t) for t in texts]) - start - step * np.arange(len(texts)))

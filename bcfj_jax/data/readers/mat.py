@@ -34,8 +34,9 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
     tables: Tables = {}
     said: Tables = {}
 
-    def visit(table: str, struct: Mapping[str, Any]) -> None:
+    def visit(table: str, struct: Mapping[str, Any], above: Columns) -> None:
         columns: Columns = {}
+        rates = {**above, **_rates(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in struct.items():
@@ -45,11 +46,10 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 # A struct about one list of values is a channel.
                 own = next((k for k in _VALUES if k in value), "")
                 if not own:
-                    visit(f"{table}/{name}".strip("/"), value)
+                    visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
                 unit = next((value[k] for k in UNIT_NAMES if k in value), None)
-                rates = {k: vector(np.asarray(v)) for k, v in value.items() if is_rate(k) or is_step(k)}
-                columns.update({k: c for k, c in rates.items() if c})
+                columns.update(_rates(value))
                 name, value = str(text(value.get("label", value.get("name"))) or name), value[own]
             else:
                 unit = None
@@ -61,13 +61,21 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                     elif array.ndim == 2:
                         matrices[name] = array
         tables[table] = {**said.pop(table, {}), **group(columns, matrices)}
-        above, _, last = table.rpartition("/")
+        if any(c.size > 1 for c in tables[table].values()):
+            tables[table] = {**rates, **tables[table]}
+        parent, _, last = table.rpartition("/")
         # A struct of single values is about those beside it.
         if table and last not in UNIT_NAMES and {c.size for c in tables[table].values()} == {1}:
-            said[above] = {**said.get(above, {}), **tables.pop(table)}
+            said[parent] = {**said.get(parent, {}), **tables.pop(table)}
 
-    visit("", content)
+    visit("", content, {})
     return with_units(tables)
+
+
+def _rates(struct: Mapping[str, Any]) -> Columns:
+    """Rates and steps of samples that a struct states."""
+    alone = {k: np.asarray(v) for k, v in struct.items() if (is_rate(k) or is_step(k)) and np.size(v) == 1}
+    return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
 def _columns(content: Any) -> Any:

@@ -29,18 +29,21 @@ def read(file: str, wanted: str) -> Content:
     histories = [one for one in sets if int(one["func_type"]) in (0, _HISTORY)]
     if not histories:
         raise Refused("it holds no history over time in a dataset 58", "export time histories as dataset 58")
-    channels = []
-    for one in histories:
+    channels, names = [], [_name(one) for one in histories]
+    firsts = [str(one.get("id1", "")).strip() for one in histories]
+    # Hits of one sensor differ by their first line.
+    names = firsts if len(set(names)) < len(names) == len(set(firsts)) else names
+    for one, name in zip(histories, names, strict=True):
         values = np.asarray(one["data"])
         if values.size != int(one["num_pts"]) or np.iscomplexobj(values) or not np.isfinite(values).all():
-            raise Refused(f"'{_name(one)}' states {int(one['num_pts'])} numbers and holds {values.size}", None)
+            raise Refused(f"'{name}' states {int(one['num_pts'])} numbers and holds {values.size}", None)
         if not int(one.get("abscissa_spacing", 1)):
-            raise Refused(f"'{_name(one)}' has no even clock", "export it with an even step, or as CSV")
+            raise Refused(f"'{name}' has no even clock", "export it with an even step, or as CSV")
         unit = str(one.get("ordinate_axis_units_lab", "")).strip()
         step = float(one["abscissa_inc"])
         if not step > 0.0:
-            raise Refused(f"the clock of '{_name(one)}' has a step of {step}", "export it again")
-        channels.append(Sampled(_name(one), None if unit in _NONE else unit, values, float(one["abscissa_min"]), step))
+            raise Refused(f"the clock of '{name}' has a step of {step}", "export it again")
+        channels.append(Sampled(name, None if unit in _NONE else unit, values, float(one["abscissa_min"]), step))
     _check_binary(file)
     left = len(sets) - len(histories)
     note = f"{left} functions that are no history over time are left out" if left else ""
