@@ -411,7 +411,7 @@ def _parameter(p: Parameter) -> dict[str, Any]:
     return {
         **_fields(p, "value", "unit", "ci95"),
         "headline": p.headline or None,
-        **_fields(p, "with_budget", "intervals", "identifiable"),
+        **_fields(p, "least_squares", "with_budget", "intervals", "identifiable"),
         "at_bound": p.at_bound or None,
         "kind": p.kind,
         "interval": p.interval_kind if p.headline == "noise" else None,

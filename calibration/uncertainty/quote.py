@@ -85,20 +85,17 @@ class Uncertainty(NamedTuple):
 
 
 class Quoted(NamedTuple):
-    """What is quoted: names, how far the ends of each interval lie from the estimate, uncertainties, and every error.
+    """What is quoted: names, how far the ends of each interval (K, 2) and the expectation (K,) lie from the optimum,
+    uncertainties, and every error.
 
     What is held where it is, as an estimate at its bound, has no uncertainty.
     """
 
     names: tuple[str, ...]
     ends: np.ndarray
+    expected: np.ndarray
     uncertainties: dict[str, Uncertainty]
     lines: list[Line]
-
-    def reach(self, name: str) -> tuple[float, float]:
-        """Moves (low, high) of an estimate's coordinate to the ends of its interval."""
-        low, high = self.ends[self.names.index(name)]
-        return float(low), float(high)
 
 
 def quoted(
@@ -121,15 +118,17 @@ def quoted(
             + sum(line.moves[name] for line in known)
             for name, row in zip(how.names, _rows(last.lin), strict=True)
         ]
-        ends = np.array([[-h, h] for h in half])
+        ends, expected = np.array([[-h, h] for h in half]), np.zeros(len(half))
     else:
-        ends = found.ends()
+        ends, expected = found.ends(), found.weights @ found.means
     combined, type_a, type_b = found.combined()
     factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
     columns = zip(
         how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
     )
-    return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known)
+    return Quoted(
+        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known
+    )
 
 
 class _Around(NamedTuple):
@@ -264,18 +263,22 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     return lines
 
 
-def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, kept: bool) -> Parameter:
+def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept: bool = False) -> Parameter:
     """Estimate k with the interval to quote, where it has one.
 
-    That reaches to the estimate where it would not hold it: then an error seems to act that moves it, or one that no prior
-    knows. Where ``kept`` it holds the interval that the estimate has.
+    Where ``moved`` its value is the expectation (JCGM 101, 7.6): residuals are least where an error that acts moves the
+    estimate. Else the value stays, and the interval reaches to it. Where ``kept`` it holds the interval that the estimate has.
     """
     if p.ci95 is None:
         return p
-    log, reach = how.log[k], by.reach(how.names[k])
+    log, limits = how.log[k], how.limits[k]
     z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
-    own = in_si(z + reach[0], z + reach[1], log, how.limits[k])
-    low, high = p.ci95 if kept else (p.value, p.value)
+    own = in_si(*(z + by.ends[k]), log, limits)
+    value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
+    low, high = p.ci95 if kept else (value, value)
     ends = (min(own[0], low), max(own[1], high))
     headline = p.headline if kept and ends != own else KIND
-    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, KIND: own})
+    intervals = {**p.intervals, KIND: own}
+    return replace(
+        p, value=value, least_squares=p.value, ci95=ends, with_budget=ends, headline=headline, intervals=intervals
+    )
