@@ -411,7 +411,8 @@ def _parameter(p: Parameter) -> dict[str, Any]:
     return {
         **_fields(p, "value", "unit", "ci95"),
         "headline": p.headline or None,
-        **_fields(p, "least_squares", "with_budget", "intervals", "identifiable"),
+        "least_squares": p.value if p.least_squares is None else p.least_squares,
+        **_fields(p, "with_budget", "intervals", "identifiable"),
         "at_bound": p.at_bound or None,
         "kind": p.kind,
         "interval": p.interval_kind if p.headline == "noise" else None,
