@@ -27,15 +27,15 @@ from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.runs import stretches
 from calibration.uncertainty.estimates import Ends, ends_of
-from calibration.uncertainty.sets import QUANTILE, Error, Linear, mixture
+from calibration.uncertainty.sets import QUANTILE, SCALES, Error, Linear, mixture
 
 # Phases at which a process is known, its lengths as shares of a contact (what is longer is a coefficient), and the share of
 # its variance that is left out.
 _GRID, _LENGTHS, _LITTLE = np.linspace(0.0, 1.0, 101), (0.03, 0.06, 0.12, 0.2, 0.33), 1e-4
 # Chance that a law misses a shape: one must then raise the likelihood seven times to be seen, as by chance in one case of twenty.
 _ACTS = 0.7
-# Coefficients have taken up as much of a shape as residuals show.
-_LARGE = 2.0
+# Coefficients have taken up as much of a shape as residuals show, at most.
+_LARGE = 2.0 / max(SCALES)
 # Fewer samples in contact show no shape, and fewer of a record no memory.
 _FEW, _SHORT = 6, 15
 # The kind of interval that is of one more run by itself, and no interval of the estimate.
@@ -81,7 +81,7 @@ def discrepancy(series: Sequence[Series], residuals: np.ndarray, jacobian: np.nd
 
 
 def shapes(series: Sequence[Series], residuals: np.ndarray) -> list[Error]:
-    """Processes of each length, which exclude each other; a share of 1 is twice as large as the residuals (N,) in contact."""
+    """Processes of each length, which exclude each other; at most twice as large as the residuals (N,) in contact."""
     phases, peaks = _phases(series, residuals.size)
     touching = np.isfinite(phases)
     size = float(np.linalg.norm(residuals[touching]))

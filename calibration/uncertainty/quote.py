@@ -273,7 +273,7 @@ def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept
         return p
     log, limits = how.log[k], how.limits[k]
     z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
-    own = in_si(*(z + by.ends[k]), log, limits)
+    own = in_si(z + by.ends[k, 0], z + by.ends[k, 1], log, limits)
     value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
     low, high = p.ci95 if kept else (value, value)
     ends = (min(own[0], low), max(own[1], high))
