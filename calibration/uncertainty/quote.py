@@ -165,7 +165,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
         if anew is not None and leading is not None:
             following = _following(points[leading[0]], leading[1], free, anew, begin.sets.variance)
         if following is None:
-            at, log = nearest(own, own, "log")
+            at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
         points.append(following)
 
@@ -176,7 +176,7 @@ def _leading(
     """The point and the most probable of the sets that lead further than a line reaches, where no point is yet; None of few."""
     how, ends = moving(begin.at), found.ends()
     size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-    at, log, means, reach = nearest(own, own, "log", "means", "reach")
+    at, reach, log, means = nearest(own, own, "log", "means")
     target, unit = means + np.stack(places)[at], np.maximum(own[0].type_a[0], 1e-300)
     apart = np.min([np.max(np.abs(target - place) / unit, axis=1) for place in places], axis=0)
     far = np.any(means**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size, axis=1) & (apart > 0.5 * reach)
