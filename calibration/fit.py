@@ -306,7 +306,8 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
     how, every = moving(at), found.every
-    known = [every[name].ci95 for name in how.names]
+    # What filters leave open is of the noise; a shape that the law misses is another matter.
+    known = [every[name].intervals.get("noise") if every[name].ci95 else None for name in how.names]
     halves = [
         half(ends, log) if ends else at.spread.half_width(slope)
         for ends, log, slope in zip(known, how.log, how.slopes, strict=True)
@@ -332,7 +333,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         if wide := axis is not None and half(hull, log) >= fit_tests.widest(axis):
             what.append(f"{name} anywhere from {new}")
         every[name] = p = replace(p, intervals={**p.intervals, unstated_filter.KIND: hull})
-        if not wide and (axis is None or half(hull, log) > half(ends, log)):
+        if not wide and (axis is None or half(hull, log) > half(p.ci95, log)):
             every[name] = replace(p, ci95=hull, headline=unstated_filter.KIND)
     if not (what or open_.decisive):
         return replace(found, **_estimating(every))

@@ -163,10 +163,14 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
         leading = _leading(own, found, begin, places) if len(points) < _POINTS else None
         following = None
         if anew is not None and leading is not None:
-            following = _following(points[leading[0]], leading[1], free, anew, begin.sets.variance)
+            # The noise is what the most probable set leaves about a point where one leads, once there is such a point.
+            variance = points[0].sets.variance if len(points) > 1 else None
+            following = _following(points[leading[0]], leading[1], free, anew, variance)
         if following is None:
             at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
+        if len(points) == 1:
+            points = [_around(begin.at, begin.lin, begin.errors, free, following.sets.variance)]
         points.append(following)
 
 
@@ -185,7 +189,7 @@ def _leading(
     return (int(at[i]), i) if weight[far].sum() > _LITTLE * weight.sum() else None
 
 
-def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: float) -> _Around | None:
+def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: float | None) -> _Around | None:
     """The fit about the point where a set leads; None where the model does not run there or knows other errors."""
     point = np.array(here.at.end.point, dtype=float)
     point[free] += here.sets.means[i, here.lin.rows.shape[0] :]

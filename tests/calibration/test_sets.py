@@ -187,6 +187,18 @@ def test_intervals_cover_worlds_with_none_one_and_two_errors(noise):
     assert 0.91 < np.mean(held) < 0.995
 
 
+def test_how_far_a_set_leads_does_not_depend_on_how_well_its_point_knows():
+    """A move of 3 from a point is further than one of 2 from another, whatever the noise leaves there."""
+    world = World(6)
+    one = evaluated(world.at(world.rng.standard_normal(COUNT)), world.errors, 1.0)
+    points = [
+        one._replace(means=np.full_like(one.means, move), type_a=one.type_a * wide)
+        for move, wide in ((2.0, 1.0), (3.0, 9.0))
+    ]
+    k, reach, log = sets.nearest(points, points, "log")
+    assert not k.any() and reach == pytest.approx(np.max(2.0 / one.type_a[0])) and np.array_equal(log, one.log)
+
+
 def test_quantiles_of_means_that_nothing_spreads_are_among_them():
     weights = np.array([0.9, 0.1])
     for q, wanted in ((0.025, 0.0), (0.975, 1e-9)):
