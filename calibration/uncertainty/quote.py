@@ -42,7 +42,7 @@ SHOWN, OUT = 0.95, 0.2
 
 
 # Errors about a point.
-Anew = Callable[[Optimum], Sequence[Error]]
+Anew = Callable[..., Sequence[Error]]
 
 
 class Line(NamedTuple):
@@ -165,7 +165,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
         if anew is not None and leading is not None:
             # The noise is what the most probable set leaves about a point where one leads, once there is such a point.
             variance = points[0].sets.variance if len(points) > 1 else None
-            following = _following(points[leading[0]], leading[1], free, anew, variance)
+            following = _following(points[leading[0]], leading[1], begin, free, anew, variance)
         if following is None:
             at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
@@ -189,8 +189,14 @@ def _leading(
     return (int(at[i]), i) if weight[far].sum() > _LITTLE * weight.sum() else None
 
 
-def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: float | None) -> _Around | None:
-    """The fit about the point where a set leads; None where the model does not run there or knows other errors."""
+def _following(
+    here: _Around, i: int, begin: _Around, free: np.ndarray, anew: Anew, variance: float | None
+) -> _Around | None:
+    """The fit about the point where a set leads; None where the model does not run there or knows other errors.
+
+    The motion of the point does not know the error, that of the optimum follows the record and does. What an error of the law
+    changes between the two is its slope midway, to third order.
+    """
     point = np.array(here.at.end.point, dtype=float)
     point[free] += here.sets.means[i, here.lin.rows.shape[0] :]
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
@@ -199,7 +205,7 @@ def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: fl
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return None
     there = replace(here.at, end=replace(here.at.end, point=point, residuals=residuals, jacobian=jacobian))
-    errors = list(anew(there))
+    errors = list(anew(there, 0.5 * (point + begin.at.end.point)))
     if [e.name for e in errors] != [e.name for e in here.errors]:
         return None
     rows = moving(there).slopes[:, free]
