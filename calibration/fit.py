@@ -270,10 +270,10 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
 
     def widened(every: dict[str, Parameter], by: Quoted, whole: bool) -> dict[str, Any]:
         own = {name: (k, every[name]) for k, name in enumerate(how.names) if name in every}
-        kept = {n: p.headline == unstated_filter.KIND or (p.headline == "noise" and p.interval_kind != "covariance")
-                for n, (_, p) in own.items()}  # fmt: skip
+        bent = {n: p.headline == "noise" and p.interval_kind != "covariance" for n, (_, p) in own.items()}
+        kept = {n: bent[n] or p.headline == unstated_filter.KIND for n, (_, p) in own.items()}
         # Values of a law belong together: all move, or none.
-        moved = whole and not (bound or any(kept.values()) or budget(model).rough)
+        moved = whole and not (bound or any(bent.values()) or budget(model).rough)
         return _estimating({n: quote.with_errors(p, k, how, by, moved, kept[n]) for n, (k, p) in own.items()})
 
     with stage("errors that residuals do not show"):
@@ -284,7 +284,9 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
             own = conditional.parameters
             free = np.array([bool(own[n].ci95) if n in own else True for n in at.labels])
             known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound, anew)
-            conditional = replace(conditional, **widened(conditional.every, known, True))
+            # That of a filter that the record shows is another optimum, and stays.
+            same = all(n in found.every and p.value == found.every[n].value for n, p in conditional.every.items())
+            conditional = replace(conditional, **widened(conditional.every, known, same))
     every = widened(found.every, allowed, all(p.ci95 for p in found.every.values()))
     shared = (n for n, axis in zip(at.labels, model.coordinates, strict=True) if axis.experiment is None)
     values = {**found.values, **{name: every["parameters"][name].value for name in shared}}

@@ -286,7 +286,7 @@ def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept
     own = in_si(z + by.ends[k, 0], z + by.ends[k, 1], log, limits)
     value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
     low, high = p.ci95 if kept else (value, value)
-    ends = (min(own[0], low), max(own[1], high))
+    ends = (min(own[0], low, value), max(own[1], high, value))
     headline = p.headline if kept and ends != own else KIND
     intervals = {**p.intervals, KIND: own}
     return replace(
