@@ -194,7 +194,7 @@ def imperfections(world: str, deviations: float, seed: int) -> dict[str, float]:
 
 def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
     # Noise of its own: were it the same in every cell, a seed were one draw, whatever the number of cells.
-    own = crc32(told({name: f"{strength:.2g}" for name, strength in worlds.items()}).encode())
+    own = crc32(", ".join(f"{name} {strength:.2g}" for name, strength in worlds.items()).encode())
     rng, experiments = np.random.default_rng([seed, runs, own]), []
     # One sensor, whose noise is that of a share of the peak at 1 m/s.
     sigma = NOISE * float(motion(1.0)[1].max())

@@ -219,8 +219,8 @@ def _bent_clock(scene: Scene, own: bool) -> np.ndarray:
 
 def _of_records(scene: Scene, name: str) -> dict[str, Numbers]:
     """One amplitude of what all records share, which may be large, and one of what each has: a size is of both else."""
-    found = {name: {"own": False}, f"{name}, of each record": {"own": True}}
-    return found if len(scene.series) > 1 else {name: {"own": False}}
+    each: dict[str, Numbers] = {f"{name}, of each record": {"own": True}} if len(scene.series) > 1 else {}
+    return {name: {"own": False}, **each}
 
 
 def _factor_by_size(scene: Scene) -> np.ndarray:
