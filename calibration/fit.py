@@ -43,7 +43,7 @@ from calibration.uncertainty.estimates import REFERENCE, estimates, moving
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import BOUND, Evidence, check_kind, half, headlined, revised
-from calibration.uncertainty.law_miss import clustered, discrepancy, in_blocks
+from calibration.uncertainty.law_miss import misses
 from calibration.uncertainty.quote import Quoted
 
 log = logging.getLogger("calibration")
@@ -268,14 +268,13 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
     at = found.optimum
     how, anew = moving(at), partial(systematic.every, problem)
 
-    def widened(every: dict[str, Parameter], by: Quoted) -> dict[str, Any]:
-        own = dict(every)
-        for k, name in enumerate(how.names):
-            if p := own.get(name):
-                covariance = p.interval_kind == "covariance"
-                kept = p.headline == unstated_filter.KIND or (p.headline == "noise" and not covariance)
-                own[name] = quote.with_errors(p, k, how, by, kept)
-        return _estimating(own)
+    def widened(every: dict[str, Parameter], by: Quoted, whole: bool) -> dict[str, Any]:
+        own = {name: (k, every[name]) for k, name in enumerate(how.names) if name in every}
+        bent = {n: p.headline == "noise" and p.interval_kind != "covariance" for n, (_, p) in own.items()}
+        kept = {n: bent[n] or p.headline == unstated_filter.KIND for n, (_, p) in own.items()}
+        # Values of a law belong together: all move, or none.
+        moved = whole and not (bound or any(bent.values()) or budget(model).rough)
+        return _estimating({n: quote.with_errors(p, k, how, by, moved, kept[n]) for n, (k, p) in own.items()})
 
     with stage("errors that residuals do not show"):
         errors = anew(at)
@@ -285,8 +284,13 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
             own = conditional.parameters
             free = np.array([bool(own[n].ci95) if n in own else True for n in at.labels])
             known = allowed if free.all() or not free.any() else quote.quoted(at, errors, free, bound, anew)
-            conditional = replace(conditional, **widened(conditional.every, known))
-    found = replace(found, systematic=known, conditional=conditional, **widened(found.every, allowed))
+            # That of a filter that the record shows is another optimum, and stays.
+            same = all(n in found.every and p.value == found.every[n].value for n, p in conditional.every.items())
+            conditional = replace(conditional, **widened(conditional.every, known, same))
+    every = widened(found.every, allowed, all(p.ci95 for p in found.every.values()))
+    shared = (n for n, axis in zip(at.labels, model.coordinates, strict=True) if axis.experiment is None)
+    values = {**found.values, **{name: every["parameters"][name].value for name in shared}}
+    found = replace(found, systematic=known, conditional=conditional, values=values, **every)
     shown = (conditional or found).parameters
     return _doubted(problem, replace(found, notes=[*found.notes, *intervals.of_spanning(at, shown)]))
 
@@ -304,7 +308,8 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
     how, every = moving(at), found.every
-    known = [every[name].ci95 for name in how.names]
+    # What filters leave open is of the noise; a shape that the law misses is another matter.
+    known = [every[name].intervals.get("noise") if every[name].ci95 else None for name in how.names]
     halves = [
         half(ends, log) if ends else at.spread.half_width(slope)
         for ends, log, slope in zip(known, how.log, how.slopes, strict=True)
@@ -330,7 +335,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         if wide := axis is not None and half(hull, log) >= fit_tests.widest(axis):
             what.append(f"{name} anywhere from {new}")
         every[name] = p = replace(p, intervals={**p.intervals, unstated_filter.KIND: hull})
-        if not wide and (axis is None or half(hull, log) > half(ends, log)):
+        if not wide and (axis is None or half(hull, log) > half(p.ci95, log)):
             every[name] = replace(p, ci95=hull, headline=unstated_filter.KIND)
     if not (what or open_.decisive):
         return replace(found, **_estimating(every))
@@ -461,10 +466,10 @@ def _assess(problem: Problem, at: Optimum, ends: tuple[End, ...], asked: _Asked)
     of_data = answers.data(identification, {name: found.parameters[name].identifiable for name in at.labels})
     verdict = answers.verdict(of_search, of_data, law)
     exact = consistent and not any(s.declared or overstated(s, residuals) for s in at.series)
-    misses = {} if exact else _misses(at)
+    wider = {} if exact else misses(at)
     # At a bound least squares says nothing of the spread, and where the law misses the noise alone says too little.
     given = converged and whole and not any(p.at_bound for p in found.parameters.values())
-    found = headlined(at, misses, found, given and (consistent or bool(misses)))
+    found = headlined(at, wider, found, given and (consistent or bool(wider)))
     own, conditional = {name: found.parameters[name] for name in at.labels}, None
     # Without a whole contact, or a clearance that is crossed, no value means anything.
     if verdict == "not_identified" and whole and not any(p.ci95 for p in own.values()):
@@ -528,10 +533,10 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
         spread = fit_tests.spread(at.end, at.samples, at.noise.moved, at.model.loss, ~fixed)
         if spread.covariance is not None:
             held = replace(at, spread=spread, end=replace(at.end, jacobian=at.end.jacobian * ~fixed))
-            misses = {} if exact else _misses(held)
-            if not (exact or misses):
+            wider = {} if exact else misses(held)
+            if not (exact or wider):
                 return None
-            found = headlined(held, misses, estimates(held), True)
+            found = headlined(held, wider, estimates(held), True)
             for name in names[fixed]:
                 found.parameters[name] = _withheld(name, found.parameters[name])
             if any(found.parameters[name].ci95 for name in names[own & ~fixed]):
@@ -541,25 +546,6 @@ def _with_some_held(at: Optimum, parameters: dict[str, Parameter], exact: bool, 
         weakest = np.where(own & ~fixed, np.abs(spread.weakest), -1.0)
         fixed[int(np.argmax(weakest))] = True
     return None
-
-
-def _misses(at: Optimum) -> dict[str, fit_tests.Spread]:
-    """Spreads by kind that allow for a law that misses, and for runs that differ.
-
-    None of a robust loss, or where the integrator's error stands for the noise.
-    """
-    model, series, best, spread = at.model, at.series, at.end, at.spread
-    if spread.covariance is None or model.loss != "linear" or at.noise.integrator:
-        return {}
-    shape = model.data.weights.shape
-    runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)
-    readings = np.arange(best.residuals.size) < int(np.prod(shape))
-    own = any(axis.experiment is not None for axis in model.coordinates)
-    found = {} if own else clustered(runs[readings], best.residuals[readings], best.jacobian[readings], spread)
-    if "robust" not in found and (within := in_blocks(series, best.residuals, best.jacobian, spread)):
-        found["robust"] = within
-    process = discrepancy(series, best.residuals, best.jacobian, spread)
-    return found | ({"discrepancy": process.spread} if process else {})
 
 
 def _turns(seen: _Seen) -> bool:

@@ -20,6 +20,7 @@ from collections.abc import Callable, Collection
 from concurrent.futures import as_completed
 from functools import cache
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -192,7 +193,9 @@ def imperfections(world: str, deviations: float, seed: int) -> dict[str, float]:
 
 
 def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
-    rng, experiments = np.random.default_rng([seed, runs]), []
+    # Noise of its own: were it the same in every cell, a seed were one draw, whatever the number of cells.
+    own = crc32(", ".join(f"{name} {strength:.2g}" for name, strength in worlds.items()).encode())
+    rng, experiments = np.random.default_rng([seed, runs, own]), []
     # One sensor, whose noise is that of a share of the peak at 1 m/s.
     sigma = NOISE * float(motion(1.0)[1].max())
     for k, speed in enumerate(SPEEDS[runs]):
@@ -210,7 +213,7 @@ def problem(worlds: dict[str, float], runs: int, seed: int) -> Problem:
 def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
     """By kind, how many intervals are given and hold the truth; widths beside the noise's (median), and the oracle's."""
     held: dict[str, list[int]] = {kind: [0, 0] for kind in KINDS}
-    best, over, widths = oracle(found, worlds, runs), [], {}
+    best, over, widths, off = oracle(found, worlds, runs), [], {}, {}
 
     def count(kind: str, ends: tuple[float, float] | None, true: float) -> None:
         if ends is not None:
@@ -222,12 +225,15 @@ def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
         count("quoted", p.ci95, TRUTH[name])
         if p.ci95 and noise:
             over.append(_width(p.ci95, axis.log) / _width(noise, axis.log))
+            for kind, value in (("value", p.value), ("least squares", p.least_squares or p.value)):
+                error = _width((TRUTH[name], value), axis.log) / _width(noise, axis.log)
+                off.setdefault(kind, []).append(float(f"{error:.3g}"))
         if p.ci95 and best is not None:
             widths[name] = float(f"{_width(p.ci95, axis.log) / best[k]:.3g}")
     if force := found.reference:
         count("force", force.ci95, TRUTH["stiffness"] * force.penetration ** TRUTH["exponent"])
     quoted = {"quoted": float(f"{np.median(over):.3g}")} if over else {}
-    return {"verdict": found.verdict, **held, "widths": quoted, "oracle": widths}
+    return {"verdict": found.verdict, **held, "widths": quoted, "oracle": widths, "off": off}
 
 
 def oracle(found: Fit, worlds: dict[str, float], runs: int) -> np.ndarray | None:
@@ -265,13 +271,15 @@ def one(world: str, deviations: float, runs: int, seed: int) -> tuple[str, dict[
 
 def added(cell: dict[str, dict[str, Any]], found: dict[str, Any]) -> None:
     """Count one fit in its cell, whose keys are verdicts."""
-    kept = cell.setdefault(found["verdict"], {"fits": 0, **{k: [0, 0] for k in KINDS}, "widths": {}, "oracle": {}})
+    kept = cell.setdefault(
+        found["verdict"], {"fits": 0, **{k: [0, 0] for k in KINDS}, "widths": {}, "oracle": {}, "off": {}}
+    )
     kept["fits"] += 1
     for kind in KINDS:
         kept[kind] = [a + b for a, b in zip(kept[kind], found[kind], strict=True)]
-    for table in ("widths", "oracle"):
+    for table in ("widths", "oracle", "off"):
         for kind, width in found[table].items():
-            kept[table].setdefault(kind, []).append(width)
+            kept.setdefault(table, {}).setdefault(kind, []).extend(np.atleast_1d(width).tolist())
 
 
 def shares(found: list[dict[str, Any]], kind: str) -> tuple[int, int]:
@@ -281,7 +289,7 @@ def shares(found: list[dict[str, Any]], kind: str) -> tuple[int, int]:
 
 def every(found: list[dict[str, Any]], table: str, kind: str) -> list[float]:
     """All widths of a kind."""
-    return [w for of in found for w in of[table].get(kind, [])]
+    return [w for of in found for w in of.get(table, {}).get(kind, [])]
 
 
 def table(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
@@ -319,9 +327,12 @@ def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
         wide = {k: every(v, "widths", "quoted") for k, v in own.items() if k in former}
         ratios = [np.median(w) / former[k] for k, w in wide.items() if w]
         over = {parameter: every(fits, "oracle", parameter) for parameter in TRUTH}
+        off, least = (
+            np.sqrt(np.mean(np.square(every(fits, "off", kind) or [np.nan]))) for kind in ("value", "least squares")
+        )
         rows.append({
             "worlds": name, "runs": runs, "fits": sum(of["fits"] for of in fits), "low": f"{low} of {len(own)}",
-            "ratio": f"{np.median(ratios):.2f}" if ratios else "",
+            "ratio": f"{np.median(ratios):.2f}" if ratios else "", "off": f"{off / least:.2f}",
             **{kind: f"{a / max(b, 1):.1%} of {b}" for kind, (a, b) in ((kind, shares(fits, kind)) for kind in KINDS)},
             **{parameter: f"{np.median(w):.2f}" if w else "" for parameter, w in over.items()},
         })  # fmt: skip
@@ -329,6 +340,7 @@ def summary(cells: dict[str, dict[str, Any]], former: dict[str, float]) -> str:
         "worlds": "{worlds}", "runs": "{runs}", "fits": "{fits}", "noise holds": "{noise}", "quoted holds": "{quoted}",
         "force holds": "{force}", "cells below .88": "{low}", "width over the former budget's": "{ratio}",
         "over an oracle's: damping": "{damping}", "stiffness": "{stiffness}", "exponent": "{exponent}",
+        "error of the value over least squares' (rms)": "{off}",
     }, rows)  # fmt: skip
 
 

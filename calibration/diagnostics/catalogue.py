@@ -204,15 +204,23 @@ def _loss(scene: Scene, loss_exponent: float) -> np.ndarray:
 # Of what nobody listed.
 
 
-def _waves(scene: Scene, count: int, of: list[np.ndarray]) -> np.ndarray:
-    """Waves over each record of what readings are multiplied by; shared by records and of each."""
+def _waves(scene: Scene, count: int, of: list[np.ndarray], own: bool) -> np.ndarray:
+    """Waves over each record of what readings are multiplied by; records share them, or have their ``own`` beside."""
     phases = [(s.clock - s.clock[0]) / max(float(np.ptp(s.clock)), 1e-300) for s in scene.series]
-    every = [[f(k * x) * own for x, own in zip(phases, of, strict=True)] for f, k in _WAVES[: 2 * count]]
-    return shared_and_own(np.hstack([of_readings(scene, own) for own in every]), scene.series)
+    every = [[f(k * x) * y for x, y in zip(phases, of, strict=True)] for f, k in _WAVES[: 2 * count]]
+    shared = np.hstack([of_readings(scene, one) for one in every])
+    return shared_and_own(shared, scene.series) if own else shared
 
 
-def _bent_clock(scene: Scene) -> np.ndarray:
-    return _waves(scene, 3, [-_slope(s, x) * scene.contact for s, x in zip(scene.series, scene.read, strict=True)])
+def _bent_clock(scene: Scene, own: bool) -> np.ndarray:
+    slopes = [-_slope(s, x) * scene.contact for s, x in zip(scene.series, scene.read, strict=True)]
+    return _waves(scene, 3, slopes, own)
+
+
+def _of_records(scene: Scene, name: str) -> dict[str, Numbers]:
+    """One amplitude of what all records share, which may be large, and one of what each has: a size is of both else."""
+    each: dict[str, Numbers] = {f"{name}, of each record": {"own": True}} if len(scene.series) > 1 else {}
+    return {name: {"own": False}, **each}
 
 
 def _factor_by_size(scene: Scene) -> np.ndarray:
@@ -300,10 +308,13 @@ SHAPES = (
         listed=lambda x: {f"loss as rate^{p:g}": {"loss_exponent": p} for p in _LOSSES},
     ),
     Shape(
-        lambda x: _waves(x, 4, [np.full(r.size, x.peak) for r in x.read]), "of the peak", 0.01,
-        listed=lambda x: {"a smooth disturbance in time": {}},
+        lambda x, own: _waves(x, 4, [np.full(r.size, x.peak) for r in x.read], own), "of the peak", 0.01,
+        kind="disturbance", listed=lambda x: _of_records(x, "a smooth disturbance in time"),
     ),
-    Shape(_bent_clock, "of a contact's duration", 0.01, listed=lambda x: {"a clock that bends": {}}),
+    Shape(
+        _bent_clock, "of a contact's duration", 0.01,
+        kind="bent clock", listed=lambda x: _of_records(x, "a clock that bends"),
+    ),
     Shape(_factor_by_size, "of itself", 0.02, listed=lambda x: {"a smooth factor of the force by its size": {}}),
     Shape(
         _factor_by_depth, "of itself", 0.02,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
-    """Every record: data over the fitted history, and below it the residuals in standard deviations.
+    """Every record: data over the history of least squares, and below it the residuals in standard deviations.
 
     The problem is read for records that hold features alone. No picture where features alone were fitted.
     """
@@ -43,8 +43,9 @@ def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     strips = np.concatenate([(r.data[c] - r.prediction[c]) / r.sigma[c] for r, c in panels])
     inside = float(np.mean(np.abs(strips[np.isfinite(strips)]) <= 2.0))
     shows = (
-        f"{counted(len(panels), 'record')}{f', {held} of them held out' if held else ''}: data, the fitted curve, and below "
-        f"each the residuals in standard deviations; {100 * inside:.0f} % of them are within two."
+        f"{counted(len(panels), 'record')}{f', {held} of them held out' if held else ''}: data, the curve of "
+        "least squares, from which values to quote may differ, and below each the residuals in standard deviations; "
+        f"{100 * inside:.0f} % of them are within two."
     )
     return Picture(path.name, "Data and fit", shows)
 
@@ -64,7 +65,7 @@ def _panel(upper: Axes, lower: Axes, record: Record, channel: str, run: Run) -> 
     scale, prefix = engineering(data)
     for axis in (upper, lower):
         axis.set_visible(True)
-    name, colour = ("prediction", COLOURS[1]) if record.held_out else ("fit", COLOURS[0])
+    name, colour = ("prediction", COLOURS[1]) if record.held_out else ("least squares", COLOURS[0])
     offset = sum(own.get(name, 0.0) for name in offsets_of(channel, run.readings))
     curve = own["gain"] * run.readings[channel] + offset
     # The curve lies over the data, and is light enough in a dense record to leave them to be seen.

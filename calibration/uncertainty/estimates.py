@@ -40,7 +40,8 @@ class Parameter:
     """One estimate.
 
     Attributes:
-        value: SI.
+        value: SI; of one with the interval to quote the expectation over errors that may act (``uncertainty.quote``).
+        least_squares: the value where residuals are least, where that is another one.
         ci95: the headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not
             determine it, or the search failed.
         identifiable: whether the data determine it to better than a factor of two.
@@ -63,6 +64,7 @@ class Parameter:
     intervals: dict[str, Ends | None] = field(default_factory=dict)
     headline: str = ""
     with_budget: Ends | None = None
+    least_squares: float | None = None
 
 
 @dataclass(frozen=True)

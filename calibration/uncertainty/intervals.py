@@ -18,7 +18,7 @@ from calibration.forward.coordinates import Coordinate
 from calibration.noise.noise_model import Estimate
 from calibration.solver_budget import budget
 from calibration.uncertainty import posterior, profile
-from calibration.uncertainty.estimates import REFERENCE, Ends, Estimates, Parameter, ends_of
+from calibration.uncertainty.estimates import REFERENCE, Ends, Estimates, Parameter
 from calibration.uncertainty.law_miss import NEXT_RUN
 from calibration.uncertainty.posterior import WORST_RHAT, Chains, Posterior
 from calibration.uncertainty.profile import Profile
@@ -139,12 +139,10 @@ def half(ends: Ends | None, log: bool) -> float:
     return 0.5 * float(np.log(ends[1] / ends[0]) if log else ends[1] - ends[0])
 
 
-def headlined(at: Optimum, misses: Mapping[str, fit_tests.Spread], found: Estimates, given: bool) -> Estimates:
+def headlined(at: Optimum, kinds: Mapping[str, ByName], found: Estimates, given: bool) -> Estimates:
     """Estimates with their intervals by kind, and the headline: the widest. None where not ``given``: after a search that
-    failed, or where the data allow another answer. ``misses``: spreads beside the noise's; none where the law is the
-    noise.
+    failed, or where the data allow another answer. ``kinds``: beside the noise's (``law_miss.misses``).
     """
-    kinds = {kind: ends_of(replace(at, spread=spread)) for kind, spread in misses.items()}
     limits, parameters = dict(zip(at.labels, at.model.coordinates, strict=True)), {}
     for name, p in found.parameters.items():
         by_kind = {"noise": p.ci95, **{kind: ends[name] for kind, ends in kinds.items()}}

@@ -1,149 +1,127 @@
-"""Covariances of the estimates that hold where the law misses the contact, or runs differ, beside that of the noise.
+"""Intervals of the estimates that hold where the law misses the contact, or runs differ, beside that of the noise.
 
 Least squares over residuals r with the Jacobian J: an estimate moves by d = -(J^T J)^-1 J^T e for an error e of the
 prediction. Its covariance is (J^T J)^-1 J^T S J (J^T J)^-1 with S that of e:
 
-- *discrepancy*: e = noise + what the law misses, a Gaussian process over the phase of a contact, the same in every
-  contact and proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). Its size and its length
-  maximise the restricted likelihood of the residuals, the noise being the one that is most likely without it. The process is
-  at most twice as large as the residuals in contact, and no longer than a third of a contact: what is more is a coefficient.
-- *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times
-  G/(G - 1), Student's with G - 1 degrees of freedom. Of fewer runs the moving-block bootstrap within them
-  (Kuensch, Ann. Statist. 17, 1989), in the closed form that it has for sums.
+- *discrepancy*: e = noise + what the law misses, a Gaussian process over the phase of a contact, the same in every contact and
+  proportional to its peak (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001). How large it is, and of which of few lengths,
+  says the evidence of ``uncertainty.sets``.
+- *robust*: clustered by run, S from each run's own residuals (Liang and Zeger, Biometrika 73, 1986), times G/(G - 1),
+  Student's with G - 1 degrees of freedom. Of fewer runs from neighbouring samples (Newey and West, Econometrica 55, 1987), as
+  many lags as a memory of the first order asks for (Andrews, Econometrica 59, 1991).
 - *runs*: of the scatter of single runs' estimates, each a Gauss-Newton step from the common one. The estimate of one
   more run scatters about the common one by sqrt(G + 1) times as much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.interpolate import interp1d
 
 from calibration.diagnostics.fit_tests import WORST_CONDITION, Spread
+from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import Series
 from calibration.forward.runs import stretches
+from calibration.uncertainty.estimates import Ends, ends_of
+from calibration.uncertainty.sets import QUANTILE, SCALES, Error, Linear, mixture
 
-# Cosines over a contact's phase, and lengths of the process as shares of a contact.
-_COSINES, _LENGTHS = 24, (0.03, 0.06, 0.12, 0.2, 0.33)
-# Fewer samples in contact show no shape.
-_FEW = 6
-# A process must raise the logarithm of the likelihood by so much, as by chance in one case of twenty.
-_SEEN = 1.92
-# Bounds of the logarithm of the noise, which is about 1, and the logarithm of a process that is none.
-_NOISE, _NOTHING = (-3.0, 3.0), -40.0
-# A process is at most so many times as large as the residuals in contact, which the coefficients have taken a part of.
-_MOST = 2.0
+# Phases at which a process is known, its lengths as shares of a contact (what is longer is a coefficient), and the share of
+# its variance that is left out.
+_GRID, _LENGTHS, _LITTLE = np.linspace(0.0, 1.0, 101), (0.03, 0.06, 0.12, 0.2, 0.33), 1e-4
+# Chance that a law misses a shape: one must then raise the likelihood seven times to be seen, as by chance in one case of twenty.
+_ACTS = 0.7
+# Coefficients have taken up as much of a shape as residuals show, at most.
+_LARGE = 2.0 / max(SCALES)
+# Fewer samples in contact show no shape, and fewer of a record no memory.
+_FEW, _SHORT = 6, 15
 # The kind of interval that is of one more run by itself, and no interval of the estimate.
 NEXT_RUN = "next run"
-# Fewer runs, or blocks, say nothing of their scatter.
+# Fewer runs, or stretches that know nothing of each other, say nothing of their scatter.
 FEWEST_RUNS = 3
-# Lags in a row without correlation that end a block (Politis and White, Econometric Reviews 23, 2004).
-_QUIET = 5
 # Condition from which on a run does not determine every coordinate by itself.
 _WORST = 1e7
 
 
-class Discrepancy(NamedTuple):
-    """What the law misses: the spread of the estimate, the size of the miss as a share of a contact's peak, and its length."""
+def misses(at: Optimum) -> dict[str, Mapping[str, Ends | None]]:
+    """Intervals by kind and name; none of a robust loss, or where the integrator's error stands for the noise."""
+    model, best, spread = at.model, at.end, at.spread
+    if spread.covariance is None or model.loss != "linear" or at.noise.integrator:
+        return {}
+    shape, found = model.data.weights.shape, {}
+    readings = np.arange(best.residuals.size) < int(np.prod(shape))
+    if all(axis.experiment is None for axis in model.coordinates):
+        runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)
+        found = clustered(runs[readings], best.residuals[readings], best.jacobian[readings], spread)
+    given = (at.series, best.residuals, best.jacobian, spread)
+    found = {"robust": neighbouring(*given), **found, "discrepancy": discrepancy(*given)}
+    return {kind: ends_of(replace(at, spread=own)) for kind, own in found.items() if own}
 
-    spread: Spread
-    share: float
-    length: float
+
+def discrepancy(series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> Spread | None:
+    """Spread with a shape that the law misses, as large as residuals show; None where no contact is resolved."""
+    errors, free = shapes(series, residuals), np.any(jacobian, axis=0)
+    if noise.covariance is None or not errors:
+        return None
+    found = mixture(Linear(-residuals, jacobian[:, free], np.eye(int(free.sum())), 0.0, noise.freedom), errors)
+    way, best = _inverse(jacobian), found.members[np.argmax(found.log)]
+    plain, missed = found.variance * way @ way.T, np.zeros((len(way), len(way)))
+    changes = [(plain, 2.0 / noise.freedom)]
+    if best.any():  # Else most probably there is none.
+        for error, size in zip(errors, found.weights @ found.members**2, strict=True):
+            missed += size * (way @ error.prior[0]) @ (way @ error.prior[0]).T
+        # As many numbers as the data show say how well its size is known.
+        columns = np.max(best) * errors[int(np.argmax(best))].prior[0]
+        seen = np.linalg.svd(columns - jacobian @ (way @ columns), compute_uv=False) ** 2
+        changes.append((missed, 2.0 / max(float(np.sum(seen / (seen + found.variance))), 1.0)))
+    return noise._replace(covariance=plain + missed, moved=tuple(changes))
+
+
+def shapes(series: Sequence[Series], residuals: np.ndarray) -> list[Error]:
+    """Processes of each length, which exclude each other; at most twice as large as the residuals (N,) in contact."""
+    phases, peaks = _phases(series, residuals.size)
+    touching = np.isfinite(phases)
+    size = float(np.linalg.norm(residuals[touching]))
+    if np.count_nonzero(touching) < _FEW or not size:
+        return []
+    weighed = peaks.copy()
+    for s in series:
+        weighed[s.rows] *= s.weights
+    most, found = QUANTILE * _LARGE * size / float(np.linalg.norm(weighed)), []
+    for length in _LENGTHS:
+        basis = np.nan_to_num(interp1d(_GRID, _modes(length), axis=0)(phases)) * peaks[:, None]
+        for s in series:
+            basis[s.rows] = s.white(basis[s.rows])
+        found.append(Error(f"{length:.0%}", "of the peak", most, basis, "shape", chance=_ACTS))
+    return found
+
+
+@cache
+def _modes(length: float) -> np.ndarray:
+    """(G, K) over a grid of phases, whose product with itself is the squared-exponential covariance of this length."""
+    values, vectors = np.linalg.eigh(np.exp(-0.5 * ((_GRID[:, None] - _GRID) / length) ** 2))
+    kept = values > _LITTLE * values[-1]
+    return vectors[:, kept] * np.sqrt(values[kept])
+
+
+def _phases(series: Sequence[Series], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of each residual (N,) the phase of its contact, NaN in none, and the contact's peak, in SI as ``Series.values``."""
+    phases, peaks = np.full(size, np.nan), np.zeros(size)
+    for s in series:
+        for first, last in stretches(s.touching):
+            if last - first > 2:
+                clock, rows = s.clock[first:last], s.rows[first:last]
+                phases[rows] = (clock - clock[0]) / (clock[-1] - clock[0])
+                peaks[rows] = np.max(np.abs(s.values[first:last]))
+    return phases, peaks
 
 
 def _inverse(jacobian: np.ndarray) -> np.ndarray:
     """J^+ (P, N) of a Jacobian (N, P), whose columns of coordinates that are held are 0; then (J^T J)^-1 = J^+ J^+T."""
     return np.linalg.pinv(jacobian, rcond=1.0 / WORST_CONDITION)
-
-
-def discrepancy(
-    series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread
-) -> Discrepancy | None:
-    """The Gaussian process over the phase, of white residuals (N,) and Jacobian (N, P); None where no contact is resolved."""
-    if noise.covariance is None:
-        return None
-    basis, inside = _cosines(series, residuals.size)
-    if inside < _FEW or not np.any(residuals[basis[:, 0] != 0.0]):
-        return None
-    way = _inverse(jacobian)
-    inverse, beside = way @ way.T, basis - jacobian @ (way @ basis)
-    gram, push, square = beside.T @ beside, beside.T @ residuals, float(residuals @ residuals)
-    count = int(np.count_nonzero(np.abs(jacobian).any(axis=1) | (residuals != 0)))
-    freedom = max(count - int(np.count_nonzero(np.diag(inverse))), 1)
-
-    def cost(noise: float, size: float, power: np.ndarray) -> float:
-        return _restricted(gram, push, square, freedom, np.exp(2.0 * noise), np.exp(2.0 * size) * power)
-
-    # Without a process, and with one of each length.
-    nothing = _power(_LENGTHS[0])
-    alone: Any = minimize_scalar(lambda x: cost(x, _NOTHING, nothing), bounds=_NOISE, method="bounded")
-    best = (float(alone.fun) - _SEEN, 0.0, _LENGTHS[0])
-    # No larger than what is seen: what coefficients could take up altogether would else have no bound.
-    peaks = np.sum(basis[:, 0] ** 2)
-    most = float(np.log(_MOST * np.sqrt(np.sum(residuals[basis[:, 0] != 0.0] ** 2) / peaks)))
-    for length in _LENGTHS:
-        power = _power(length)
-        found: Any = minimize_scalar(
-            lambda x, power=power: cost(alone.x, x, power),
-            bounds=(most - 8.0, most), method="bounded", options={"xatol": 1e-3},
-        )  # fmt: skip
-        if found.fun < best[0]:
-            best = (float(found.fun), float(np.exp(found.x)), length)
-    _, share, length = best
-    variance, own = share**2 * _power(length), float(np.exp(2.0 * alone.x))
-    plain, missed = own * inverse, (way @ basis * variance) @ (way @ basis).T
-    changes = [(plain, 2.0 / freedom)]
-    if share > 0.0:
-        # As many numbers of the process as the data show say how well its size is known.
-        seen = np.maximum(np.linalg.eigvalsh(np.sqrt(variance)[:, None] * gram * np.sqrt(variance)), 0.0)
-        changes.append((missed, 2.0 / max(float(np.sum(seen / (seen + own))), 1.0)))
-    return Discrepancy(noise._replace(covariance=plain + missed, moved=tuple(changes)), share, length)
-
-
-def _cosines(series: Sequence[Series], size: int) -> tuple[np.ndarray, int]:
-    """Cosines (N, K) of the phase of each contact, times its peak in deviations; and how many samples lie in contact.
-
-    Freed of the noise's memory, as the residuals are.
-    """
-    basis, inside = np.zeros((size, _COSINES)), 0
-    for s in series:
-        own = np.zeros((s.rows.size, _COSINES))
-        for first, last in stretches(s.touching):
-            if last - first < 3:
-                continue
-            clock, peak = s.clock[first:last], float(np.max(np.abs(s.values[first:last])))
-            phase = (clock - clock[0]) / (clock[-1] - clock[0])
-            own[first:last] = peak * np.cos(np.pi * np.arange(_COSINES) * phase[:, None])
-            inside += last - first
-        if own.any():
-            basis[s.rows] = s.white(own)
-    return basis, inside
-
-
-def _power(length: float) -> np.ndarray:
-    """Variances of the cosines for a squared-exponential covariance of this length, 1 on average over the phase."""
-    density = np.exp(-0.5 * (length * np.pi * np.arange(_COSINES)) ** 2)
-    # The square of the constant is 1 on average, that of a cosine a half: they have the same share of the spectrum.
-    density[0] *= 0.5
-    return density / (density[0] + 0.5 * np.sum(density[1:]))
-
-
-def _restricted(
-    gram: np.ndarray, push: np.ndarray, square: float, freedom: int, noise: float, power: np.ndarray
-) -> float:
-    """Negative logarithm of the restricted likelihood of S = noise 1 + B power B^T, but for a constant.
-
-    Of least-squares residuals r, whose J^T r is 0: ``square`` r^T r, ``gram`` B'^T B' and ``push`` B'^T r of the part B' of
-    the cosines that no coordinate explains. Then |S| |J^T S^-1 J| is noise^freedom |H| |J^T J| and r^T P r is
-    (r^T r - b^T H^-1 b/noise)/noise with H = 1 + power^1/2 B'^T B' power^1/2/noise and b = power^1/2 B'^T r.
-    """
-    root = np.sqrt(power)
-    inner, pulled = np.eye(power.size) + root[:, None] * gram * root / noise, root * push
-    form = (square - pulled @ np.linalg.solve(inner, pulled) / noise) / noise
-    return 0.5 * float(freedom * np.log(noise) + np.linalg.slogdet(inner)[1] + form)
 
 
 def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> dict[str, Spread]:
@@ -168,47 +146,26 @@ def clustered(runs: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray, noi
     return found | {"runs": runs_differ, NEXT_RUN: runs_differ._replace(covariance=(count + 1) * scatter)}
 
 
-def in_blocks(series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> Spread | None:
-    """Spread by blocks of successive samples, which keep what correlates together; None of fewer than three blocks.
-
-    The variance of a sum under the moving-block bootstrap of blocks of b among N samples is N/b times that of the
-    N - b + 1 blocks' sums.
-    """
-    if noise.covariance is None:
-        return None
+def neighbouring(series: Sequence[Series], residuals: np.ndarray, jacobian: np.ndarray, noise: Spread) -> Spread | None:
+    """Spread by samples and their neighbours, with Bartlett's weights 1 - k/L; None of fewer than three times L samples."""
     way = _inverse(jacobian)
-    scores = [residuals[s.rows, None] * way.T[s.rows] for s in series if s.rows.size > 3 * _QUIET]
-    if not scores:
+    scores = [residuals[s.rows, None] * way.T[s.rows] for s in series if s.rows.size > _SHORT]
+    if noise.covariance is None or not scores:
         return None
-    length = max(1, round(max(block_length(column) for score in scores for column in score.T)))
-    count = sum(len(score) for score in scores) / length
-    if count < FEWEST_RUNS:
+    count, length = sum(len(x) for x in scores), max(map(_length, scores))
+    if count < FEWEST_RUNS * length:
         return None
     covariance = np.zeros((len(way), len(way)))
-    for score in scores:
-        sums = np.array([score[k : k + length].sum(axis=0) for k in range(len(score) - length + 1)])
-        away = sums - length * score.mean(axis=0)
-        covariance += len(score) / length * away.T @ away / len(sums)
-    return noise._replace(covariance=covariance * count / (count - 1.0), moved=(), student=count - 1.0)
+    for x in scores:
+        lags = [(1.0 - k / length) * x[k:].T @ x[: len(x) - k] for k in range(min(length, len(x)))]
+        covariance += lags[0] + sum(lag + lag.T for lag in lags[1:])
+    free = count / length - 1.0
+    return noise._replace(covariance=covariance * (free + 1.0) / free, moved=(), student=free)
 
 
-def block_length(values: np.ndarray) -> float:
-    """Best length of the blocks of a circular bootstrap of a series (N,), by its correlation.
-
-    Politis and White, Econometric Reviews 23 (2004), with the correction of Patton, Politis and White (28, 2009).
-    """
-    count = values.size
-    away = values - values.mean()
-    longest = int(np.ceil(np.sqrt(count))) + _QUIET
-    power = np.correlate(away, away, "full")[count - 1 : count + longest] / count
-    if not power[0] > 0.0:
-        return 1.0
-    seen = np.abs(power[1:] / power[0]) > 2.0 * np.sqrt(np.log10(count) / count)
-    quiet = (k for k in range(len(seen) - _QUIET + 1) if not seen[k : k + _QUIET].any())
-    reach = min(2 * (next(quiet, longest) + 1), longest)
-    lags = np.arange(1, reach + 1)
-    taper = np.clip(2.0 * (1.0 - lags / reach), 0.0, 1.0)
-    slope = 2.0 * float(np.sum(taper * lags * power[lags]))
-    long_run = float(power[0] + 2.0 * np.sum(taper * power[lags]))
-    best = (2.0 * slope**2 / (4.0 / 3.0 * long_run**2)) ** (1.0 / 3.0) * count ** (1.0 / 3.0)
-    return float(min(best, np.ceil(min(3.0 * np.sqrt(count), count / 3.0))))
+def _length(scores: np.ndarray) -> int:
+    """Andrews' L of scores (N, P): 1.1447 (4 c^2 N/(1 - c^2)^2)^1/3 for the largest correlation c of neighbours."""
+    away = scores - scores.mean(axis=0)
+    size = np.maximum(np.sum(away**2, axis=0), 1e-300)
+    kept = min(float(np.max(np.abs(np.sum(away[1:] * away[:-1], axis=0) / size))), 0.97)
+    return 1 + int(1.1447 * (4.0 * kept**2 * len(scores) / (1.0 - kept**2) ** 2) ** (1.0 / 3.0))

@@ -42,7 +42,7 @@ SHOWN, OUT = 0.95, 0.2
 
 
 # Errors about a point.
-Anew = Callable[[Optimum], Sequence[Error]]
+Anew = Callable[..., Sequence[Error]]
 
 
 class Line(NamedTuple):
@@ -85,20 +85,17 @@ class Uncertainty(NamedTuple):
 
 
 class Quoted(NamedTuple):
-    """What is quoted: names, how far the ends of each interval lie from the estimate, uncertainties, and every error.
+    """What is quoted: names, how far the ends of each interval (K, 2) and the expectation (K,) lie from the optimum,
+    uncertainties, and every error.
 
     What is held where it is, as an estimate at its bound, has no uncertainty.
     """
 
     names: tuple[str, ...]
     ends: np.ndarray
+    expected: np.ndarray
     uncertainties: dict[str, Uncertainty]
     lines: list[Line]
-
-    def reach(self, name: str) -> tuple[float, float]:
-        """Moves (low, high) of an estimate's coordinate to the ends of its interval."""
-        low, high = self.ends[self.names.index(name)]
-        return float(low), float(high)
 
 
 def quoted(
@@ -121,15 +118,17 @@ def quoted(
             + sum(line.moves[name] for line in known)
             for name, row in zip(how.names, _rows(last.lin), strict=True)
         ]
-        ends = np.array([[-h, h] for h in half])
+        ends, expected = np.array([[-h, h] for h in half]), np.zeros(len(half))
     else:
-        ends = found.ends()
+        ends, expected = found.ends(), found.weights @ found.means
     combined, type_a, type_b = found.combined()
     factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
     columns = zip(
         how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
     )
-    return Quoted(how.names, ends, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known)
+    return Quoted(
+        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known
+    )
 
 
 class _Around(NamedTuple):
@@ -164,10 +163,14 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
         leading = _leading(own, found, begin, places) if len(points) < _POINTS else None
         following = None
         if anew is not None and leading is not None:
-            following = _following(points[leading[0]], leading[1], free, anew, begin.sets.variance)
+            # The noise is what the most probable set leaves about a point where one leads, once there is such a point.
+            variance = points[0].sets.variance if len(points) > 1 else None
+            following = _following(points[leading[0]], leading[1], begin, free, anew, variance)
         if following is None:
-            at, log = nearest(own, own, "log")
+            at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
+        if len(points) == 1:
+            points = [_around(begin.at, begin.lin, begin.errors, free, following.sets.variance)]
         points.append(following)
 
 
@@ -177,7 +180,7 @@ def _leading(
     """The point and the most probable of the sets that lead further than a line reaches, where no point is yet; None of few."""
     how, ends = moving(begin.at), found.ends()
     size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-    at, log, means, reach = nearest(own, own, "log", "means", "reach")
+    at, reach, log, means = nearest(own, own, "log", "means")
     target, unit = means + np.stack(places)[at], np.maximum(own[0].type_a[0], 1e-300)
     apart = np.min([np.max(np.abs(target - place) / unit, axis=1) for place in places], axis=0)
     far = np.any(means**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size, axis=1) & (apart > 0.5 * reach)
@@ -186,8 +189,14 @@ def _leading(
     return (int(at[i]), i) if weight[far].sum() > _LITTLE * weight.sum() else None
 
 
-def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: float) -> _Around | None:
-    """The fit about the point where a set leads; None where the model does not run there or knows other errors."""
+def _following(
+    here: _Around, i: int, begin: _Around, free: np.ndarray, anew: Anew, variance: float | None
+) -> _Around | None:
+    """The fit about the point where a set leads; None where the model does not run there or knows other errors.
+
+    The motion of the point does not know the error, that of the optimum follows the record and does. What an error of the law
+    changes between the two is its slope midway, to third order.
+    """
     point = np.array(here.at.end.point, dtype=float)
     point[free] += here.sets.means[i, here.lin.rows.shape[0] :]
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
@@ -196,7 +205,7 @@ def _following(here: _Around, i: int, free: np.ndarray, anew: Anew, variance: fl
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return None
     there = replace(here.at, end=replace(here.at.end, point=point, residuals=residuals, jacobian=jacobian))
-    errors = list(anew(there))
+    errors = list(anew(there, 0.5 * (point + begin.at.end.point)))
     if [e.name for e in errors] != [e.name for e in here.errors]:
         return None
     rows = moving(there).slopes[:, free]
@@ -264,18 +273,22 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
     return lines
 
 
-def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, kept: bool) -> Parameter:
+def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept: bool = False) -> Parameter:
     """Estimate k with the interval to quote, where it has one.
 
-    That reaches to the estimate where it would not hold it: then an error seems to act that moves it, or one that no prior
-    knows. Where ``kept`` it holds the interval that the estimate has.
+    Where ``moved`` its value is the expectation (JCGM 101, 7.6): residuals are least where an error that acts moves the
+    estimate. Else the value stays, and the interval reaches to it. Where ``kept`` it holds the interval that the estimate has.
     """
     if p.ci95 is None:
         return p
-    log, reach = how.log[k], by.reach(how.names[k])
+    log, limits = how.log[k], how.limits[k]
     z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
-    own = in_si(z + reach[0], z + reach[1], log, how.limits[k])
-    low, high = p.ci95 if kept else (p.value, p.value)
-    ends = (min(own[0], low), max(own[1], high))
+    own = in_si(z + by.ends[k, 0], z + by.ends[k, 1], log, limits)
+    value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
+    low, high = p.ci95 if kept else (value, value)
+    ends = (min(own[0], low, value), max(own[1], high, value))
     headline = p.headline if kept and ends != own else KIND
-    return replace(p, ci95=ends, with_budget=ends, headline=headline, intervals={**p.intervals, KIND: own})
+    intervals = {**p.intervals, KIND: own}
+    return replace(
+        p, value=value, least_squares=p.value, ci95=ends, with_budget=ends, headline=headline, intervals=intervals
+    )

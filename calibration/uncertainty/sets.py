@@ -111,11 +111,6 @@ class Mixture(NamedTuple):
         weights = np.exp(self.log - self.log.max())
         return weights / weights.sum()
 
-    @property
-    def reach(self) -> np.ndarray:
-        """(M,) how far sets lead from the point, in deviations of the noise alone."""
-        return np.max(np.abs(self.means) / np.maximum(self.type_a[0], 1e-300), axis=1)
-
     def ends(self, level: float = 0.95) -> np.ndarray:
         """(Q, 2) ends of the interval, as moves from the optimum."""
         spread = np.hypot(self.type_a, self.type_b)
@@ -142,16 +137,20 @@ class Mixture(NamedTuple):
 
 
 def nearest(every: Sequence[Mixture], of: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
-    """Of every set the point that it leads away from least, and what is found there."""
-    k = np.argmin([e.reach for e in every], axis=0)
-    return k, *(np.stack([getattr(e, n) for e in of])[k, np.arange(k.size)] for n in names)
+    """Of every set the point that it leads away from least, how far, in deviations of the first point's noise, and what is
+    found there.
+    """
+    unit = np.maximum(every[0].type_a[0], 1e-300)
+    reach = np.array([np.max(np.abs(e.means) / unit, axis=1) for e in every])
+    k = np.argmin(reach, axis=0)
+    return k, *(x[k, np.arange(k.size)] for x in (reach, *(np.stack([getattr(e, n) for e in of]) for n in names)))
 
 
 def merged(every: Sequence[Mixture], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
     """Of every set that counts what was found about the point that it leads away from least; (Q,) where each point is."""
     names = ("log", "means", "type_a", "type_b")
     there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
-    found = dict(zip(names, nearest(every, there, *names)[1:], strict=True)) | {"members": every[0].members}
+    found = dict(zip(names, nearest(every, there, *names)[2:], strict=True)) | {"members": every[0].members}
     kept = found["log"] > found["log"].max() + np.log(_LEAST)
     return every[0]._replace(**{name: x[kept] for name, x in found.items()})
 

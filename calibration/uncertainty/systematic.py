@@ -32,15 +32,16 @@ _STEP, _SHARE = 1e-2, 0.01
 _KNOWN = ("gravity",)
 
 
-def every(problem: Problem, at: Optimum) -> list[Error]:
-    """Every error that may act."""
+def every(problem: Problem, at: Optimum, moved: np.ndarray | None = None) -> list[Error]:
+    """Every error that may act; what an error of the law does is told by the motion of a point ``moved`` (P,), where given."""
     model, best, rough = at.model, at.end, budget(at.model).rough
     free = {axis.name for axis in model.coordinates}
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
     taken, known = free | stated, _instruments(at)
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
     # Of a rough cost a motion costs seconds, and it has no linear answer that many waves would leave standing.
-    scene = signatures.scene_of(model, at.series, predictions(model, best.point), None if rough else best.point)
+    motion = None if rough else best.point if moved is None else moved
+    scene = signatures.scene_of(model, at.series, predictions(model, best.point), motion)
     sensor = of_sensor(scene, taken, known)
     if model.data.passed:  # The stated filter is the lag that every sensor has; another acts as other errors do.
         sensor = [e._replace(chance=min(e.chance, ACTS)) for e in sensor]

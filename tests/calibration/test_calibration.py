@@ -80,12 +80,12 @@ def test_demo_is_identified_from_every_seed(demo_fits):
 def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     found = demo_fits[0]
     k, n = (found.labels.index(name) for name in ("stiffness", "exponent"))
-    depth, exponent = float(np.log(found.reference.penetration)), found.parameters["exponent"].value
+    depth, exponent = float(np.log(found.reference.penetration)), found.parameters["exponent"].least_squares
     # The same optimum by (ln K, ln n, t0): a step of ln n at fixed K is one at fixed F_ref = K d_ref^n and one of
     # ln F_ref by n ln d_ref, so that column of the Jacobian changes, and J^T J gives the covariance afresh.
     built = model.build(demo, demo.experiments).at_depth(depth)
     assert built.coordinates[n].log
-    values = np.array([found.parameters[name].value for name in found.labels])
+    values = np.array([found.parameters[name].least_squares for name in found.labels])
     point = jnp.asarray(built.point(values))
     jacobian = np.array(model.residuals_and_jacobian(built, point)[1])
     jacobian /= np.asarray(built.box[1])
@@ -107,7 +107,7 @@ def test_reference_force_is_what_the_data_determine(demo, demo_fits):
     # Two ways of one inversion whose condition is some 1e5: nine digits lost of sixteen at most.
     low, high = np.log(found.parameters["stiffness"].intervals["noise"])
     assert (high - low) / 2 == pytest.approx(half, rel=1e-6)
-    assert (high + low) / 2 == pytest.approx(np.log(found.values["stiffness"]), abs=1e-9)
+    assert (high + low) / 2 == pytest.approx(np.log(found.parameters["stiffness"].least_squares), abs=1e-9)
     # The force where the data are is known five times as well as the stiffness at 1 m.
     low, high = np.log(found.reference.ci95)
     assert (high - low) / 2 < half / 5
@@ -222,7 +222,7 @@ def test_a_linear_contact_has_an_exponent_of_one_side():
     for seed in range(6):
         found = fit(problem(experiment(force, seed), **truth), starts=4)
         assert found.verdict == "identified", found.reasons
-        at_least += found.parameters["exponent"].value < 1.001
+        at_least += found.parameters["exponent"].least_squares < 1.001
         for name, true in truth.items():
             low, high = found.parameters[name].ci95
             # Four sigma, of which an interval of two sides is 2 * 1.96 wide.

@@ -187,6 +187,18 @@ def test_intervals_cover_worlds_with_none_one_and_two_errors(noise):
     assert 0.91 < np.mean(held) < 0.995
 
 
+def test_how_far_a_set_leads_does_not_depend_on_how_well_its_point_knows():
+    """A move of 3 from a point is further than one of 2 from another, whatever the noise leaves there."""
+    world = World(6)
+    one = evaluated(world.at(world.rng.standard_normal(COUNT)), world.errors, 1.0)
+    points = [
+        one._replace(means=np.full_like(one.means, move), type_a=one.type_a * wide)
+        for move, wide in ((2.0, 1.0), (3.0, 9.0))
+    ]
+    k, reach, log = sets.nearest(points, points, "log")
+    assert not k.any() and reach == pytest.approx(np.max(2.0 / one.type_a[0])) and np.array_equal(log, one.log)
+
+
 def test_quantiles_of_means_that_nothing_spreads_are_among_them():
     weights = np.array([0.9, 0.1])
     for q, wanted in ((0.025, 0.0), (0.975, 1e-9)):
@@ -195,9 +207,12 @@ def test_quantiles_of_means_that_nothing_spreads_are_among_them():
 
 
 def test_an_interval_to_quote_holds_its_estimate():
-    """Errors that lead away from an estimate leave it in their interval; that of the residuals is replaced."""
+    """Errors that lead away from the optimum lead the value, too; where that stays the interval reaches to it."""
     known = quote.Parameter(0.066, "s/m", (0.05, 0.08), True, "")
     how = quote.Moving(("damping",), np.log([0.066]), np.eye(1), (True,), np.array([[-np.inf, np.inf]]))
-    for ends, wanted in (((0.139, 0.159), (0.066, 0.159)), ((0.06, 0.07), (0.06, 0.07))):
-        by = quote.Quoted(how.names, np.log(np.array([ends]) / 0.066), {}, [])
-        assert quote.with_errors(known, 0, how, by, False).ci95 == pytest.approx(wanted)
+    for ends, reaching in (((0.139, 0.159), (0.066, 0.159)), ((0.06, 0.07), (0.06, 0.07))):
+        moves = np.log(np.array([ends]) / 0.066)
+        by = quote.Quoted(how.names, moves, moves.mean(axis=1), {}, [])
+        moved, stays = (quote.with_errors(known, 0, how, by, m) for m in (True, False))
+        assert (*moved.ci95, moved.value, moved.least_squares) == pytest.approx((*ends, np.sqrt(np.prod(ends)), 0.066))
+        assert (*stays.ci95, stays.value) == pytest.approx((*reaching, 0.066))

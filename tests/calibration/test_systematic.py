@@ -62,7 +62,7 @@ def test_a_line_says_what_a_fit_of_that_error_moves_by(tmp_path, monkeypatch):
     two = fit(problem(lambda f: f * (1.0 + bend * f / f.max())), starts=4)
     for name in TRUTH:
         for error, other in (("mass", one), ("bend of the gain", two)):
-            moved = abs(np.log(other.values[name] / found.values[name]))
+            moved = abs(np.log(other.parameters[name].least_squares / found.parameters[name].least_squares))
             assert moved == pytest.approx(lines[error].moves[name], rel=0.15, abs=2e-4), (name, error)
     brief(found, f"Fit: {found.verdict}")
     drawn(found, tmp_path, monkeypatch)
@@ -191,7 +191,7 @@ def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass():
     assert list(line.moves.values()) == pytest.approx(list(line.amplitude * moved), rel=1e-6)
     # Type A and B add up in squares, and the interval is the coverage factor times their sum.
     for name, u in found.uncertainties.items():
-        low, high = found.reach(name)
+        low, high = found.ends[found.names.index(name)]
         assert u.combined == pytest.approx(np.hypot(u.type_a, u.type_b))
         assert 0.5 * (high - low) == pytest.approx(u.coverage_factor * u.combined)
 
