@@ -87,17 +87,18 @@ def _step(
     s = h * GAMMA
     states, slopes, error = stages(solver, t0, h, rows[0], args, firsts[0])
 
-    def tangents(_):
+    def tangents():
         """Of both stages; what does not depend on the tangents themselves for both together."""
 
-        def at(t, y):
+        def at(where):
+            t, y = where
             return structure.factor(t, y, args, s), along(solver, t, y, args, changes)
 
-        matrices, moved = jax.vmap(at)(t0 + NODES * h, states)
+        matrices, moved = jax.lax.map(at, (t0 + NODES * h, states))
 
         def stage(base, row):
             matrix, push = row
-            found = jax.vmap(structure.solve, (None, 0))(matrix, base / s + push)
+            found = jax.lax.map(lambda row: structure.solve(matrix, row), base / s + push)
             slope = (found - base) / s
             return following(h, base, slope), (found, slope)
 
@@ -106,7 +107,7 @@ def _step(
 
     # A step that will be rejected needs none.
     good = jnp.sqrt(jnp.mean(jnp.square(error / solver.tolerance))) <= 1.0
-    ahead, last = jax.lax.cond(good, tangents, lambda _: (rows[1:], rows[1:]), None)
+    ahead, last = jax.lax.cond(good, tangents, lambda: (rows[1:], rows[1:]))
     errors = jnp.concatenate([error[None], jnp.zeros_like(ahead)])
     lasts = jnp.concatenate([slopes[1:], last])
     return jnp.concatenate([states[1:], ahead]), errors, lasts, (h * firsts, h * lasts)
