@@ -64,11 +64,13 @@ def arguments(verb: str, scene: str) -> list[str]:
     """A good command line of a verb on a scene, without what it is refused for."""
     parameter, feature = some(scene if scene in SCENES else "impact")
     given = load(scene if scene in SCENES else "impact")
-    value = float(given.params[parameter])
+    value, traits = float(given.params[parameter]), given.scene.traits
+    # A scene without a history takes no steps, and has no solver.
+    group = ("rodas3" if traits.stiff else "tsit5") if traits.history else "tolerance"
     return {
         "simulate": ["simulate", scene],
         "sensitivity": ["sensitivity", scene, "--wrt", parameter, "--features", feature],
-        "tradeoff": ["tradeoff", scene, "--only", "tsit5" if not given.scene.traits.stiff else "rodas3"],
+        "tradeoff": ["tradeoff", scene, "--only", group],
         "design": ["design", scene, "--minimize", feature, "--vary", f"{parameter}={0.9 * value:g}:{1.1 * value:g}"],
     }[verb]
 
