@@ -30,7 +30,7 @@ from jax import Array
 from bcfj_jax.solve.remembering import AtTouch
 from bcfj_jax.solve.sdirk import Sdirk, Stage, newton
 from bcfj_jax.solve.tangents import along
-from bcfj_jax.xla.kept import once
+from bcfj_jax.xla.kept import each, once
 
 ORDERS = 5
 ROWS = ORDERS + 3
@@ -262,7 +262,7 @@ class _Run(NamedTuple):
 
         def tangents():
             push = along(solver, t, y, args, changes) if jax.tree.leaves(changes) else jnp.zeros_like(base[1:])
-            found = jax.lax.map(lambda row: solver.structure.solve(matrix, row), base[1:] / c + push)
+            found = each(lambda row: solver.structure.solve(matrix, row), base[1:] / c + push)
             return found - ahead[1:], matrix
 
         # A step that will be rejected needs none. Nor is its matrix kept, which may be one of a state that is not finite.

@@ -23,6 +23,7 @@ from jax import Array
 from bcfj_jax.solve.sdirk import GAMMA, NODES, Sdirk, following, stages
 from bcfj_jax.solve.wrapped import AbstractWrapped
 from bcfj_jax.xla import batched_jvp
+from bcfj_jax.xla.kept import each
 
 
 class SdirkTangents(AbstractWrapped):
@@ -94,11 +95,11 @@ def _step(
             t, y = where
             return structure.factor(t, y, args, s), along(solver, t, y, args, changes)
 
-        matrices, moved = jax.lax.map(at, (t0 + NODES * h, states))
+        matrices, moved = each(at, (t0 + NODES * h, states))
 
         def stage(base, row):
             matrix, push = row
-            found = jax.lax.map(lambda row: structure.solve(matrix, row), base / s + push)
+            found = each(lambda row: structure.solve(matrix, row), base / s + push)
             slope = (found - base) / s
             return following(h, base, slope), (found, slope)
 

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from bcfj_jax.xla import inside
+from bcfj_jax.xla.backend import on_cpu
 from bcfj_jax.xla.inside import Primitive, ad
 
 
@@ -31,6 +32,11 @@ def once(wanted: Array, function: Callable[[], Any], otherwise: Any) -> Any:
     saves what calling them costs. Not to be differentiated in reverse.
     """
     return jax.lax.while_loop(lambda x: x[0], lambda x: (jnp.zeros_like(x[0]), function()), (wanted, otherwise))[1]
+
+
+def each(function: Callable[[Any], Any], rows: Any) -> Any:
+    """``function`` of every row: on a CPU one after the other, so that small products call no library; else at once."""
+    return jax.lax.map(function, rows) if on_cpu() else jax.vmap(function)(rows)
 
 
 def _loop(*values: Array) -> list[Array]:
