@@ -369,8 +369,8 @@ def _own(shown: Mapping[str, Parameter]) -> tuple[list[str], list[list[str]]]:
 def _remark(p: Parameter) -> str:
     remarks = ["derived from force and exponent"] if p.kind == "derived" else []
     remarks += ["not to a factor of two"] if p.ci95 and p.ci95[0] > 0.0 and p.ci95[1] > 2.0 * p.ci95[0] else []
-    least = p.value if p.least_squares is None else p.least_squares
-    remarks += [f"least squares {brief(least, p.unit)}"] if brief(least, p.unit) != brief(p.value, p.unit) else []
+    least = brief(p.least_squares, p.unit)
+    remarks += [f"least squares {least}"] if least != brief(p.value, p.unit) else []
     remarks += [f"interval by {p.interval_kind}"] if p.headline == "noise" and p.interval_kind != "covariance" else []
     remarks += [f"at its {p.at_bound} bound"] if p.at_bound else []
     remarks += [] if p.identifiable else ["not determined by the data"]
@@ -413,8 +413,7 @@ def _parameter(p: Parameter) -> dict[str, Any]:
     return {
         **_fields(p, "value", "unit", "ci95"),
         "headline": p.headline or None,
-        "least_squares": p.value if p.least_squares is None else p.least_squares,
-        **_fields(p, "with_budget", "intervals", "identifiable"),
+        **_fields(p, "least_squares", "with_budget", "intervals", "identifiable"),
         "at_bound": p.at_bound or None,
         "kind": p.kind,
         "interval": p.interval_kind if p.headline == "noise" else None,

@@ -329,7 +329,7 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
         hull = open_.ends(k, ends, log, how.limits[k])
         new = " to ".join(brief(x, p.unit) for x in hull)
         if open_.decisive:
-            there[name] = replace(p, value=values[k], ci95=hull, headline=unstated_filter.KIND)
+            there[name] = replace(p, value=values[k], least_squares=values[k], ci95=hull, headline=unstated_filter.KIND)
             what.append(f"{name} {new} in place of {brief(p.value, p.unit)}")
             continue
         if wide := axis is not None and half(hull, log) >= fit_tests.widest(axis):

@@ -225,7 +225,7 @@ def judged(found: Fit, worlds: dict[str, float], runs: int) -> dict[str, Any]:
         count("quoted", p.ci95, TRUTH[name])
         if p.ci95 and noise:
             over.append(_width(p.ci95, axis.log) / _width(noise, axis.log))
-            for kind, value in (("value", p.value), ("least squares", p.least_squares or p.value)):
+            for kind, value in (("value", p.value), ("least squares", p.least_squares)):
                 error = _width((TRUTH[name], value), axis.log) / _width(noise, axis.log)
                 off.setdefault(kind, []).append(float(f"{error:.3g}"))
         if p.ci95 and best is not None:

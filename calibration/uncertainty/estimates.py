@@ -41,7 +41,7 @@ class Parameter:
 
     Attributes:
         value: SI; of one with the interval to quote the expectation over errors that may act (``uncertainty.quote``).
-        least_squares: the value where residuals are least, where that is another one.
+        least_squares: the value where residuals are least; the same where none else is given.
         ci95: the headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not
             determine it, or the search failed.
         identifiable: whether the data determine it to better than a factor of two.
@@ -64,7 +64,11 @@ class Parameter:
     intervals: dict[str, Ends | None] = field(default_factory=dict)
     headline: str = ""
     with_budget: Ends | None = None
-    least_squares: float | None = None
+    least_squares: float = np.nan
+
+    def __post_init__(self) -> None:
+        if np.isnan(self.least_squares):
+            object.__setattr__(self, "least_squares", self.value)
 
 
 @dataclass(frozen=True)

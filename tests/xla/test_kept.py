@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.xla.kept import kept, once
+from bcfj_jax.xla import kept as kept_module
+from bcfj_jax.xla.kept import each, kept, once
 
 
 def fenced(x):
@@ -43,3 +44,15 @@ def test_once_is_a_branch():
     rows, slopes = jax.jvp(lambda x: jax.vmap(tried)(jnp.array([True, False, True]), x), (x,), (jnp.ones(3),))
     np.testing.assert_allclose(rows[0], [0.0, 0.5, np.sin(1.0)])
     np.testing.assert_allclose(slopes[0], [1.0, 1.0, np.cos(1.0)])
+
+
+def test_each_row_is_the_same_one_after_the_other_and_at_once(monkeypatch):
+    matrix, rows = jnp.arange(9.0).reshape(3, 3) + jnp.eye(3), jnp.arange(12.0).reshape(4, 3)
+    found = {}
+    for on_cpu in (True, False):
+        monkeypatch.setattr(kept_module, "on_cpu", lambda on_cpu=on_cpu: on_cpu)
+        text = jax.jit(lambda rows: each(lambda row: matrix @ row, rows)).lower(rows).as_text()
+        assert ("stablehlo.while" in text) == on_cpu
+        found[on_cpu] = each(lambda row: matrix @ row, rows)
+    np.testing.assert_allclose(found[True], found[False], rtol=1e-14)
+    np.testing.assert_allclose(found[True], rows @ matrix.T, rtol=1e-14)
