@@ -111,9 +111,9 @@ class Record:
     def index(self, name: str, where: str) -> int:
         """Position of a column, by its full header, its name without the unit, or with one that the header has not."""
         bare = tuple(column(h) for h in self.header)
-        asked = column(name)[1]
-        unitless = tuple(n if unit is None or (asked and same(unit, asked)) else None for n, unit in bare)
-        for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (column(name)[0], unitless)):
+        own, asked = column(name)
+        unitless = [n == own and (unit is None or bool(asked and same(unit, asked))) for n, unit in bare]
+        for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (True, unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
             if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):
                 return found[0]

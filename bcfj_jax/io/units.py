@@ -62,6 +62,8 @@ _COMMON = {(prefix + unit, unit): float(f"1e{power}") for unit in _PREFIXABLE fo
     ("g", "kg"): 1e-3, ("kg", "kg"): 1.0, ("kg/m^3", "kg/m^3"): 1.0, ("m/s^2", "m/s^2"): 1.0, ("%", "1"): 0.01,
     ("deg", "rad"): math.pi / 180.0, ("rad", "rad"): 1.0, ("rad/s", "rad/s"): 1.0, ("r/min", "rad/s"): math.pi / 30.0,
 }  # fmt: skip
+# Units of these convert to no other of them, so that a column of forces is known to be no clock without Pint.
+_APART = frozenset(("m", "s", "N", "Pa", "kg", "m/s"))
 # Accelerations in multiples of 9.80665 m/s^2, as headers write them; elsewhere g is a gram and G a gauss.
 GRAVITIES = {"g": 9.80665, "G": 9.80665, "gn": 9.80665, "g_n": 9.80665, "g's": 9.80665, "gs": 9.80665, "mg": 9.80665e-3}
 _IN_GRAVITIES = re.compile(
@@ -134,7 +136,16 @@ def scale_of(unit_text: str, si_unit: str, where: str, *, exponent: float | None
     if si_unit == "m/s^2" and unit_text in GRAVITIES:
         return GRAVITIES[unit_text]
     common = _COMMON.get((unit_text, si_unit))
+    if common is None and si_unit in _APART and any((unit_text, other) in _COMMON for other in _APART):
+        raise _other_dimension(si_unit, where, given or unit_text)
     return _by_pint(unit_text, si_unit, where, exponent, given or unit_text) if common is None else common
+
+
+def _other_dimension(si_unit: str, where: str, given: str) -> InputError:
+    found = (
+        "has a unit, and a plain number is wanted" if si_unit == "1" else f"is not in a unit that converts to {si_unit}"
+    )
+    return InputError(where, f"'{clip(given)}' {found}", f"give {_remedy(si_unit)}")
 
 
 def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, given: str) -> float:
@@ -147,10 +158,7 @@ def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, g
         return InputError(where, f"'{given}' {why}", f"give {remedy}")
 
     if unit.dimensionality != target.dimensionality:
-        plain = si_unit == "1"
-        raise refused(
-            "has a unit, and a plain number is wanted" if plain else f"is not in a unit that converts to {si_unit}"
-        )
+        raise _other_dimension(si_unit, where, given)
     if si_unit in ("rad/s", "Hz"):
         unit = _turning(unit_text, unit, si_unit, where, given)
     offset, factor = _line(unit, target)

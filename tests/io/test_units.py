@@ -191,16 +191,36 @@ def test_common_units_are_what_pint_makes_of_them():
         assert units._by_pint(text, unit, "here", None, text) == factor, (text, unit)
 
 
-def test_a_usual_scene_file_needs_no_pint():
+def test_a_common_unit_of_another_quantity_is_refused_as_pint_refuses_it(monkeypatch):
+    asked = [(text, of, other) for text, of in units._COMMON for other in units._APART - {of} if of in units._APART]
+    refused = []
+    for text, _, other in asked:
+        with pytest.raises(InputError) as by_pint:
+            units._by_pint(text, other, "here", None, text)
+        refused.append(str(by_pint.value))
+    monkeypatch.setattr(units, "parse", None)  # Pint is not asked.
+    for (text, _, other), said in zip(asked, refused, strict=True):
+        with pytest.raises(InputError) as found:
+            units.scale_of(text, other, "here")
+        assert str(found.value) == said
+
+
+def test_a_usual_scene_file_and_a_usual_record_need_no_pint(tmp_path):
+    rows = "".join(f"{k},{k % 5},{k}\n" for k in range(40))
+    (tmp_path / "a.csv").write_text("time [us],force [kN],depth [mm]\n" + rows)
     code = """
 import sys
+from pathlib import Path
 from bcfj_jax.io.scenefile import from_table
 from_table({
     "scene": {"kind": "impact"}, "parameters": {"mass": "500 g", "approach_speed": "20 mm/s"}, "time": {"end": "60 us"},
 }, None)
+from bcfj_jax.data.reading import read
+table = read(Path(sys.argv[1]), "here")
+assert table.clock == "time [us]" and table.numbers("force [kN]", "N", "here", False)[1] == 1e3
 assert "pint" not in sys.modules
 """
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.csv")], check=True)
 
 
 @pytest.mark.parametrize("text", ["g", "G", "gn", "g's", "gs", "g_n"])
