@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -114,6 +115,8 @@ def _plain(c: Contact) -> bool:
 
 def _ours(part: Any) -> bool:
     """Whether a part takes (k,) numbers, as all of ours do; a user's own code may have been written for scalars."""
+    if isinstance(part, partial):
+        return all(map(_ours, (part.func, *part.args, *part.keywords.values())))
     if not isinstance(part, eqx.Module):
         return not callable(part) or getattr(part, "__module__", "").startswith(_PACKAGE)
     fields = (getattr(part, field.name) for field in dataclasses.fields(part))

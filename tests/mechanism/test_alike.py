@@ -11,6 +11,8 @@ import pytest
 import tiers
 
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
+from bcfj_jax.contact.laws import FRICTION
+from bcfj_jax.contact.laws import LAWS as LAWS_BY_NAME
 from bcfj_jax.mechanism import alike, dynamics, rows, scales
 
 COEFFICIENTS = {
@@ -147,6 +149,19 @@ def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction,
     for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(other), strict=True):
         size = max(float(np.max(np.abs(np.nan_to_num(two, posinf=0.0)), initial=0.0)), 1e-30)
         np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-11 * size)
+
+
+@pytest.mark.parametrize("friction", [None, *FRICTION])
+@pytest.mark.parametrize("law", LAWS_BY_NAME)
+def test_contacts_of_every_law_are_computed_side_by_side(law, friction):
+    marks = [(0.01 * k, 0.0, 0.0) for k in range(6)]
+    options = {"law": law, "friction": friction}
+    contacts = [
+        Contact(f"c{k}", ("ground", "cube"), gaps.SphereOnPlane(), at=((0, 0, 0), mark), **options)
+        for k, mark in enumerate(marks)
+    ]
+    scene = Mechanism("cube", [Body("cube", "free", mass=1.0, inertia=1e-3)], contacts)
+    assert len(scene.bundles) == 1
 
 
 def test_users_own_code_is_not_given_more_than_a_scalar():
