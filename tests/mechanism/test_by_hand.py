@@ -295,6 +295,7 @@ def test_a_press_fit_holds_by_its_interference():
 # --- at rest
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("push", "at"), [(4.0, "both"), (30.0, "one")])
 def test_an_interference_fit_under_a_push(push, at):
     """F/2k while both sides are pressed, F below 2 k i; F/k - i beyond, where one side alone bears."""
@@ -311,6 +312,7 @@ def test_an_interference_fit_under_a_push(push, at):
     agree(readings(scene, "pin.position", "fit.normal"), closed, scene.parameters(), [names], rtol=1e-6)
 
 
+@pytest.mark.full
 def test_the_sag_of_a_chain_on_springs():
     """Each pin's spring bears the moment of all weights beyond it: k q_i = -m g sum of their arms."""
     links = [
@@ -339,6 +341,7 @@ def test_the_sag_of_a_chain_on_springs():
     agree(found, closed, scene.parameters(), [("coil", "mass")], rtol=1e-8)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("load", [1500.0, 3400.0], ids=["closed", "open"])
 def test_the_preload_of_a_bolted_flange_and_its_opening(load):
     """Bolt k_b (x + s), s its preload's stretch: x = (F - k_b s)/(k_b + k_c) below 0, F/k_b - s above (Shigley, 8-7)."""
