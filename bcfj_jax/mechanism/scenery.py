@@ -53,6 +53,10 @@ def drawing(m: Dynamics, params: Params, size: float = 1.0, travel: Mapping[str,
     for b in m.ordered:
         found += _joint(m, b, p, size, [s for s in found if s.body == b.name], (travel or {}).get(b.name, still))
         found += _bars(m, b, p, size)
+        if b.joint != "fixed" and all(s.body != b.name for s in found):  # Seen to move by a bar across its axis.
+            bar = shapes.box(_PIN * size * np.array((2.5, 0.7, 0.7)))
+            across = shapes.frame(np.array(sizes.axis(b.axis, b.name)))
+            found.append(Shape(b.name, bar.moved(_at(b, p, "center"), across), "body"))
     return Drawing((*found, *_ground(m, p, size)), notes=_NOTES)
 
 
@@ -89,13 +93,9 @@ def _round(shape: Shape) -> bool:
     return len(size) > 200 and bool(np.ptp(size) < 0.1 * size.max())
 
 
-def _number(size: Any, part: str, key: str, p: Params) -> float:
-    return float(np.max(sizes.length(size, part, key, p)))
-
-
-def _at(b: Body, p: Params) -> np.ndarray:
-    """Place of a body's joint in its parent's axes [m]."""
-    return np.array([float(np.max(x)) for x in sizes.point(b.at, b.name, "at", p)])
+def _at(b: Body, p: Params, key: str = "at") -> np.ndarray:
+    """Place of a body's joint in its parent's axes, or of its ``center`` in its own [m]."""
+    return np.array([float(np.max(x)) for x in sizes.point(getattr(b, key), b.name, key, p)])
 
 
 def _basis(b: Body, p: Params) -> np.ndarray:
@@ -103,7 +103,7 @@ def _basis(b: Body, p: Params) -> np.ndarray:
     n = np.array(sizes.axis(b.axis, b.name))
     if b.tilt is None:
         return shapes.frame(n)
-    k, angle = np.array(sizes.axis(b.tilt[0], b.name)), _number(b.tilt[1], b.name, "tilt", p)
+    k, angle = np.array(sizes.axis(b.tilt[0], b.name)), float(np.max(sizes.length(b.tilt[1], b.name, "tilt", p)))
     return np.array(rotated(WORLD, tuple(k), angle), float).T @ shapes.frame(n)
 
 

@@ -61,9 +61,13 @@ def test_rates_of_momenta_are_those_of_the_motion(joints, touching, seed):
     check_rates(joints, touching, seed)
 
 
+EDGED = ("box_on_plane", "capsule_on_plane", "cylinder_on_plane", "capsule_on_capsule", "sphere_on_box", "sphere_on_wedge",
+         "pin_in_pads", "points_on_box", "rods_on_edges")  # fmt: skip
+
+
 @pytest.mark.full
-def test_rates_of_momenta_with_couplings_screws_and_bodies_without_mass():
-    check_rates(["particle"], ["points_on_box", "rods_on_edges"], 7, True)
+def test_rates_of_momenta_with_couplings_screws_bodies_without_mass_and_edges():
+    check_rates(["particle"], list(EDGED), 7, True)
 
 
 @pytest.mark.slow

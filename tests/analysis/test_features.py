@@ -131,6 +131,9 @@ def test_features_are_differentiable():
     assert float(jax.grad(lambda s: features.peak(force(s)))(2.0)) == pytest.approx(1.0)
     share = jax.grad(lambda s: features.contact_fraction(times, times - s))(0.30001)
     assert float(share) == pytest.approx(-1.0, abs=1e-9)
+    # A parabola a - 4 (t - 1/2)^2 is above 0 for a^(1/2); its samples are 1/2000 of that apart.
+    closed = jax.value_and_grad(lambda a: features.duration(times, a - 4.0 * (times - 0.5) ** 2))(0.3)
+    np.testing.assert_allclose(closed, (0.3**0.5, 0.5 / 0.3**0.5), rtol=2e-4)
 
 
 def test_summary_of_a_failed_history_is_nan():

@@ -131,6 +131,17 @@ def test_a_gap_of_ones_own_is_drawn_where_its_penetration_is_zero():
     assert np.all(np.sum(wall.normals[:, :2] * away, axis=1) > 0.0)
 
 
+def test_what_nothing_touches_is_seen_to_move():
+    """A wheel, a table and a top that no contact and no body shows have a shape, no two of its axes alike about their joint's."""
+    kinds = {"wheel": "hinge", "table": "slide", "top": "free"}
+    bodies = [bj.Body(name, joint, mass=1.0, inertia=1.0) for name, joint in kinds.items()]
+    scene = bj.Mechanism("shop", [*bodies, bj.Body("foot", "fixed", mass=1.0, inertia=1.0)])
+    for name in kinds:
+        (shape,) = (s for s in scene.drawing(scene.parameters()).shapes if s.body == name)
+        across = np.ptp(shape.mesh.points, axis=0)[:2]
+        assert across.max() > 2.0 * across.min() > 0.0
+
+
 def test_turns_and_their_vectors():
     rng = np.random.default_rng(3)
     vectors = rng.normal(size=(40, 3))

@@ -90,7 +90,7 @@ def test_a_box_bears_a_push_on_its_far_corners_and_tips():
         statics.check(scene, over, "box")
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_box_that_lands_on_an_edge_bounces_and_turns():
     """Without loss and friction: J = 2 v/(1/m + x^2/I) at the arm x = a cos q - b sin q; then v - J/m and x J/I, each as v."""
     angle, speed = 0.4, 1.0

@@ -62,28 +62,19 @@ def test_a_run_from_rest_stays_there():
     assert np.abs(run.readings["ball.velocity.z"]).max() < 1e-7
 
 
-def chain(n=4, k=3.0, **more):
+def chain(n=4):
     links = [
         Body(f"link{i}", "hinge", f"link{i - 1}" if i else GROUND, at=(0.1, 0, 0) if i else (0, 0, 0), center=(0.05, 0, 0),
              mass=0.2, inertia=1e-4, start={"angle": 0.3}) for i in range(n)
     ]  # fmt: skip
-    springs = [JointSpring(f"coil{i}", f"link{i}", k) for i in range(n)] if k else []
-    return Mechanism("chain", links, loads=[Gravity(), *springs], start="static", **more)
+    return Mechanism("chain", links, loads=[Gravity()], start="static")
 
 
 @pytest.mark.slow
-def test_a_hanging_chain_hangs_straight_and_a_stiff_one_sags():
-    """Free pins: straight down. With springs: the moment of all weights beyond each pin by NumPy."""
-    free = chain(k=0.0)
+def test_a_hanging_chain_hangs_straight():
+    free = chain()
     y = np.asarray(free.initial_state(free.parameters()))
     np.testing.assert_allclose(np.cumsum(y[:4]), -np.pi / 2, atol=1e-7)
-    scene = chain()
-    q = np.asarray(scene.initial_state(scene.parameters()))[:4]
-    total = np.cumsum(q)
-    pins = np.concatenate([[0.0], 0.1 * np.cumsum(np.cos(total))])
-    middles = pins[:4] + 0.05 * np.cos(total)
-    moment = [-0.2 * G * np.sum(middles[i:] - pins[i]) for i in range(4)]
-    np.testing.assert_allclose(3.0 * q, moment, rtol=1e-8)
 
 
 @pytest.mark.full
