@@ -5,7 +5,9 @@
 DATA holds toss_0.csv to toss_11.csv of "ContactNets" (Pfrommer, Halm, Posa; DAIRLab/contact-nets, BSD 3-clause), which are not
 part of this project. ``bcfj init calibration`` proposes the problem; size and inertia are those that the authors state. The error
 of a prediction is the mean over a toss, then over tosses; its parts are the spread of predictions over the noise of the first
-row, the spread over the intervals of the law, and what the best first state of each fitted toss leaves. Without DATA the
+row, the spread over the intervals of the law, and what the best first state of each fitted toss leaves. "first rows" begins at
+the state that ``init`` reads from eight rows of flight: the speeds of the file's first row are half a row late. "about" moves
+one coefficient of the law by a factor: which of them decides. Without DATA the
 gradient alone: the derivative of a tossed cube's place by its speed at five accuracies, against differences, and what it costs
 beside the run (the toss of DiffMJX, arXiv 2506.14186, on the contact of this project). With ``--keep`` tables are kept in
 ``benchmarks/results/cube.json``.
@@ -30,6 +32,7 @@ from benchmarks import common
 from benchmarks.clock import clocked, turns
 from benchmarks.common import options
 from calibration import Fit, fit, init, load
+from calibration.impacts import tosses
 
 # As the data's authors state them: mass [kg], half width [m], inertia [kg m^2], friction.
 MASS, HALF, INERTIA, FRICTION = 0.37, 0.0524, 8.1e-4, 0.18
@@ -37,16 +40,18 @@ FITTED, HELD = range(8), range(8, 12)
 READ = [*(f"body.place.{a}" for a in "xyz"), *(f"body.attitude.q{k}" for k in range(4))]
 # Deviations of a first row: motion capture of a marker [m], of an attitude [rad], and of their rates over eight rows.
 ROW = {"place": 3e-4, "attitude": 3e-3, "velocity": 0.01, "spin": 0.05}
-DRAWS = 24
+DRAWS, ROWS = 24, 128
+FACTORS = (0.5, 0.8, 0.9, 1.0, 1.1, 1.25, 2.0)
 
 
 class Toss(NamedTuple):
-    """Clock (N,) [s], places (N, 3) [m], attitudes and the first row as a start of the scene."""
+    """Clock (N,) [s], places (N, 3) [m], attitudes; the first row, and what eight rows say, as starts of the scene."""
 
     clock: np.ndarray
     places: np.ndarray
     turned: Rotation
     start: dict[str, float]
+    flight: dict[str, float]
 
 
 def toss(path: Path) -> Toss:
@@ -57,7 +62,8 @@ def toss(path: Path) -> Toss:
     values = (*rows[0, 1:8], *rows[0, 8:11], *spin)
     names = ("x", "y", "z", "q0", "q1", "q2", "q3", "vx", "vy", "vz", "wx", "wy", "wz")
     start = dict(zip((f"body.{n}" for n in names), map(float, values), strict=True))
-    return Toss(rows[:, 0], rows[:, 1:4], turned, start)
+    flight = tosses.first(rows[:, 0], rows[:, 1:4].T, rows[:, 4:8].T, 2).values
+    return Toss(rows[:, 0], rows[:, 1:4], turned, start, {f"body.{n}": x for n, x in flight.items()})
 
 
 def shaken(start: dict[str, float], rng: np.random.Generator) -> dict[str, float]:
@@ -72,9 +78,11 @@ def shaken(start: dict[str, float], rng: np.random.Generator) -> dict[str, float
 
 
 def predicted(scene: AbstractModel, params: dict[str, float], one: Toss) -> tuple[np.ndarray, Rotation]:
-    """Places (N, 3) and attitudes from a start."""
-    read = bj.reading_history(scene, scene.parameters(params), one.clock, READ, accuracy=1e-3)
-    found = np.stack([np.asarray(read[n]) for n in READ], axis=1)
+    """Places (N, 3) and attitudes from a start; tosses are filled up to as many rows, so that they share one program."""
+    count = one.clock.size
+    clock = np.r_[one.clock, one.clock[-1] + 1e-3 * np.arange(1, ROWS - count + 1)]
+    read = bj.reading_history(scene, scene.parameters(params), clock, READ, accuracy=1e-3)
+    found = np.stack([np.asarray(read[n])[:count] for n in READ], axis=1)
     return found[:, :3], Rotation.from_quat(found[:, 3:], scalar_first=True)
 
 
@@ -132,6 +140,7 @@ def table(data: Path, starts: int) -> dict[str, Any]:
             row = {
                 "toss": k,
                 "row 0": off,
+                "first rows": misses(*predicted(scene, {**found.values, **one.flight}, one), one),
                 "noise of row 0": by_row,
                 "law's interval": spread(scene, [plain, *moved], one),
             }
@@ -149,7 +158,7 @@ def table(data: Path, starts: int) -> dict[str, Any]:
         kind: {key: np.mean([r[key] for r in every], axis=0).round(4).tolist() for key in every[0] if key != "toss"}
         for kind, every in rows.items()
     }
-    estimates = {n: {"value": p.value, "ci95": p.ci95} for n, p in law.items()}
+    estimates = {n: {"value": p.value, "least_squares": p.least_squares, "ci95": p.ci95} for n, p in law.items()}
     return {
         "verdict": found.verdict,
         "reasons": found.reasons,
@@ -157,7 +166,22 @@ def table(data: Path, starts: int) -> dict[str, Any]:
         **seconds,
         "law": estimates,
         "mean": means,
+        "about": about(scene, found.values, data),
         "tosses": rows,
+    }
+
+
+def about(scene: AbstractModel, values: dict[str, float], data: Path) -> dict[str, dict[str, list[float]]]:
+    """Place error [widths] of tosses fitted and held out, from row 0, with one coefficient times a factor."""
+    every = [[toss(data / f"toss_{k}.csv") for k in numbers] for numbers in (FITTED, HELD)]
+
+    def errors(params: dict[str, float]) -> list[float]:
+        off = [[misses(*predicted(scene, {**params, **one.start}, one), one)[0] for one in some] for some in every]
+        return [round(float(np.mean(x)), 4) for x in off]
+
+    return {
+        name: {str(by): errors({**values, name: by * values[name]}) for by in FACTORS}
+        for name in ("stiffness", "damping", "friction_dynamic")
     }
 
 
@@ -209,7 +233,7 @@ def main() -> int:
     content: dict[str, Any] = {"gradient": gradient()}
     if given.data:
         content |= table(Path(given.data), given.starts)
-        print({key: content[key] for key in ("verdict", "reasons", "notes", "wall_s", "cpu_s", "law", "mean")})
+        print({key: content[key] for key in ("verdict", "reasons", "notes", "wall_s", "cpu_s", "law", "mean", "about")})
     if given.keep:
         common.add("cube", content)
     fine = [r for r in content["gradient"] if r["accuracy"] <= 1e-4]

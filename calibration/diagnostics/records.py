@@ -154,7 +154,9 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
             peak = size(channel.observes, values[i, j, own])
             rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
-            share = 1.0 / float(weights[i, j, own].max() * peak) if peak > 0 else 0.0
+            # A flight before contact has a deviation of its own.
+            least = float(weights[i, j, own[int(np.argmax(touching)) :]].max()) if own.size else 0.0
+            share = 1.0 / (least * peak) if peak > 0 else 0.0
             series.append(
                 Series(
                     rows=rows,

@@ -4,8 +4,10 @@ With weighted residuals r, their Jacobian J and the projection M = 1 - J (J^T J)
 sigma^2 = |M r|^2 / (n - leverage) over its own samples: with one channel, cost over degrees of freedom. A correlation
 time minimises the restricted likelihood, the deviations following. Noise that grows with the reading is taken at the
 model's reading, so that what was measured does not weigh itself. Records whose errors scatter differently by more than a
-factor of three have their deviations in that ratio. A deviation that is no larger than the integrator's
-error (``integration.Limit``) is not noise that was seen. Nothing here searches: the model is linear about a point.
+factor of three have their deviations in that ratio. So have rows of a body in flight and those after its first contact: a
+first state that is free moves the former, and no coordinate of the law does. What the law misses would else move that
+state. A deviation that is no larger than the integrator's error (``integration.Limit``) is not noise that was seen.
+Nothing here searches: the model is linear about a point.
 """
 
 from __future__ import annotations
@@ -20,13 +22,16 @@ from scipy.optimize import minimize_scalar
 from calibration.forward.integration import Limit
 from calibration.forward.model import Model, evaluation
 from calibration.noise.scatter import scatter
-from calibration.problem import Channel, Experiment
+from calibration.problem import NUISANCES, Channel, Experiment
 
 # Beyond so many deviations a sample is no noise to a robust loss.
 OUTLYING = 4.0
 _LEAST_CORRELATION = 0.02
 # Deviations of records that differ by more are not one; errors of which less is scatter show a miss, not the noise.
 _APART, _WHITE = 3.0, 0.2
+# A coordinate moves a row that has more than this share of its largest slope; fewer rows of flight, less their first states,
+# do not tell their deviation, nor is it a smaller share of the others'.
+_MOVES, _FEW, _LEAST = 1e-6, 8, 1e-2
 
 
 class Estimate(NamedTuple):
@@ -130,9 +135,38 @@ def _series(
             found.append(_Series((i, j), channel, own, gaps, shaped[i, j, own], slopes[i, j, own], deviation))
     for name in {s.channel.observes for s in found if s.channel.sigma is None}:
         mine = [k for k, s in enumerate(found) if s.channel.sigma is None and s.channel.observes == name]
-        for k, share in zip(mine, _ratios([found[k].error for k in mine]), strict=True):
-            found[k] = found[k]._replace(deviation=found[k].deviation * share)
+        flying = [_flying(model, found[k].jacobian) for k in mine]
+        share = _in_flight([found[k] for k in mine], flying)
+        for k, rows, ratio in zip(mine, flying, _ratios([found[k].error for k in mine]), strict=True):
+            found[k] = found[k]._replace(deviation=found[k].deviation * np.where(rows, ratio * share, ratio))
     return found, (errors[read.size :], jacobian[read.size :])
+
+
+def _flying(model: Model, jacobian: np.ndarray) -> np.ndarray:
+    """Rows (n,) before the first that a shared coordinate moves, of those that a record's own first state does."""
+    size = np.abs(jacobian)
+    moved = size > _MOVES * size.max(axis=0, initial=0.0)
+    shared = np.array([axis.experiment is None for axis in model.coordinates], dtype=bool)
+    state = np.array([axis.experiment is not None and axis.name not in NUISANCES for axis in model.coordinates], bool)
+    before = ~np.logical_or.accumulate(moved[:, shared].any(axis=1))
+    return before & moved[:, state].any(axis=1)
+
+
+def _in_flight(series: list[_Series], flying: list[np.ndarray]) -> float:
+    """Deviation of a channel in flight, about the first states that suit the flights best, over that of the other rows; 1
+    where they do not clearly differ.
+    """
+    left, freedom = 0.0, 0
+    for s, rows in zip(series, flying, strict=True):
+        basis, singular, _ = np.linalg.svd(s.jacobian[rows], full_matrices=False)
+        basis = basis[:, singular > 1e-10 * singular.max(initial=0.0)]
+        rest = s.error[rows] - basis @ (basis.T @ s.error[rows])
+        left, freedom = left + float(rest @ rest), freedom + rest.size - basis.shape[1]
+    others = np.concatenate([s.error[~rows] for s, rows in zip(series, flying, strict=True)])
+    if freedom < _FEW or not others.size:
+        return 1.0
+    share = float(np.sqrt(left / freedom / max(np.mean(others**2), 1e-300)))
+    return max(share, _LEAST) if share * _APART < 1.0 else 1.0
 
 
 def _ratios(errors: list[np.ndarray]) -> np.ndarray:

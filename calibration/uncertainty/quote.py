@@ -109,7 +109,7 @@ def quoted(
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
     """
     how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
-    begin = _around(at, *linear(at, errors, how.slopes, free), free)
+    begin = _around(at, *linear(at, errors, how.slopes, free))
     last, found = _led(begin, free, None if bound else anew)
     known = _lines(last.lin, last.errors, found, how)
     if bound:
@@ -132,23 +132,21 @@ def quoted(
 
 
 class _Around(NamedTuple):
-    """The fit made linear about a point, its errors there, and every set: moves of what is quoted, then of coordinates."""
+    """The fit made linear about a point, its errors there, and every set: moves of what is quoted."""
 
     at: Optimum
     lin: Linear
     errors: list[Error]
     sets: Mixture
 
-    @property
-    def quoted(self) -> Mixture:
-        """The sets' moves of what is quoted alone."""
-        count = self.lin.rows.shape[0]
-        return self.sets._replace(**{n: getattr(self.sets, n)[:, :count] for n in ("means", "type_a", "type_b")})
+    def moves(self, i: int) -> np.ndarray:
+        """How far a set leads, in coordinates: what is quoted are as many combinations of these, or one more."""
+        size = np.maximum(np.linalg.norm(self.lin.rows, axis=1), 1e-300)
+        return np.linalg.lstsq(self.lin.rows / size[:, None], self.sets.means[i] / size)[0]
 
 
-def _around(at: Optimum, lin: Linear, errors: list[Error], free: np.ndarray, variance: float | None = None) -> _Around:
-    every = np.vstack([lin.rows, np.eye(int(free.sum()))])
-    return _Around(at, lin, errors, evaluated(lin._replace(rows=every), errors, variance))
+def _around(at: Optimum, lin: Linear, errors: list[Error], variance: float | None = None) -> _Around:
+    return _Around(at, lin, errors, evaluated(lin, errors, variance))
 
 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
@@ -158,7 +156,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
         anew = None
     while True:
         places = [moving(p.at).z - origin for p in points]
-        own = [p.quoted for p in points]
+        own = [p.sets for p in points]
         found = merged(own, places)
         leading = _leading(own, found, begin, places) if len(points) < _POINTS else None
         following = None
@@ -170,7 +168,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
             at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
         if len(points) == 1:
-            points = [_around(begin.at, begin.lin, begin.errors, free, following.sets.variance)]
+            points = [_around(begin.at, begin.lin, begin.errors, following.sets.variance)]
         points.append(following)
 
 
@@ -198,7 +196,7 @@ def _following(
     changes between the two is its slope midway, to third order.
     """
     point = np.array(here.at.end.point, dtype=float)
-    point[free] += here.sets.means[i, here.lin.rows.shape[0] :]
+    point[free] += here.moves(i)
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
     one = evaluation(here.at.model)(point[None])
     residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
@@ -210,7 +208,7 @@ def _following(
         return None
     rows = moving(there).slopes[:, free]
     lin = here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows)
-    return _around(there, lin, errors, free, variance)
+    return _around(there, lin, errors, variance)
 
 
 def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
@@ -265,7 +263,7 @@ def _lines(lin: Linear, errors: list[Error], found: Mixture, how: Moving) -> lis
         cost = combined / np.maximum(found.without(k).combined()[0], 1e-300)
         if error.stated:  # It is in every set, each of which is narrower without it.
             bare = [e._replace(columns=0.0 * e.columns) if e is error else e for e in errors]
-            apart = evaluated(lin, bare, found.variance)._replace(log=every.log)
+            apart = evaluated(lin, bare, found.variance, every.log)
             cost = merged([every]).combined()[0] / np.maximum(merged([apart]).combined()[0], 1e-300)
         chance = (1.0, 1.0) if error.stated else (float(chances[k]), float(found.prior[k]))
         by_name = [dict(zip(how.names, x.tolist(), strict=True)) for x in (moves, cost)]

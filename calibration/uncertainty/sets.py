@@ -31,6 +31,8 @@ MOST = 2
 _HALF = float(np.sqrt(2.0 / np.pi)), float(np.sqrt(1.0 - 2.0 / np.pi))
 # A set with a smaller share of the largest weight is left out.
 _LEAST = 1e-6
+# One with such a share is not looked at about the point where it is so small.
+_NONE = 1e-12
 _ROUNDS = 4
 # Of sums of squares the share that is rounding.
 _ROUNDED = 1e-13
@@ -199,10 +201,12 @@ class _Batch(NamedTuple):
         return _Batch(self.head, *(x[kept] for x in self[1:]))
 
 
-def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None) -> Mixture:
+def evaluated(
+    at: Linear, errors: Sequence[Error], variance: float | None = None, log: np.ndarray | None = None
+) -> Mixture:
     """All sets of at most ``MOST`` errors, those of the prior's scales each; beside them what is stated acts always.
 
-    ``variance``: of the noise, where that is known from another point.
+    ``variance``: of the noise, where that is known from another point; ``log``: of the weights, where those are known.
     """
     sizes = tuple(e.columns.shape[1] for e in errors)
     every = _sets(sizes, tuple(e.kind for e in errors), tuple(e.chance for e in errors))
@@ -225,9 +229,17 @@ def evaluated(at: Linear, errors: Sequence[Error], variance: float | None = None
         if abs(seen - variance) < 1e-3 * variance:
             break
         variance = seen
-    means, type_a, type_b = map(np.concatenate, zip(*(_moments(own, batch, variance) for batch in every), strict=True))
-    log, members = np.concatenate(found) + own.log, np.concatenate([b.members for b in every])
-    return Mixture(log, members, means, np.sqrt(np.maximum(type_a, 0.0)), np.sqrt(type_b), variance, _prior(every))
+    log = np.concatenate(found) + own.log if log is None else log
+    members = np.concatenate([b.members for b in every])
+    # Where a set without weight leads, which takes most of the time, nobody asks; of the first, without errors, all do.
+    kept = log > log.max() + np.log(_NONE)
+    kept[0] = True
+    parts = np.split(kept, np.cumsum([b.prior.size for b in every])[:-1])
+    moments = [_moments(own, b.some(k), variance) for b, k in zip(every, parts, strict=True) if k.any()]
+    means, type_a, type_b = (np.full((log.size, at.rows.shape[0]), np.inf) for _ in range(3))
+    means[kept], type_a[kept], type_b[kept] = map(np.concatenate, zip(*moments, strict=True))
+    deviations = np.sqrt(np.maximum(type_a, 0.0)), np.sqrt(type_b)
+    return Mixture(np.where(kept, log, -np.inf), members, means, *deviations, variance, _prior(every))
 
 
 def _prior(every: Sequence[_Batch]) -> np.ndarray:

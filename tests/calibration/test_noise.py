@@ -19,6 +19,7 @@ from calibration import Channel, Experiment, Free, Problem
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.residual_tests import Series, correlation_of, residual_tests
 from calibration.forward import model
+from calibration.forward.coordinates import Coordinate
 from calibration.forward.integration import Limit, errors
 from calibration.forward.losses import influence, loss_of, straightened
 from calibration.noise import estimation, noise_model
@@ -98,6 +99,40 @@ def test_stated_and_estimated_noise_mix(force):
     assert share < 0.05
     residual = end.residuals[COUNT : 2 * COUNT]
     assert np.sum(residual**2) == pytest.approx(freedom, rel=1e-3)
+
+
+def in_flight(flight: float, after: float, rows: int = 12) -> tuple[np.ndarray, float]:
+    """Rows before the first contact, and their deviation's share, of three places that fall with these deviations."""
+    rng, own = np.random.default_rng(5), ("body.z", "body.vz", "position_offset")
+    axes = [
+        Coordinate("stiffness", None, True, 0.0, 1.0),
+        *(Coordinate(n, k, False, 0.0, 1.0) for k in range(3) for n in own),
+    ]
+    scene: Any = SimpleNamespace(coordinates=tuple(axes))
+    series, masks, clock = [], [], np.linspace(0.0, 1.0, 40)
+    for k in range(3):
+        jacobian = np.zeros((clock.size, len(axes)))
+        jacobian[:, 1 + 3 * k : 4 + 3 * k] = np.stack([1.0 + 0.0 * clock, clock, 1.0 + 0.0 * clock], axis=1)
+        jacobian[rows:, 0] = clock[rows:]
+        # A first state that is off counts as no noise.
+        error = 30.0 + 50.0 * clock + np.where(np.arange(40) < rows, flight, after) * rng.standard_normal(40)
+        error[rows:] -= 30.0 + 50.0 * clock[rows:]
+        channel = Channel("body.place.z", np.ones(40), None)
+        series.append(noise_model._Series((k, 0), channel, np.arange(40), np.diff(clock), error, jacobian, np.ones(40)))
+        masks.append(noise_model._flying(scene, jacobian))
+    return np.array(masks), noise_model._in_flight(series, masks)
+
+
+def test_what_a_law_misses_says_nothing_of_the_noise_in_flight():
+    """Flight weighs by its own scatter, where that is clearly less than what is left after contact."""
+    masks, share = in_flight(flight=0.1, after=2.0)
+    assert np.array_equal(masks, np.arange(40) < np.full((3, 1), 12))
+    assert share == pytest.approx(0.05, rel=0.35)
+    assert in_flight(flight=0.1, after=0.2)[1] == 1.0
+    # Too few to tell: two rows more than the numbers of a first state, or a place's offset that alone moves them.
+    assert in_flight(flight=0.1, after=2.0, rows=4)[1] == 1.0
+    known: Any = SimpleNamespace(coordinates=(Coordinate("position_offset", 0, False, 0.0, 1.0),))
+    assert not noise_model._flying(known, np.ones((40, 1))).any()
 
 
 @pytest.mark.slow

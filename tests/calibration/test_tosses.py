@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import equinox as eqx
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,8 +14,11 @@ from scipy.spatial.transform import Rotation
 import bcfj_jax as bj
 from bcfj_jax import InputError
 from calibration import command, fit, init, load
-from calibration.forward.model import build
+from calibration.diagnostics.records import series_of
+from calibration.forward.model import Model, build
+from calibration.forward.runs import Contact
 from calibration.impacts import tosses
+from calibration.noise.noise_model import Estimate
 from calibration.search import continuation
 from calibration.search.descent import Descents
 from calibration.search.horizon import stages
@@ -83,6 +87,23 @@ def test_a_record_of_a_toss_becomes_a_box_on_a_plane(tmp_path):
         bounds = problem.experiments[0].bounds.get(f"body.{name}")
         if bounds and name[0] != "q":
             assert bounds[0] < value < bounds[1], name
+
+
+def test_a_miss_in_contact_is_a_share_of_the_peak_whatever_the_flight_weighs(tmp_path):
+    init.run(write(tmp_path / "toss.csv", *toss()), tmp_path / "toss.toml", init.Said(mass="0.4 kg"), lambda line: None)
+    problem = load(tmp_path / "toss.toml")
+    model = build(problem, problem.fitted)
+    weights = np.array(model.data.weights)
+    weights[..., :20] *= 30.0
+    weighed = eqx.tree_at(lambda m: m.data.weights, model, weights)
+    seen = [Contact(0, "corner", 0.0, TIMES, np.arange(TIMES.size) >= 20, True)]
+    none = np.zeros(weights.size)
+
+    def shares(of: Model) -> list[float]:
+        known = dict(noise=Estimate({}, {}, []), end=SimpleNamespace(residuals=none), experiments=problem.fitted)
+        return [s.share for s in series_of(cast(Any, SimpleNamespace(model=of, **known)), seen, none, 1e-4)]
+
+    assert shares(weighed) == shares(model) and min(shares(model)) > 0.0
 
 
 def test_many_tosses_have_a_first_state_each_and_other_words_for_columns(tmp_path):
