@@ -51,6 +51,8 @@ _UNHEARD = 0.2
 _GROWS = 0.5
 # Flights over contacts from which on contacts are apart.
 _APART = 2.0
+# How far what an accelerometer reads at rest may be from its weight.
+_HELD = 0.3
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -201,7 +203,7 @@ def _kind(found: Understood) -> str:
         return "oblique_impact"
     s = sizes(found)
     falling = all(b < a for a, b in pairwise(s.flights))
-    return "bounce" if s.flights and falling and min(s.flights) > s.duration else "impact"
+    return "bounce" if s.flights and (found.falls or (falling and min(s.flights) > s.duration)) else "impact"
 
 
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
@@ -224,7 +226,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     lossless = kind == "impact" and ratio + doubt > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
-    falls = kind == "impact" and known.by_column and found.given[1] == "m"
+    falls = kind == "impact" and (found.falls or (known.by_column and found.given[1] == "m"))
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
@@ -258,7 +260,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 _observed(one, kind),
                 *_saturated(found),
                 NOISE,
-                *_window(s, kind),
+                *_window(s, kind, found.records[0]),
                 *[_columned(found, kind)] * known.by_column,
                 *_parameters(entries, said.struck, _asks(found, kind, said)),
             )
@@ -457,14 +459,20 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
+    said += [f"CHECK: {found.columns['m']} falls freely, and gravity is that of a drop along it"] if found.falls else []
     said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
-def _window(s: Sizes, kind: str) -> list[Line]:
-    """About the first contact of an impact; a bounce is taken whole."""
+def _window(s: Sizes, kind: str, run: Run) -> list[Line]:
+    """About the first contact of an impact; a bounce is taken whole, from where a held accelerometer stops to read its weight."""
     if kind == "bounce":
-        return []
+        read = run.readings.get("m/s^2", np.zeros(0))[: run.events[0].first]
+        held = np.abs(read + GRAVITY) < _HELD * GRAVITY
+        if "N" in run.readings or not held[:3].all() or held.size < 3 or held[-1]:
+            return []
+        ends = [format_si(float(run.clock[k]), "s", 6) for k in (np.flatnonzero(held)[-1] + 1, -1)]
+        return [Line(f'window = ["{ends[0]}", "{ends[1]}"]', "from its release on: it reads its weight before")]
     before = max(s.duration, 12.0 * s.step)
     after = s.duration + max(0.75 * s.duration, 6.0 * s.step)
     note = ""
@@ -521,7 +529,7 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
         heights = (
             [height] * 2 if known.speed_from == "as given" else [height * (t / s.flights[0]) ** 2 for t in s.after]
         )
-        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], 2.0 * heights[1]))
+        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], 4.0 * heights[1]))
         lines.append(box("drop_height", bounds, known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from

@@ -19,11 +19,12 @@ Facts = list[tuple[str, str]]
 _LAST, _FEWEST = 40, 30
 _UNITS = (
     "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
-    "einheiten", "yaxisunit", "yaxisunits", "単位", "单位", "unité", "unidad",
+    "einheiten", "yaxisunit", "yaxisunits", "yeinheit", "単位", "单位", "unité", "unidad",
 )  # fmt: skip
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
 _SOURCES = (
-    "source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle", "channelname", "ch名称", "信号名",
+    "source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle", "channelname", "kanal",
+    "ch名称", "信号名",
 )  # fmt: skip
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")

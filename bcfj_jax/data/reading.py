@@ -39,8 +39,29 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         _unknown(path, where, b"")
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
-    found = replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
+    found = _turned(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors))
     return found if stated.rate is None else _clocked(found, stated.rate, where)
+
+
+def _turned(table: Record) -> Record:
+    """A table with the attitude q0 to q3, scalar first, of a body whose rotation matrix stands in nine columns (Qualisys).
+
+    ``Rot[0]`` to ``Rot[8]`` are the matrix column by column. A row without one, of a body not seen, is blank.
+    """
+    named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
+    if len(named) != 9:
+        return table
+    from scipy.spatial.transform import Rotation
+
+    rows = np.stack([table.numbers(h, "1", table.name, True) for h in named], axis=1)
+    matrices = rows.reshape(-1, 3, 3).transpose(0, 2, 1)
+    seen = np.abs(np.linalg.det(np.nan_to_num(matrices)) - 1.0) < _TURNS
+    quaternions = np.full((len(rows), 4), np.nan)
+    if seen.any():
+        quaternions[seen] = Rotation.from_matrix(matrices[seen]).as_quat()[:, [3, 0, 1, 2]]
+    for k in (3, 2, 1, 0):
+        table = table.beside(f"q{k}", quaternions[:, k])
+    return table
 
 
 def _clocked(table: Record, rate: str, where: str) -> Record:
@@ -195,6 +216,8 @@ def _header(name: str, column: Column) -> str:
     return name if column.unit is None else f"{name} [{column.unit}]"
 
 
+# How far the determinant of a rotation matrix that is rounded may be from 1.
+_TURNS = 0.05
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

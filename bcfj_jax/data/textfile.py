@@ -193,8 +193,11 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     # One sign between all numbers, as "&" or "->", parts names, too.
     parting = {text.strip() for text in kind[1:-1]}
     sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
+    # What a monitor puts before each line stands before the names, too.
+    before = re.compile(rf"\s*[\[(]?{clock.OF_DAY}{re.escape(kind[1])}") if kind[1].strip(" \t;,|.:") else None
     made, first = [], 0
     for k, line in enumerate(lines, 1):
+        line = before.sub(signs[0], line, 1) if before and parts(line) != kind else line
         fits = len(line) <= _LONGEST_LINE and parts(line) == kind
         first = first or k * fits
         cells = _TOKEN.findall(re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line) if fits else []
@@ -278,7 +281,9 @@ def _separator(lines: Sequence[str]) -> str:
         # Of one column of numbers, what stands above it says what parts cells.
         best = max(scores, key=lambda k: (scores[k], sum(line.count(SEPARATORS[k]) for line in full if k != "blank")))
         if scores[best] > 0.0:
-            return "tab" if best == "comma" and _one_column(full) else best
+            if best == "comma" and _one_column(full):
+                return "semicolon" if ";" in "".join(full) and "\t" not in "".join(full) else "tab"
+            return best
     return "comma"
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.quantities import GRAVITY
 from calibration.forward.runs import stretches
 from calibration.noise.scatter import scatter
 
@@ -31,6 +32,9 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
+# Of places: the time [s] over which a fall is looked for, the share of a record that is one, how near gravity it is, and by how
+# much more of these stretches bend one way than the other.
+_FLIGHT, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.3, 0.15, 0.6
 
 
 class Event(NamedTuple):
@@ -89,10 +93,33 @@ def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     few = max(3, values.size // 20)
     if kind == "velocity":
         return np.abs(values - np.median(values[:few]))
+    if up := falls(times, values, (1.0,)):  # In flight nothing pushes, at rest its weight.
+        push = up * np.gradient(np.gradient(values, times), times) + GRAVITY
+        return np.maximum(push - 2.0 * GRAVITY, 0.0)
     # A straight line through the first half of the way to where the position turns, or through its first samples.
     count = min(max(few, turning(times, values) // 2), values.size)
     slope, level = np.polyfit(times[:count], values[:count], 1)
     return np.abs(values - (slope * times + level))
+
+
+def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 1e-3, 1e-2)) -> float:
+    """The unit [m] in which places (T,) fall by gravity much of the time, negative where down is positive; 0 where none do.
+
+    Parabolas through successive stretches have the second derivative -g in free flight, and 0 at rest.
+    """
+    seen = np.isfinite(values)
+    clock, places = times[seen], values[seen]
+    count = (
+        max(_FEW, round(_FLIGHT / max(float(np.median(np.diff(clock))), 1e-6))) if clock.size > _FEW else clock.size + 1
+    )
+    starts = range(0, clock.size - count + 1, max(count // 2, clock.size // 400))
+    fits = [np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts]
+    bends = 2.0 * np.array(fits) / GRAVITY
+    for unit in units:
+        near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
+        if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
+            return -float(np.sign(near.sum())) * unit
+    return 0.0
 
 
 def turning(times: np.ndarray, values: np.ndarray) -> int:
@@ -103,7 +130,7 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
-    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity or a position the first."""
+    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity, or places that do not fall, one."""
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []
@@ -117,7 +144,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         ends = float(clock[first]), float(clock[last])
         return Event(int(seen[first]), int(seen[last]), before, *ends, peak, step, loose)
 
-    if quantity(observes) in ("velocity", "place"):
+    thrown = quantity(observes) == "place" and falls(clock, values[seen], (1.0,)) != 0.0
+    if quantity(observes) in ("velocity", "place") and not thrown:
         # A position leaves its line further and further: what counts is how far it has when it turns.
         peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])

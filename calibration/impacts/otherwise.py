@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
+from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
+# Units of places by their size [m].
+METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}
 _NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
@@ -53,7 +56,17 @@ def refuse_motion(table: Record) -> None:
         if key in (*PLACES, *ATTITUDE):
             found.setdefault(key, header)
     if {*PLACES, *ATTITUDE} <= found.keys():
-        raise InMotion(table, found)
+        raise InMotion(table, {k: _in_metres(table, h) if k in PLACES else h for k, h in found.items()})
+
+
+def _in_metres(table: Record, header: str) -> str:
+    """A column of places with its unit: as it states, or where one of the bodies' places falls, by gravity."""
+    if column(header)[1] is not None or not table.clock:
+        return header
+    clock = table.numbers(table.clock, "s", table.name, False)
+    alike = [h for h in table.header if column(h)[0][-1:].lower() in PLACES and column(h)[1] is None]
+    units = (abs(falls(clock, table.numbers(h, "m", table.name, True))) for h in alike)
+    return f"{header} [{METRES[unit]}]" if (unit := max(units, default=0.0)) else header
 
 
 def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputError | None:

@@ -28,6 +28,8 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _CUTOFFS, _SPREAD = (0.3, 100.0), 0.3
 # Samples before the first contact that are a rest, and what of a contact's duration before it is none.
 _RESTING, _CLEAR = 4, 0.25
+# Along which of its axes a scene falls.
+_FALLS = {"bounce": -1.0, "impact": 1.0}
 # What sets the time of the first contact, and would move it as the record's clock does.
 _MOVES = ("clearance_contact", "drop_height")
 
@@ -91,7 +93,8 @@ def proposed(
         slowest = params.get("cutoff", free.get("cutoff", (slow,))[0])
         late, early = passed.delay / slowest, _SPREAD / slowest if passed.zero_phase else 0.0
         return given._replace(lower=given.lower - late, upper=given.upper + early)
-    return _zero(name, found[0], record, params)
+    falling = _FALLS.get(scene.kind, 0.0) * params.get("gravity", 0.0)
+    return _zero(name, found[0], record, params, falling)
 
 
 def _clock(
@@ -113,7 +116,10 @@ def _clock(
     )
 
 
-def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]) -> Proposal | str:
+def _zero(
+    name: str, event: Event, record: Prepared, params: Mapping[str, float], falling: float
+) -> Proposal | str:  # fmt: skip
+    """``falling``: the acceleration before the first contact, of which an accelerometer reads nothing."""
     units = units_of(record.readings)
     unit = next((u for u, offset in OFFSETS.items() if offset == name and u in units), "")
     unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
@@ -132,6 +138,7 @@ def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]
                 return f"{observes} has no {_RESTING} samples of rest before the first contact"
             level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
             half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
+        level -= falling if unit == "m/s^2" else 0.0
         lows.append(level - half)
         highs.append(level + half)
     doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file"
