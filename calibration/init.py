@@ -459,7 +459,13 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
-    said += [f"CHECK: {found.columns['m']} falls freely, and gravity is that of a drop along it"] if found.falls else []
+    said += (
+        [
+            f"CHECK: {found.columns.get('m/s', found.columns.get('m'))} falls freely, and gravity is that of a drop along it"
+        ]
+        if found.falls
+        else []
+    )
     said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 

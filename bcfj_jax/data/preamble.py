@@ -18,8 +18,8 @@ Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
 _UNITS = (
-    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
-    "einheiten", "yaxisunit", "yaxisunits", "yeinheit", "単位", "单位", "unité", "unidad",
+    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "unitname", "verticalunitsch", "vunit", "unit", "units",
+    "einheit", "einheiten", "yaxisunit", "yaxisunits", "yeinheit", "単位", "单位", "unité", "unidad",
 )  # fmt: skip
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
 _SOURCES = (
@@ -113,7 +113,7 @@ def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
     for j, title in enumerate(titles):
         if not title or column(title)[1] is not None:
             continue
-        said = rf"(?i:(?<![^\W_]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
+        said = rf"(?i:(?<![^\W_])(?<![(\[]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
         how = r"\s*(?i:is in|are in|in|units?\s*[:=]?|[:=/]\s*(?:in\b)?|(?=[\[(]))\s*[\[(]?([^\s,;)\]]+)"
         units = {m[1].rstrip(".") for text in texts for m in re.finditer(said + how, text)}
         units = {u for u in units if u not in "ABCDEFGHIJKLMPQRTUXYZaef" and known(u) and not is_missing(u)}

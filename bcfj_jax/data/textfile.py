@@ -22,7 +22,7 @@ from bcfj_jax.data.decoding import decoded
 from bcfj_jax.data.layout import File, Layout, Row, found, others
 from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from bcfj_jax.io.units import known
+from bcfj_jax.io.units import column, known
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
@@ -139,7 +139,7 @@ def table(
     path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
 ) -> Record:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
-    counted, names, columns = file.counted, layout.names, []
+    counted, names, columns = file.counted, list(layout.names), []
     if layout.block is not None:
         lines, columns, decimals = layout.rows[0].line + np.arange(len(layout.block)), [*layout.block.T], ()
     else:
@@ -147,6 +147,12 @@ def table(
         for j in range(len(names)):
             columns.append(np.empty(lines.size, dtype=object))
             columns[j][:] = [r.cells[j] for r in layout.rows]
+    # A clock of each channel's own, before it: their names must differ.
+    for j, name in enumerate(names):
+        first = names.index(name)
+        if first < j and clock.is_time(name) and not np.array_equal(columns[first], columns[j]):
+            text, unit = column(name)
+            names[j] = f"{text} {j + 1}{f' [{unit}]' * bool(unit)}"
     parts = [how]
     for count, what in ((layout.above, f"{counted}@ above the names"), (layout.comments, f"comment {counted}@")):
         if count:
@@ -159,7 +165,7 @@ def table(
         parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in names[:12])
     parts.append(f"{len(names)} columns: {clip(named)}{', ...' if len(names) > 12 else ''}")
-    made = Record(path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults))
+    made = Record(path, tuple(names), tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults))
     if not made.clock and (even := clock.stated(layout.facts, str(path))):
         start, step = even
         made = made.beside("time [s]", start + step * np.arange(lines.size))
@@ -253,7 +259,12 @@ def _declared(lines: Sequence[str]) -> tuple[int, str | None]:
 
 def _is_comment(line: str, separator: str) -> bool:
     start = line.lstrip()
-    return start.startswith(_COMMENTS) or (start.startswith(";") and separator != "semicolon")
+    # Sections of MSR's files are headed "*CHANNEL"; "***" is a blank cell.
+    return (
+        start.startswith(_COMMENTS)
+        or (start[:1] == "*" and start[1:2].isalpha())
+        or (start.startswith(";") and separator != "semicolon")
+    )
 
 
 def _cells(line: str, separator: str) -> list[str]:

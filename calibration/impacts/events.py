@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from bcfj_jax.core.quantities import GRAVITY
 from calibration.forward.runs import stretches
@@ -35,6 +36,8 @@ _DEPARTED = 0.1
 # Of places: the time [s] over which a fall is looked for, the share of a record that is one, how near gravity it is, and by how
 # much more of these stretches bend one way than the other.
 _FLIGHT, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.3, 0.15, 0.6
+# The time over which the push on a body that falls is told [s].
+_PUSHED = 0.02
 
 
 class Event(NamedTuple):
@@ -90,12 +93,11 @@ def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         return values - (rest(values) or 0.0)
     if kind == "pulse":
         return np.abs(values - (rest(values) or 0.0))
+    if (thrown := pushes(kind, times, values)) is not None:
+        return thrown
     few = max(3, values.size // 20)
     if kind == "velocity":
         return np.abs(values - np.median(values[:few]))
-    if up := falls(times, values, (1.0,)):  # In flight nothing pushes, at rest its weight.
-        push = up * np.gradient(np.gradient(values, times), times) + GRAVITY
-        return np.maximum(push - 2.0 * GRAVITY, 0.0)
     # A straight line through the first half of the way to where the position turns, or through its first samples.
     count = min(max(few, turning(times, values) // 2), values.size)
     slope, level = np.polyfit(times[:count], values[:count], 1)
@@ -122,6 +124,23 @@ def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 
     return 0.0
 
 
+def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """By how much more than twice its weight a body that falls is pushed (T,) [m/s^2]; None of one that does not fall.
+
+    In flight nothing pushes it, at rest its weight. ``kind``: of the readings (T,), "place" or "velocity".
+    """
+    if kind not in ("place", "velocity") or times.size < _FEW:
+        return None
+    places = values if kind == "place" else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
+    if not (up := falls(times, places, (1.0,))):
+        return None
+    step = float(np.median(np.diff(times)))
+    even = np.arange(times[0], times[-1] + 0.5 * step, step)
+    count = max(5, round(_PUSHED / step) // 2 * 2 + 1)
+    bends = savgol_filter(np.interp(even, times, places), min(count, (even.size - 1) // 2 * 2 + 1), 2, 2, step)
+    return np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
+
+
 def turning(times: np.ndarray, values: np.ndarray) -> int:
     """The sample (of T) at which a position has gone farthest the way that it went at first."""
     few = min(max(4, values.size // 10), values.size)
@@ -144,7 +163,7 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         ends = float(clock[first]), float(clock[last])
         return Event(int(seen[first]), int(seen[last]), before, *ends, peak, step, loose)
 
-    thrown = quantity(observes) == "place" and falls(clock, values[seen], (1.0,)) != 0.0
+    thrown = pushes(quantity(observes), clock, values[seen]) is not None
     if quantity(observes) in ("velocity", "place") and not thrown:
         # A position leaves its line further and further: what counts is how far it has when it turns.
         peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
@@ -159,7 +178,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         if begun.size:
             first, last = int(begun[0]), int(rows[-1])
             ends = (first, last) if width == 1 else _grown(rises, first, last, high)
-            found.append(event(*ends, float(rises[first : last + 1].max()), (width - 1) * step))
+            loose = 0.5 * _PUSHED if thrown else (width - 1) * step
+            found.append(event(*ends, float(rises[first : last + 1].max()), loose))
     return found
 
 

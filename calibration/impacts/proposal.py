@@ -22,7 +22,7 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, falls, rest, wrong
+from calibration.impacts.events import Event, contacts, falls, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import METRES, refuse_motion, without_time
@@ -202,7 +202,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         event = records[-1].events[0]
         if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
             raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
-    fallen = unit == "m" and any(falls(r.clock, r.readings["m"], (1.0,)) for r in records)
+    fallen = any(_fallen(unit, r.clock, r.readings[unit]) for r in records)
     if time and table.bare(time):
         whole = 1.0 if fallen else _WHOLE.get(unit, 1.0)
         headers.seconds(where, time, whole * float(np.median([r.events[0].duration for r in records])))
@@ -403,11 +403,19 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
+def _fallen(unit: str, clock: np.ndarray, values: np.ndarray) -> bool:
+    """Whether places or velocities are those of a body that falls freely."""
+    kind, seen = headers.READ[unit].split(".")[1], np.isfinite(values)
+    return pushes(kind, clock[seen], values[seen]) is not None
+
+
 def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     """-1 of a column to flip: a force pushes; an approach is along +x, and the acceleration in contact against it."""
 
     def vote(clock: np.ndarray, values: np.ndarray) -> float:
         seen = values[np.isfinite(values)]
+        if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
+            return float(np.median(np.gradient(seen)))
         if unit == "m/s":
             return float(seen[: max(3, values.size // 20)].mean())
         if unit == "m":  # Upwards at first, before it turns?

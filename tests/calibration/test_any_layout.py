@@ -331,6 +331,23 @@ def test_monitors_counters_and_heads_of_other_loggers(tmp_path):
     rows = "".join(f"{1e3 * t:.3f}\t{f / 9.80665:.5f}\n" for t, f in PAIRS)
     found = of(tmp_path, "shock.txt", "TEST: 3\nTIME(mS)\tAMPLITUDE(G)\n" + rows)
     np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    head = "Sample rate (samples/sec),20000\nSample,Ch 1 X (G),Ch 3 Z (G)\n"
+    rows = "".join(f"{k},{0.01 * (k % 3)},{-f / 9.80665:.5f}\n" for k, f in enumerate(FORCE))
+    found = of(tmp_path, "saver.csv", head + rows)
+    np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    np.testing.assert_allclose(found.records[0].clock, TIMES, atol=1e-9)
+    head = "Interval=\t5e-05 s\nChannelTitle=\tForce\tAccel\nUnitName=\tN\tg\n"
+    found = of(tmp_path, "chart.txt", head + "".join(f"{t:.5f}\t{f:.3f}\t{f / 8:.4f}\n" for t, f in PAIRS))
+    holds(found, FORCE)
+    assert found.columns == {"N": "Force [N]", "m/s^2": "-Accel [g]"}
+    head = "*CREATOR\nMSR 7.0\n*CHANNEL\nTIME;ACC x;ACC z;\n*UNIT\n;G;G;\n*LIMITS\n;;;\n*DATA\n"
+    rows = "".join(f"2026-03-02 {stamp};0.0;{f / 9.80665:.5f};\n" for stamp, f in zip(STAMPS, FORCE, strict=True))
+    found = of(tmp_path, "msr.csv", head + rows)
+    np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    rows = "".join(
+        f"{t:.6f},{f:.3f}" + (f",{2 * t:.6f},0.{k % 7}\n" if k < 90 else ",,\n") for k, (t, f) in enumerate(PAIRS)
+    )
+    holds(of(tmp_path, "two.csv", "X[s],Load[N],X[s],EMG[mV]\n" + rows), FORCE)
 
 
 def test_a_column_that_is_one_word_throughout_numbers_no_runs(tmp_path):

@@ -145,6 +145,17 @@ def test_places_that_fall_say_their_unit_and_which_way_is_up(rate, noise):
         assert falls(clock, other) == 0.0
 
 
+@pytest.mark.parametrize(("rate", "noise"), [(100.0, 5e-4), (240.0, 2e-4), (1000.0, 2e-4), (4000.0, 1e-5)])
+def test_the_bounces_of_places_and_of_velocities_are_its_contacts(rate, noise):
+    clock, z = ball(rate)
+    speed, first = np.gradient(z, clock), 0.1 + np.sqrt(2.0 * 0.5 / 9.81)
+    rng, touches = np.random.default_rng(2), first + np.sqrt(8.0 * 0.5 / 9.81) * np.cumsum([0.0, 0.8, 0.64])
+    for kind, values, size in (("place", z, noise), ("velocity", -speed, 0.01)):
+        found = contacts(f"body.{kind}.y", clock, values + size * rng.standard_normal(z.size))
+        begins = np.array([e.begin + e.loose for e in found])
+        assert begins.size >= 3 and np.abs(begins[:3] - touches[touches < 1.5][:3]).max() < 0.012 + 1.0 / rate
+
+
 def test_a_bouncing_ball_is_a_drop_under_gravity(tmp_path):
     clock, z = ball()
     rows = "".join(f"{k},{3 * t:.4f},{1e3 * h:.2f}\n" for k, (t, h) in enumerate(zip(clock, z, strict=True)))
