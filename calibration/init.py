@@ -260,7 +260,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 _observed(one, kind),
                 *_saturated(found),
                 NOISE,
-                *_window(s, kind, found.records[0]),
+                *_window(s, kind, found.records),
                 *[_columned(found, kind)] * known.by_column,
                 *_parameters(entries, said.struck, _asks(found, kind, said)),
             )
@@ -459,25 +459,19 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
-    said += (
-        [
-            f"CHECK: {found.columns.get('m/s', found.columns.get('m'))} falls freely, and gravity is that of a drop along it"
-        ]
-        if found.falls
-        else []
-    )
+    said += [f"CHECK: {h} falls freely: gravity acts along it" for h in [*found.columns.values()][: found.falls]]
     said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
-def _window(s: Sizes, kind: str, run: Run) -> list[Line]:
+def _window(s: Sizes, kind: str, runs: list[Run]) -> list[Line]:
     """About the first contact of an impact; a bounce is taken whole, from where a held accelerometer stops to read its weight."""
     if kind == "bounce":
-        read = run.readings.get("m/s^2", np.zeros(0))[: run.events[0].first]
-        held = np.abs(read + GRAVITY) < _HELD * GRAVITY
-        if "N" in run.readings or not held[:3].all() or held.size < 3 or held[-1]:
+        read, clock = runs[0].readings, runs[0].clock
+        held = np.abs(read.get("m/s^2", np.zeros(0))[: runs[0].events[0].first] + GRAVITY) < _HELD * GRAVITY
+        if len(runs) > 1 or "N" in read or held.size < 3 or held[-1] or not held[:3].all():
             return []
-        ends = [format_si(float(run.clock[k]), "s", 6) for k in (np.flatnonzero(held)[-1] + 1, -1)]
+        ends = [format_si(float(clock[k]), "s", 6) for k in (np.flatnonzero(held)[-1] + 1, -1)]
         return [Line(f'window = ["{ends[0]}", "{ends[1]}"]', "from its release on: it reads its weight before")]
     before = max(s.duration, 12.0 * s.step)
     after = s.duration + max(0.75 * s.duration, 6.0 * s.step)

@@ -49,18 +49,16 @@ def _turned(table: Record) -> Record:
     ``Rot[0]`` to ``Rot[8]`` are the matrix column by column. A row without one, of a body not seen, is blank.
     """
     named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
-    if len(named) != 9:
+    if len(named) != 9 or any(h.startswith("q0") for h in table.header):
         return table
     from scipy.spatial.transform import Rotation
 
-    rows = np.stack([table.numbers(h, "1", table.name, True) for h in named], axis=1)
-    matrices = rows.reshape(-1, 3, 3).transpose(0, 2, 1)
-    seen = np.abs(np.linalg.det(np.nan_to_num(matrices)) - 1.0) < _TURNS
-    quaternions = np.full((len(rows), 4), np.nan)
-    if seen.any():
-        quaternions[seen] = Rotation.from_matrix(matrices[seen]).as_quat()[:, [3, 0, 1, 2]]
+    cells = np.array([table.numbers(h, "1", table.name, True) for h in named])
+    matrices = np.nan_to_num(cells).reshape(3, 3, -1).transpose(2, 1, 0)
+    seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
+    turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3))).as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
-        table = table.beside(f"q{k}", quaternions[:, k])
+        table = table.beside(f"q{k}", np.where(seen, turned[:, k], np.nan))
     return table
 
 

@@ -259,12 +259,8 @@ def _declared(lines: Sequence[str]) -> tuple[int, str | None]:
 
 def _is_comment(line: str, separator: str) -> bool:
     start = line.lstrip()
-    # Sections of MSR's files are headed "*CHANNEL"; "***" is a blank cell.
-    return (
-        start.startswith(_COMMENTS)
-        or (start[:1] == "*" and start[1:2].isalpha())
-        or (start.startswith(";") and separator != "semicolon")
-    )
+    section = start[:1] == "*" and start[1:2].isalpha()  # "*CHANNEL" of MSR; "***" is a blank cell.
+    return section or start.startswith(_COMMENTS) or (start.startswith(";") and separator != "semicolon")
 
 
 def _cells(line: str, separator: str) -> list[str]:

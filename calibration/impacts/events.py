@@ -111,9 +111,8 @@ def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 
     """
     seen = np.isfinite(values)
     clock, places = times[seen], values[seen]
-    count = (
-        max(_FEW, round(_FLIGHT / max(float(np.median(np.diff(clock))), 1e-6))) if clock.size > _FEW else clock.size + 1
-    )
+    step = float(np.median(np.diff(clock))) if clock.size > _FEW else 0.0
+    count = max(_FEW, round(_FLIGHT / step)) if step > 0.0 else clock.size + 1
     starts = range(0, clock.size - count + 1, max(count // 2, clock.size // 400))
     fits = [np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts]
     bends = 2.0 * np.array(fits) / GRAVITY
@@ -134,10 +133,10 @@ def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | Non
     places = values if kind == "place" else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
     if not (up := falls(times, places, (1.0,))):
         return None
-    step = float(np.median(np.diff(times)))
-    even = np.arange(times[0], times[-1] + 0.5 * step, step)
-    count = max(5, round(_PUSHED / step) // 2 * 2 + 1)
-    bends = savgol_filter(np.interp(even, times, places), min(count, (even.size - 1) // 2 * 2 + 1), 2, 2, step)
+    whole = (times[-1] - times[0]) / float(np.median(np.diff(times)))
+    even, step = np.linspace(times[0], times[-1], round(min(whole, 4.0 * times.size)) + 1, retstep=True)
+    count = min(max(5, round(_PUSHED / step) // 2 * 2 + 1), (even.size - 1) // 2 * 2 + 1)
+    bends = savgol_filter(np.interp(even, times, places), count, 2, 2, float(step))
     return np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 
@@ -12,7 +13,7 @@ from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
 # Units of places by their size [m].
-METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}
+_METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}
 _NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
@@ -56,17 +57,19 @@ def refuse_motion(table: Record) -> None:
         if key in (*PLACES, *ATTITUDE):
             found.setdefault(key, header)
     if {*PLACES, *ATTITUDE} <= found.keys():
-        raise InMotion(table, {k: _in_metres(table, h) if k in PLACES else h for k, h in found.items()})
+        raise InMotion(table, {k: in_metres(table, h) if k in PLACES else h for k, h in found.items()})
 
 
-def _in_metres(table: Record, header: str) -> str:
-    """A column of places with its unit: as it states, or where one of the bodies' places falls, by gravity."""
+def in_metres(table: Record, header: str) -> str:
+    """A column of places with its unit: as it states, or where it or another axis of the body falls, by gravity."""
     if column(header)[1] is not None or not table.clock:
         return header
-    clock = table.numbers(table.clock, "s", table.name, False)
-    alike = [h for h in table.header if column(h)[0][-1:].lower() in PLACES and column(h)[1] is None]
-    units = (abs(falls(clock, table.numbers(h, "m", table.name, True))) for h in alike)
-    return f"{header} [{METRES[unit]}]" if (unit := max(units, default=0.0)) else header
+    alike = [h for h in table.header if h == header or (h.strip()[-1:].lower() in PLACES and column(h)[1] is None)]
+    with contextlib.suppress(InputError):
+        clock = table.numbers(table.clock, "s", table.name, False)
+        unit = max(abs(falls(clock, table.numbers(h, "m", table.name, True))) for h in alike)
+        return f"{header} [{_METRES[unit]}]" if unit else header
+    return header
 
 
 def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputError | None:

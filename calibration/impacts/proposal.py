@@ -22,10 +22,10 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, falls, pushes, rest, wrong
+from calibration.impacts.events import Event, contacts, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
-from calibration.impacts.otherwise import METRES, refuse_motion, without_time
+from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
@@ -373,12 +373,8 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
         found["N"] = found.pop("tangential")  # Of a rig that rubs; beside no motion it is that of an oblique impact.
     # A letter alone, without a unit, is a place only beside another reading, or where it falls as one: then its unit is known.
     if not found.keys() & {"N", "m/s^2", "m/s"} and (h := found.get("m", "")) in bare:
-        clock = headers.values_of(table, found.get("s", "") or table.clock, "s")
-        values = headers.values_of(table, h, "m")
-        unit = abs(falls(clock, values)) if clock.size == values.size else 0.0
-        if unit:
-            found["m"] = f"{h} [{METRES[unit]}]"
-        elif len(headers.name_of(h)) == 1:
+        found["m"] = in_metres(table, h)
+        if found["m"] == h and len(headers.name_of(h)) == 1:
             del found["m"]
     return found
 

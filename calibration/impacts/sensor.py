@@ -93,8 +93,7 @@ def proposed(
         slowest = params.get("cutoff", free.get("cutoff", (slow,))[0])
         late, early = passed.delay / slowest, _SPREAD / slowest if passed.zero_phase else 0.0
         return given._replace(lower=given.lower - late, upper=given.upper + early)
-    falling = _FALLS.get(scene.kind, 0.0) * params.get("gravity", 0.0)
-    return _zero(name, found[0], record, params, falling)
+    return _zero(name, found[0], record, params, _FALLS.get(scene.kind, 0.0) * params.get("gravity", 0.0))
 
 
 def _clock(
@@ -116,10 +115,8 @@ def _clock(
     )
 
 
-def _zero(
-    name: str, event: Event, record: Prepared, params: Mapping[str, float], falling: float
-) -> Proposal | str:  # fmt: skip
-    """``falling``: the acceleration before the first contact, of which an accelerometer reads nothing."""
+def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float], fall: float) -> Proposal | str:
+    """``fall``: the acceleration before the first contact, of which an accelerometer reads nothing."""
     units = units_of(record.readings)
     unit = next((u for u, offset in OFFSETS.items() if offset == name and u in units), "")
     unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
@@ -138,7 +135,7 @@ def _zero(
                 return f"{observes} has no {_RESTING} samples of rest before the first contact"
             level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
             half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
-        level -= falling if unit == "m/s^2" else 0.0
+        level -= fall if unit == "m/s^2" else 0.0
         lows.append(level - half)
         highs.append(level + half)
     doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file"

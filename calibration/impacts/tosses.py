@@ -123,9 +123,7 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
         begin, axis = _flight(clock, places)
         axes.add(axis)
         if len(axes) > 1:
-            raise InputError(
-                str(one), "it falls along another axis than the first", "let every toss fall along one axis"
-            )
+            raise InputError(str(one), "it falls along another axis than the first", "let all fall along one axis")
         begins, places, attitudes = float(clock[begin]), places[:, begin:], attitudes[:, begin:]
         clock = clock[begin:] - begins
         runs.append(Toss(clock, places, first(clock, places, attitudes, axis), begins))
