@@ -529,7 +529,8 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
         heights = (
             [height] * 2 if known.speed_from == "as given" else [height * (t / s.flights[0]) ** 2 for t in s.after]
         )
-        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], 4.0 * heights[1]))
+        most = 2.0 if known.speed_from == "about the speed given" else 4.0
+        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], most * heights[1]))
         lines.append(box("drop_height", bounds, known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from

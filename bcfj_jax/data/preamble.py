@@ -113,9 +113,12 @@ def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
     for j, title in enumerate(titles):
         if not title or column(title)[1] is not None:
             continue
-        said = rf"(?i:(?<![^\W_])(?<![(\[]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
+        said = rf"(?i:(?<![^\W_]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
         how = r"\s*(?i:is in|are in|in|units?\s*[:=]?|[:=/]\s*(?:in\b)?|(?=[\[(]))\s*[\[(]?([^\s,;)\]]+)"
-        units = {m[1].rstrip(".") for text in texts for m in re.finditer(said + how, text)}
+        found = [m for text in texts for m in re.finditer(said + how, text)]
+        # "Rate (samples/sec)" says nothing of samples.
+        found = [m for m in found if "/" not in m[0] or m.string[m.start() - 1 : m.start()] not in ("(", "[")]
+        units = {m[1].rstrip(".") for m in found}
         units = {u for u in units if u not in "ABCDEFGHIJKLMPQRTUXYZaef" and known(u) and not is_missing(u)}
         if len(units) == 1:
             united[j] = f"{title} [{units.pop()}]"

@@ -24,8 +24,7 @@ from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
 RUN_COLUMNS = (
     "run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag", "segment", "run no", "run_no",
     "run number", "trial no", "drop no", "hit no", "impact", "impact no", "essai", "prüfung", "probe", "specimen",
-    "wurf", "run id", "run_id", "test id", "test_id", "trial_id", "hit_id", "drop_id",
-    "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
+    "wurf", "run_id", "test_id", "trial_id", "hit_id", "drop_id", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
 )  # fmt: skip
 # What numbers the runs of a clock that begins anew, where no column does.
 SWEEP = "sweep"

@@ -33,11 +33,9 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
-# Of places: the time [s] over which a fall is looked for, the share of a record that is one, how near gravity it is, and by how
-# much more of these stretches bend one way than the other.
-_FLIGHT, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.3, 0.15, 0.6
-# The time over which the push on a body that falls is told [s].
-_PUSHED = 0.02
+# Of places: times [s] over which a fall and a push are told, the share of a record that is a fall, how near gravity it is, and by
+# how much more of these stretches bend one way than the other.
+_FLIGHT, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.02, 0.3, 0.15, 0.6
 
 
 class Event(NamedTuple):
