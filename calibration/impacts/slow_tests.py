@@ -76,7 +76,7 @@ def is_slow(run: Run) -> bool:
     for rows in (before, early, slice(event.first, peak + 1)):
         t, x = (values[rows][np.isfinite(place[rows])] for values in (run.clock, place))
         speeds.append(abs(float(np.polyfit(t, x, 1)[0])) if t.size >= _FEW else 0.0)
-    at_first = speeds[1] if speeds[0] < _LOST * speeds[1] else speeds[0]
+    at_first = speeds[1] if speeds[0] < 0.8 * speeds[1] else speeds[0]
     return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0)
 
 
