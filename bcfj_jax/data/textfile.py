@@ -200,7 +200,8 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     parting = {text.strip() for text in kind[1:-1]}
     sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
     # What a monitor puts before each line stands before the names, too.
-    before = re.compile(rf"\s*[\[(]?{clock.OF_DAY}{re.escape(kind[1])}") if kind[1].strip(" \t;,|.:") else None
+    behind = "".join(kind[1:2])
+    before = re.compile(rf"\s*[\[(]?{clock.OF_DAY}{re.escape(behind)}") if behind.strip(" \t;,|.:") else None
     made, first = [], 0
     for k, line in enumerate(lines, 1):
         line = before.sub(signs[0], line, 1) if before and parts(line) != kind else line

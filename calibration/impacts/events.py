@@ -134,7 +134,7 @@ def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | Non
     whole = (times[-1] - times[0]) / float(np.median(np.diff(times)))
     even, step = np.linspace(times[0], times[-1], round(min(whole, 4.0 * times.size)) + 1, retstep=True)
     count = min(max(5, round(_PUSHED / step) // 2 * 2 + 1), (even.size - 1) // 2 * 2 + 1)
-    bends = savgol_filter(np.interp(even, times, places), count, 2, 2, float(step))
+    bends = np.asarray(savgol_filter(np.interp(even, times, places), count, 2, 2, float(step)))
     return np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
 
 
