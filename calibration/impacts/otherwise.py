@@ -12,8 +12,7 @@ from bcfj_jax.io.units import column
 from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
-# Units of places by their size [m].
-_METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}
+_METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}  # Units of places by their size.
 _NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
