@@ -203,7 +203,7 @@ def _kind(found: Understood) -> str:
         return "oblique_impact"
     s = sizes(found)
     falling = all(b < a for a, b in pairwise(s.flights))
-    return "bounce" if s.flights and (found.falls or (falling and min(s.flights) > s.duration)) else "impact"
+    return "bounce" if found.falls or (s.flights and falling and min(s.flights) > s.duration) else "impact"
 
 
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
@@ -226,7 +226,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     lossless = kind == "impact" and ratio + doubt > 1.0 + _ELASTIC
     # A drop from a height goes on falling in contact.
-    falls = kind == "impact" and (found.falls or (known.by_column and found.given[1] == "m"))
+    falls = kind == "impact" and known.by_column and found.given[1] == "m"
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
@@ -400,6 +400,9 @@ def _with_speeds(mass: float | None, found: Understood) -> _Known:
 
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
+    if found.falls and s.speed and not s.flights:
+        v = speed if speed is not None else float(np.mean(s.speed))
+        return _Known(mass, v, "as given", "from the motion before contact")
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"
         raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
@@ -526,10 +529,8 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
-        heights = (
-            [height] * 2 if known.speed_from == "as given" else [height * (t / s.flights[0]) ** 2 for t in s.after]
-        )
-        most = 2.0 if known.speed_from == "about the speed given" else 4.0
+        heights = [height * (t / s.flights[0]) ** 2 for t in s.after] if s.flights else [height] * 2
+        most = 4.0 if known.speed_from == "from the flights between contacts" else 2.0
         bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], most * heights[1]))
         lines.append(box("drop_height", bounds, known.speed_from, each))
     elif isinstance(known.speed, tuple):

@@ -28,8 +28,7 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _CUTOFFS, _SPREAD = (0.3, 100.0), 0.3
 # Samples before the first contact that are a rest, and what of a contact's duration before it is none.
 _RESTING, _CLEAR = 4, 0.25
-# Along which of its axes a scene falls.
-_FALLS = {"bounce": -1.0, "impact": 1.0}
+_FALLS = {"bounce": -1.0, "impact": 1.0}  # Along which axis a scene falls.
 # What sets the time of the first contact, and would move it as the record's clock does.
 _MOVES = ("clearance_contact", "drop_height")
 
@@ -101,8 +100,8 @@ def _clock(
     free: Mapping[str, tuple[float, float]],
 ) -> Proposal | str:  # fmt: skip
     moving, event = next((n for n in _MOVES if n in free), ""), found[0]
-    # The flights between several contacts tell what moves the first, so that the clock is another unknown.
-    several = bool(moving) and len(found) > 1
+    # The flights between several contacts tell what moves the first, as a drop that is seen: the clock is another unknown.
+    several = bool(moving) and (len(found) > 1 or (moving != _MOVES[0] and quantity(observes) in ("place", "velocity")))
     ends = free[moving] if several else (params.get(moving, 0.0),) * 2
     first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
