@@ -51,6 +51,8 @@ _UNHEARD = 0.2
 _GROWS = 0.5
 # Flights over contacts from which on contacts are apart.
 _APART = 2.0
+# How far what an accelerometer reads at rest may be from its weight.
+_HELD = 0.3
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -201,7 +203,7 @@ def _kind(found: Understood) -> str:
         return "oblique_impact"
     s = sizes(found)
     falling = all(b < a for a, b in pairwise(s.flights))
-    return "bounce" if s.flights and falling and min(s.flights) > s.duration else "impact"
+    return "bounce" if found.falls or (s.flights and falling and min(s.flights) > s.duration) else "impact"
 
 
 def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, list[str]]:
@@ -258,7 +260,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 _observed(one, kind),
                 *_saturated(found),
                 NOISE,
-                *_window(s, kind),
+                *_window(s, kind, found.records),
                 *[_columned(found, kind)] * known.by_column,
                 *_parameters(entries, said.struck, _asks(found, kind, said)),
             )
@@ -398,6 +400,9 @@ def _with_speeds(mass: float | None, found: Understood) -> _Known:
 
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
+    if found.falls and s.speed and not s.flights:
+        v = speed if speed is not None else float(np.mean(s.speed))
+        return _Known(mass, v, "as given", "from the motion before contact")
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"
         raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
@@ -457,14 +462,20 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
+    said += [f"CHECK: {h} falls freely: gravity acts along it" for h in [*found.columns.values()][: found.falls]]
     said += [found.plate] if found.plate else []
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 
-def _window(s: Sizes, kind: str) -> list[Line]:
-    """About the first contact of an impact; a bounce is taken whole."""
+def _window(s: Sizes, kind: str, runs: list[Run]) -> list[Line]:
+    """About the first contact of an impact; a bounce is taken whole, from where a held accelerometer stops to read its weight."""
     if kind == "bounce":
-        return []
+        read, clock = runs[0].readings, runs[0].clock
+        held = np.abs(read.get("m/s^2", np.zeros(0))[: runs[0].events[0].first] + GRAVITY) < _HELD * GRAVITY
+        if len(runs) > 1 or "N" in read or held.size < 3 or held[-1] or not held[:3].all():
+            return []
+        ends = [format_si(float(clock[k]), "s", 6) for k in (np.flatnonzero(held)[-1] + 1, -1)]
+        return [Line(f'window = ["{ends[0]}", "{ends[1]}"]', "from its release on: it reads its weight before")]
     before = max(s.duration, 12.0 * s.step)
     after = s.duration + max(0.75 * s.duration, 6.0 * s.step)
     note = ""
@@ -518,10 +529,9 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
     if kind == "bounce":
         height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
         # Runs may be of several heights, whose flights are as the speeds.
-        heights = (
-            [height] * 2 if known.speed_from == "as given" else [height * (t / s.flights[0]) ** 2 for t in s.after]
-        )
-        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], 2.0 * heights[1]))
+        heights = [height * (t / s.flights[0]) ** 2 for t in s.after] if s.flights else [height] * 2
+        most = 4.0 if known.speed_from == "from the flights between contacts" else 2.0
+        bounds = (f'"{x:.3g} m"' for x in (0.5 * heights[0], most * heights[1]))
         lines.append(box("drop_height", bounds, known.speed_from, each))
     elif isinstance(known.speed, tuple):
         note = "any: the mass is not known yet" if open_scale else known.speed_from

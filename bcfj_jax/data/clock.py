@@ -18,13 +18,13 @@ from bcfj_jax.io.units import column, scale_of
 
 TIMES = (
     "time", "t", "zeit", "clock", "seconds", "second", "temps", "tiempo", "messzeit", "prüfzeit", "testzeit", "versuchszeit",
-    "elapsed time", "abs time", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
+    "elapsed time", "abs time", "tout", "time stamp", "timestamp", "x_value", "zeitstempel", "tid", "tempo", "test time",
     "date/time", "datetime", "ts", "tijd", "czas", "čas", "aika", "idő", "время", "时间", "時間", "시간",
 )  # fmt: skip
 # A rate is named by one of these words alone, or by one behind or before a word for samples; so is a step.
 _RATE = re.compile(r"rate|fre[qc]|fps|hz$|takt|cadence|周波数|频率|率|частот")
 _STEP = re.compile(
-    r"interval|period|increment|incr?$|step|delta|^dt$|resolution|schritt|abtastzeit|pas$|周期|间隔|間隔|период|шаг"
+    r"interval|period|cycle|increment|incr?$|step|delta|^dt$|resolution|schritt|abtastzeit|pas$|周期|间隔|間隔|период|шаг"
 )
 _OF_SAMPLES = re.compile(
     r"sampl|scan|acqui|update|abtast|mess|frame|captur|record|logg|aufnahm|aufzeich|erfass|data|daq|adc|analog|camera|video|echantillon|muestr|campion|"

@@ -18,12 +18,13 @@ Facts = list[tuple[str, str]]
 # Columns beside a table end before this row, and a table has as many rows at least.
 _LAST, _FEWEST = 40, 30
 _UNITS = (
-    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "verticalunitsch", "vunit", "unit", "units", "einheit",
-    "einheiten", "yaxisunit", "yaxisunits", "単位", "单位", "unité", "unidad",
+    "verticalunits", "verticalunit", "yunits", "yunit", "yunitlabel", "unitname", "verticalunitsch", "vunit", "unit", "units",
+    "einheit", "einheiten", "yaxisunit", "yaxisunits", "yeinheit", "単位", "单位", "unité", "unidad",
 )  # fmt: skip
 _PLACE = re.compile(r"(?i)(?:pos(?:ition)?[ _.]?)?[xyz]")
 _SOURCES = (
-    "source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle", "channelname", "ch名称", "信号名",
+    "source", "channel", "sourcechannel", "tracename", "nameofthechannel", "channeltitle", "channelname", "kanal",
+    "ch名称", "信号名",
 )  # fmt: skip
 # A line that says that numbers follow, and no names.
 _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|points|begin)\s*[\]:]?\s*")
@@ -114,7 +115,10 @@ def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
             continue
         said = rf"(?i:(?<![^\W_]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
         how = r"\s*(?i:is in|are in|in|units?\s*[:=]?|[:=/]\s*(?:in\b)?|(?=[\[(]))\s*[\[(]?([^\s,;)\]]+)"
-        units = {m[1].rstrip(".") for text in texts for m in re.finditer(said + how, text)}
+        found = [m for text in texts for m in re.finditer(said + how, text)]
+        # "Rate (samples/sec)" says nothing of samples.
+        found = [m for m in found if "/" not in m[0] or m.string[m.start() - 1 : m.start()] not in ("(", "[")]
+        units = {m[1].rstrip(".") for m in found}
         units = {u for u in units if u not in "ABCDEFGHIJKLMPQRTUXYZaef" and known(u) and not is_missing(u)}
         if len(units) == 1:
             united[j] = f"{title} [{units.pop()}]"

@@ -39,8 +39,27 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         _unknown(path, where, b"")
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
-    found = replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)
+    found = _turned(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors))
     return found if stated.rate is None else _clocked(found, stated.rate, where)
+
+
+def _turned(table: Record) -> Record:
+    """A table with the attitude q0 to q3, scalar first, of a body whose rotation matrix stands in nine columns (Qualisys).
+
+    ``Rot[0]`` to ``Rot[8]`` are the matrix column by column. A row without one, of a body not seen, is blank.
+    """
+    named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
+    if len(named) != 9 or any(h.startswith("q0") for h in table.header):
+        return table
+    from scipy.spatial.transform import Rotation
+
+    cells = np.array([table.numbers(h, "1", table.name, True) for h in named])
+    matrices = np.nan_to_num(cells).reshape(3, 3, -1).transpose(2, 1, 0)
+    seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
+    turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3))).as_quat(scalar_first=True)
+    for k in (3, 2, 1, 0):
+        table = table.beside(f"q{k}", np.where(seen, turned[:, k], np.nan))
+    return table
 
 
 def _clocked(table: Record, rate: str, where: str) -> Record:
@@ -195,6 +214,8 @@ def _header(name: str, column: Column) -> str:
     return name if column.unit is None else f"{name} [{column.unit}]"
 
 
+# How far the determinant of a rotation matrix that is rounded may be from 1.
+_TURNS = 0.05
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

@@ -24,7 +24,7 @@ from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
 RUN_COLUMNS = (
     "run", "experiment", "trial", "drop", "hit", "shot", "test", "versuch", "messung", "schlag", "segment", "run no", "run_no",
     "run number", "trial no", "drop no", "hit no", "impact", "impact no", "essai", "prüfung", "probe", "specimen",
-    "wurf", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
+    "wurf", "run_id", "test_id", "trial_id", "hit_id", "drop_id", "cycle no", "shot no", "test no", "nr", "nr.", "no.", "#",
 )  # fmt: skip
 # What numbers the runs of a clock that begins anew, where no column does.
 SWEEP = "sweep"
@@ -161,6 +161,7 @@ class Record:
         if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
             return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
+            values = _unwrapped(values) if si_unit == "s" else values
             scaled = values * self.scale(unit, si_unit, column(header)[0], place)
         return self._carried(scaled) if si_unit == "s" and (np.diff(scaled) < 0.0).any() else scaled
 
@@ -255,6 +256,17 @@ class Record:
         return replace(self, columns=tuple(c[keep] for c in self.columns), lines=self.lines[keep])
 
 
+def _unwrapped(ticks: np.ndarray) -> np.ndarray:
+    """Whole numbers (N,) of a clock that begins anew at 2^16 or 2^32, as counters of microcontrollers do, going on instead."""
+    steps = np.diff(ticks)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    for size in (2.0**16, 2.0**32):
+        turned = (steps < 0.0) & (np.abs(steps + size) < 4.0 * usual)
+        if turned.any() and (turned == (steps < 0.0)).all() and ticks.max() < size and (ticks == np.floor(ticks)).all():
+            return ticks + size * np.cumsum(np.r_[0.0, turned])
+    return ticks
+
+
 def _no_values(values: np.ndarray) -> np.ndarray:
     """Which numbers (N,) stand for none: those of ``_SENTINELS`` that stand twice or more, far beyond all other numbers."""
     marked = np.isin(np.abs(values), _SENTINELS)
@@ -272,7 +284,7 @@ def _blank(values: np.ndarray) -> np.ndarray:
 def run_column(table: Record) -> str:
     """The first column named as in ``RUN_COLUMNS`` that does not number the rows themselves; "" where there is none."""
     for header, cells in zip(table.header, table.columns, strict=True):
-        if header.strip().lower() in RUN_COLUMNS and (cells.size < 2 or len(set(cells.tolist())) < cells.size):
+        if header.strip().lower() in RUN_COLUMNS and 1 < len(set(cells.tolist())) < cells.size:
             return header
     return ""
 

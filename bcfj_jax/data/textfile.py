@@ -22,7 +22,7 @@ from bcfj_jax.data.decoding import decoded
 from bcfj_jax.data.layout import File, Layout, Row, found, others
 from bcfj_jax.data.record import Record, with_sweeps
 from bcfj_jax.io.opening import LARGEST_TEXT, content
-from bcfj_jax.io.units import known
+from bcfj_jax.io.units import column, known
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "pipe": "|", "comma": ",", "blank": " "}
 _SAID = {"tab": "tabs", "semicolon": "semicolons", "pipe": "pipes", "comma": "commas", "blank": "blanks"}
@@ -139,7 +139,7 @@ def table(
     path: Path, layout: Layout, decimals: Sequence[str], file: File, how: str, inside: str = ""
 ) -> Record:  # fmt: skip
     """A layout as a table, with one sentence on what was found."""
-    counted, names, columns = file.counted, layout.names, []
+    counted, names, columns = file.counted, list(layout.names), []
     if layout.block is not None:
         lines, columns, decimals = layout.rows[0].line + np.arange(len(layout.block)), [*layout.block.T], ()
     else:
@@ -147,6 +147,12 @@ def table(
         for j in range(len(names)):
             columns.append(np.empty(lines.size, dtype=object))
             columns[j][:] = [r.cells[j] for r in layout.rows]
+    # A clock of each channel's own, before it: their names must differ.
+    for j, name in enumerate(names):
+        first = names.index(name)
+        if first < j and clock.is_time(name) and not np.array_equal(columns[first], columns[j]):
+            text, unit = column(name)
+            names[j] = f"{text} {j + 1}{f' [{unit}]' * bool(unit)}"
     parts = [how]
     for count, what in ((layout.above, f"{counted}@ above the names"), (layout.comments, f"comment {counted}@")):
         if count:
@@ -159,7 +165,7 @@ def table(
         parts.append(f"another table, {counted}s {layout.left[0]} to {layout.left[1]}, left out")
     named = ", ".join(name or "(no name)" for name in names[:12])
     parts.append(f"{len(names)} columns: {clip(named)}{', ...' if len(names) > 12 else ''}")
-    made = Record(path, names, tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults))
+    made = Record(path, tuple(names), tuple(columns), lines, counted, inside, tuple(decimals), tuple(layout.faults))
     if not made.clock and (even := clock.stated(layout.facts, str(path))):
         start, step = even
         made = made.beside("time [s]", start + step * np.arange(lines.size))
@@ -193,8 +199,12 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     # One sign between all numbers, as "&" or "->", parts names, too.
     parting = {text.strip() for text in kind[1:-1]}
     sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
+    # What a monitor puts before each line stands before the names, too.
+    behind = "".join(kind[1:2])
+    before = re.compile(rf"\s*[\[(]?{clock.OF_DAY}{re.escape(behind)}") if behind.strip(" \t;,|.:") else None
     made, first = [], 0
     for k, line in enumerate(lines, 1):
+        line = before.sub(signs[0], line, 1) if before and parts(line) != kind else line
         fits = len(line) <= _LONGEST_LINE and parts(line) == kind
         first = first or k * fits
         cells = _TOKEN.findall(re.sub(r"(?<=\d),(?=[-+\d])", ", ", line) if pointed else line) if fits else []
@@ -250,7 +260,8 @@ def _declared(lines: Sequence[str]) -> tuple[int, str | None]:
 
 def _is_comment(line: str, separator: str) -> bool:
     start = line.lstrip()
-    return start.startswith(_COMMENTS) or (start.startswith(";") and separator != "semicolon")
+    section = start[:1] == "*" and start[1:2].isalpha()  # "*CHANNEL" of MSR; "***" is a blank cell.
+    return section or start.startswith(_COMMENTS) or (start.startswith(";") and separator != "semicolon")
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -278,7 +289,9 @@ def _separator(lines: Sequence[str]) -> str:
         # Of one column of numbers, what stands above it says what parts cells.
         best = max(scores, key=lambda k: (scores[k], sum(line.count(SEPARATORS[k]) for line in full if k != "blank")))
         if scores[best] > 0.0:
-            return "tab" if best == "comma" and _one_column(full) else best
+            if best == "comma" and _one_column(full):
+                return "semicolon" if ";" in "".join(full) and "\t" not in "".join(full) else "tab"
+            return best
     return "comma"
 
 

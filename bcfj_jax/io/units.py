@@ -52,7 +52,9 @@ _CASED = (
     "kN", "N", "mN", "MN", "ms", "s", "mm", "m", "kg", "g", "Pa", "kPa", "MPa", "GPa", "Hz", "kHz", "J", "rad/s", "rpm",
 )  # fmt: skip
 # What a header in capitals means; elsewhere case matters.
-_CAPITALS = {"KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz"}
+_CAPITALS = {
+    "KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz", "mS": "ms", "SEC": "sec", "MSEC": "msec", "LBF": "lbf",
+}  # fmt: skip
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
@@ -357,7 +359,7 @@ def column(header: str) -> tuple[str, str | None]:
     for pattern in (_ROUND, _BEHIND_SLASH):
         match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
         unit = _CAPITALS.get(match[2], match[2]) if match and not match[2].isdigit() else "A"
-        if match and unit not in (*_LETTERS, "t") and known(unit):
+        if match and (unit not in (*_LETTERS, "t") or (unit == "G" and pattern is _ROUND)) and known(unit):
             return match[1], unit
     return plain, None
 

@@ -188,7 +188,7 @@ def _further() -> list[File]:
         File("german.csv", _text("Zeit in s;Kraft in N", _S, _N, by=";", comma=True)),
         File("german_16.csv", _text("Zeit;Kraft\n[s];[kN]", _S, [f"{f / 1e3:.7f}" for f in FORCE], by=";", comma=True, encoding="utf-16")),
         File("axes.csv", _text("Time (s),X (g),Y (g),Z (g)", _S, _ZERO, _ZERO, _ACC), si="m/s^2"),
-        File("channel_g.csv", _text("Time(s),Ch 1(G)", _S, _ACC), {"observe": "Ch 1(G) [g]"}, '--observe "Ch 1(G) [g]"', "m/s^2"),
+        File("channel_g.csv", _text("Time(s),Ch 1(G)", _S, _ACC), si="m/s^2"),
         File("counted.csv", _text("sample,t_us,F_raw_N", [str(k) for k in range(500)], us, _N), {"observe": "F_raw_N [N]"}),
         File("signal_express.txt", _text("channel names:\nDev1/ai0\nstart times:\n11/25/2026 10:00:00.000000\ndt:\n0.000050\ndata:\nForce (N)",
              _N)),

@@ -11,7 +11,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import savgol_filter
 
+from bcfj_jax.core.quantities import GRAVITY
 from calibration.forward.runs import stretches
 from calibration.noise.scatter import scatter
 
@@ -31,6 +33,9 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
+# Of places: times [s] over which a fall and a push are told, the share of a record that is a fall, how near gravity it is, and by
+# how much more of these stretches bend one way than the other.
+_FLIGHT, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.02, 0.3, 0.15, 0.6
 
 
 class Event(NamedTuple):
@@ -86,6 +91,8 @@ def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         return values - (rest(values) or 0.0)
     if kind == "pulse":
         return np.abs(values - (rest(values) or 0.0))
+    if (thrown := pushes(kind, times, values)) is not None:
+        return thrown
     few = max(3, values.size // 20)
     if kind == "velocity":
         return np.abs(values - np.median(values[:few]))
@@ -93,6 +100,42 @@ def rise(observes: str, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     count = min(max(few, turning(times, values) // 2), values.size)
     slope, level = np.polyfit(times[:count], values[:count], 1)
     return np.abs(values - (slope * times + level))
+
+
+def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 1e-3, 1e-2)) -> float:
+    """The unit [m] in which places (T,) fall by gravity much of the time, negative where down is positive; 0 where none do.
+
+    Parabolas through successive stretches have the second derivative -g in free flight, and 0 at rest.
+    """
+    seen = np.isfinite(values)
+    clock, places = times[seen], values[seen]
+    step = float(np.median(np.diff(clock))) if clock.size > _FEW else 0.0
+    count = max(_FEW, round(_FLIGHT / step)) if step > 0.0 else clock.size + 1
+    starts = range(0, clock.size - count + 1, max(count // 2, clock.size // 400))
+    fits = [np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts]
+    bends = 2.0 * np.array(fits) / GRAVITY
+    for unit in units:
+        near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
+        if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
+            return -float(np.sign(near.sum())) * unit
+    return 0.0
+
+
+def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """By how much more than twice its weight a body that falls is pushed (T,) [m/s^2]; None of one that does not fall.
+
+    In flight nothing pushes it, at rest its weight. ``kind``: of the readings (T,), "place" or "velocity".
+    """
+    if kind not in ("place", "velocity") or times.size < _FEW:
+        return None
+    places = values if kind == "place" else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
+    if not (up := falls(times, places, (1.0,))):
+        return None
+    whole = (times[-1] - times[0]) / float(np.median(np.diff(times)))
+    even, step = np.linspace(times[0], times[-1], round(min(whole, 4.0 * times.size)) + 1, retstep=True)
+    count = min(max(5, round(_PUSHED / step) // 2 * 2 + 1), (even.size - 1) // 2 * 2 + 1)
+    bends = np.asarray(savgol_filter(np.interp(even, times, places), count, 2, 2, float(step)))
+    return np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
 
 
 def turning(times: np.ndarray, values: np.ndarray) -> int:
@@ -103,7 +146,7 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
-    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity or a position the first."""
+    """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity, or places that do not fall, one."""
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []
@@ -117,7 +160,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         ends = float(clock[first]), float(clock[last])
         return Event(int(seen[first]), int(seen[last]), before, *ends, peak, step, loose)
 
-    if quantity(observes) in ("velocity", "place"):
+    thrown = pushes(quantity(observes), clock, values[seen]) is not None
+    if quantity(observes) in ("velocity", "place") and not thrown:
         # A position leaves its line further and further: what counts is how far it has when it turns.
         peak = float(rises[turning(clock, values[seen])]) if quantity(observes) == "place" else peak
         first = int(np.flatnonzero(rises > _DEPARTED * peak)[0])
@@ -131,7 +175,8 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
         if begun.size:
             first, last = int(begun[0]), int(rows[-1])
             ends = (first, last) if width == 1 else _grown(rises, first, last, high)
-            found.append(event(*ends, float(rises[first : last + 1].max()), (width - 1) * step))
+            loose = 0.5 * _PUSHED if thrown else (width - 1) * step
+            found.append(event(*ends, float(rises[first : last + 1].max()), loose))
     return found
 
 

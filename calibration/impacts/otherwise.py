@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 
 from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
+from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
+_METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}  # Units of places by their size.
 _NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
@@ -53,7 +56,19 @@ def refuse_motion(table: Record) -> None:
         if key in (*PLACES, *ATTITUDE):
             found.setdefault(key, header)
     if {*PLACES, *ATTITUDE} <= found.keys():
-        raise InMotion(table, found)
+        raise InMotion(table, {k: in_metres(table, h) if k in PLACES else h for k, h in found.items()})
+
+
+def in_metres(table: Record, header: str) -> str:
+    """A column of places with its unit: as it states, or where it or another axis of the body falls, by gravity."""
+    if column(header)[1] is not None or not table.clock:
+        return header
+    alike = [h for h in table.header if h == header or (h.strip()[-1:].lower() in PLACES and column(h)[1] is None)]
+    with contextlib.suppress(InputError):
+        clock = table.numbers(table.clock, "s", table.name, False)
+        unit = max(abs(falls(clock, table.numbers(h, "m", table.name, True))) for h in alike)
+        return f"{header} [{_METRES[unit]}]" if unit else header
+    return header
 
 
 def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputError | None:

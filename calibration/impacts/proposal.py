@@ -22,10 +22,10 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, rest, wrong
+from calibration.impacts.events import Event, contacts, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
-from calibration.impacts.otherwise import refuse_motion, without_time
+from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
@@ -116,6 +116,7 @@ class Understood:
         plate: of a force plate, which force is read and where it acts.
         parts: runs that stand beside each other in columns or tables; empty for none.
         mass: of what strikes [kg], as the file states it.
+        falls: whether the places read are those of a body that falls freely.
     """
 
     path: Path
@@ -133,6 +134,7 @@ class Understood:
     plate: str = ""
     parts: tuple[Part, ...] = ()
     mass: float | None = None
+    falls: bool = False
 
 
 class Part(NamedTuple):
@@ -200,8 +202,10 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         event = records[-1].events[0]
         if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
             raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
+    fallen = any(_fallen(unit, r.clock, r.readings[unit]) for r in records)
     if time and table.bare(time):
-        headers.seconds(where, time, _WHOLE.get(unit, 1.0) * float(np.median([r.events[0].duration for r in records])))
+        whole = 1.0 if fallen else _WHOLE.get(unit, 1.0)
+        headers.seconds(where, time, whole * float(np.median([r.events[0].duration for r in records])))
     given, speeds = _speeds(table, [part for _, part in parts], run)
     rows = {**rows, **hints.rows}
     known = {column(time)[0], time, run, given[0], *found.values(), *(column(h)[0] for h in found.values()), *rows}
@@ -219,6 +223,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         given=given,
         speeds=speeds,
         mass=headers.stated_mass(table),
+        falls=fallen,
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
@@ -357,7 +362,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}
     # A clock that is named by one of its words alone, as "MocapTime", increases.
     kinds = {h: u for h, u in kinds.items() if u != "s" or headers.name_of(h) in TIMES or headers.rises(table, h)}
-    for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N") else 0.0):
+    for h in sorted(kinds, key=lambda h: -_range(table, h, kinds[h]) if kinds[h] in ("m/s^2", "N", "m") else 0.0):
         found.setdefault(kinds[h], h)
     for h in bare:  # "F_top_N" and "uptime_s" end in their unit.
         if (unit := h.rpartition("_")[2]) in ("N", "s") and "_" in h[1:]:
@@ -366,9 +371,11 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
             found["N"] = f"{h} [g]"
     if "N" not in found and found.keys() & {"m", "m/s"} and "tangential" in found:
         found["N"] = found.pop("tangential")  # Of a rig that rubs; beside no motion it is that of an oblique impact.
-    # A letter alone, without a unit, is a place only beside another reading: the ordinate of anything is called y.
-    if not found.keys() & {"N", "m/s^2", "m/s"} and found.get("m") in bare and len(headers.name_of(found["m"])) == 1:
-        del found["m"]
+    # A letter alone, without a unit, is a place only beside another reading, or where it falls as one: then its unit is known.
+    if not found.keys() & {"N", "m/s^2", "m/s"} and (h := found.get("m", "")) in bare:
+        found["m"] = in_metres(table, h)
+        if found["m"] == h and len(headers.name_of(h)) == 1:
+            del found["m"]
     return found
 
 
@@ -392,11 +399,19 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 
+def _fallen(unit: str, clock: np.ndarray, values: np.ndarray) -> bool:
+    """Whether places or velocities are those of a body that falls freely."""
+    kind, seen = headers.READ[unit].split(".")[1], np.isfinite(values)
+    return pushes(kind, clock[seen], values[seen]) is not None
+
+
 def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     """-1 of a column to flip: a force pushes; an approach is along +x, and the acceleration in contact against it."""
 
     def vote(clock: np.ndarray, values: np.ndarray) -> float:
         seen = values[np.isfinite(values)]
+        if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
+            return float(np.median(np.gradient(seen)))
         if unit == "m/s":
             return float(seen[: max(3, values.size // 20)].mean())
         if unit == "m":  # Upwards at first, before it turns?
@@ -444,7 +459,7 @@ class Sizes(NamedTuple):
 def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
-    whole = _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
+    whole = 1.0 if found.falls else _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
     has = [r for r in map(_specific, records) if "N" in r.readings]
     speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events

@@ -28,6 +28,7 @@ _SIGMAS, _SHARE = 5.0, 0.02
 _CUTOFFS, _SPREAD = (0.3, 100.0), 0.3
 # Samples before the first contact that are a rest, and what of a contact's duration before it is none.
 _RESTING, _CLEAR = 4, 0.25
+_FALLS = {"bounce": -1.0, "impact": 1.0}  # Along which axis a scene falls.
 # What sets the time of the first contact, and would move it as the record's clock does.
 _MOVES = ("clearance_contact", "drop_height")
 
@@ -91,7 +92,7 @@ def proposed(
         slowest = params.get("cutoff", free.get("cutoff", (slow,))[0])
         late, early = passed.delay / slowest, _SPREAD / slowest if passed.zero_phase else 0.0
         return given._replace(lower=given.lower - late, upper=given.upper + early)
-    return _zero(name, found[0], record, params)
+    return _zero(name, found[0], record, params, _FALLS.get(scene.kind, 0.0) * params.get("gravity", 0.0))
 
 
 def _clock(
@@ -99,8 +100,8 @@ def _clock(
     free: Mapping[str, tuple[float, float]],
 ) -> Proposal | str:  # fmt: skip
     moving, event = next((n for n in _MOVES if n in free), ""), found[0]
-    # The flights between several contacts tell what moves the first, so that the clock is another unknown.
-    several = bool(moving) and len(found) > 1
+    # The flights between several contacts tell what moves the first, as a drop that is seen: the clock is another unknown.
+    several = bool(moving) and (len(found) > 1 or (moving != _MOVES[0] and quantity(observes) in ("place", "velocity")))
     ends = free[moving] if several else (params.get(moving, 0.0),) * 2
     first, last = (scene.first_touch({**params, **({moving: x} if moving else {})}) for x in ends)
     if first is None or last is None:
@@ -113,7 +114,8 @@ def _clock(
     )
 
 
-def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]) -> Proposal | str:
+def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float], fall: float) -> Proposal | str:
+    """``fall``: the acceleration before the first contact, of which an accelerometer reads nothing."""
     units = units_of(record.readings)
     unit = next((u for u, offset in OFFSETS.items() if offset == name and u in units), "")
     unit = unit or (next(iter(units)) if name == "force_offset" and len(units) == 1 else "")
@@ -132,6 +134,7 @@ def _zero(name: str, event: Event, record: Prepared, params: Mapping[str, float]
                 return f"{observes} has no {_RESTING} samples of rest before the first contact"
             level, noise = float(np.mean(values[apart])), float(np.std(values[apart]))
             half = max(_SIGMAS * noise, _SHARE * float(np.nanmax(np.abs(values - level))))
+        level -= fall if unit == "m/s^2" else 0.0
         lows.append(level - half)
         highs.append(level + half)
     doubt = f"{' and '.join(units[unit])} rest at different levels: subtract them in the file"

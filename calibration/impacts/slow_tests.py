@@ -71,12 +71,13 @@ def is_slow(run: Run) -> bool:
     event, place = run.events[0], run.readings["m"]
     peak = event.first + int(np.nanargmax(run.readings["N"][event.first : event.last + 1]))
     way, speeds = peak - event.first, []
-    for rows in (slice(max(event.first - way, 0), event.first + 1), slice(event.first, peak + 1)):
-        seen = np.isfinite(place[rows])
-        if np.count_nonzero(seen) < _FEW:
-            return False
-        speeds.append(abs(float(np.polyfit(run.clock[rows][seen], place[rows][seen], 1)[0])))
-    return event.duration > _LONG or speeds[1] > (1.0 - _LOST) * speeds[0]
+    # Some instruments show no place before the touch: the speed at first is then that of the first third.
+    before, early = slice(max(event.first - way, 0), event.first + 1), slice(event.first, event.first + way // 3 + 1)
+    for rows in (before, early, slice(event.first, peak + 1)):
+        t, x = (values[rows][np.isfinite(place[rows])] for values in (run.clock, place))
+        speeds.append(abs(float(np.polyfit(t, x, 1)[0])) if t.size >= _FEW else 0.0)
+    at_first = speeds[1] if speeds[0] < 0.8 * speeds[1] else speeds[0]
+    return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0)
 
 
 def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:

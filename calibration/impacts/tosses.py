@@ -79,23 +79,30 @@ def _read(table: Record, time: str, headers: dict[str, str]) -> tuple[np.ndarray
     return clock[whole], found[:3, whole], found[3:, whole]
 
 
-def _upwards(clock: np.ndarray, places: np.ndarray) -> int:
-    """The axis along which a toss falls: whose second differences in its first rows are nearest to gravity, downwards."""
-    bends = [2.0 * float(np.polyfit(clock[:_FIRST], row[:_FIRST], 2)[0]) for row in places]
-    nearest = int(np.argmin(np.abs(np.array(bends) + GRAVITY)))
-    if abs(bends[nearest] + GRAVITY) > 0.5 * GRAVITY:
-        shown = ", ".join(f"{b:.3g}" for b in bends)
+def _flight(clock: np.ndarray, places: np.ndarray) -> tuple[int, int]:
+    """The row from which a toss falls, and the axis along which its second derivative is then nearest to gravity, downwards.
+
+    That is the first row, or where a body is held at first the first of several from each of which it falls.
+    """
+    spans = [slice(k, k + _FIRST) for k in range(clock.size - _FIRST + 1)]
+    bends = 2.0 * np.array([np.polyfit(clock[s] - clock[s.start], places[:, s].T, 2)[0] for s in spans])
+    falls = np.abs(bends + GRAVITY).min(axis=1) <= 0.5 * GRAVITY
+    rows = np.flatnonzero(np.convolve(falls, np.ones(_FIRST), "valid") > _FIRST - 0.5)
+    if not (falls[0] or rows.size):
+        shown = ", ".join(f"{b:.3g}" for b in bends[0])
         found = f"its first rows fall along no axis: {shown} m/s^2 along x, y, z"
         raise InputError("record", found, "begin it in flight, up positive")
-    return nearest
+    begin = 0 if falls[0] else int(rows[0])
+    return begin, int(np.argmin(np.abs(bends[begin] + GRAVITY)))
 
 
 class Toss(NamedTuple):
-    """One run: its clock (N,) [s], places (3, N) [m] and first state."""
+    """One run: its clock (N,) [s] from its first row in flight on, places (3, N) [m], first state, and when it begins [s]."""
 
     clock: np.ndarray
     places: np.ndarray
     state: State
+    begins: float
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -113,13 +120,13 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
     paths = matching(record)
     for one in paths:
         clock, places, attitudes = _read(read(one, "record", said.table, said.stated), time, headers)
-        axes.add(_upwards(clock, places))
-        if clock[0] != 0.0 or len(axes) > 1:
-            wrong = (
-                f"its clock begins at {clock[0]:.6g} s" if clock[0] else "it falls along another axis than the first"
-            )
-            raise InputError(str(one), wrong, "let every toss begin at 0 s, and fall along one axis")
-        runs.append(Toss(clock, places, first(clock, places, attitudes, max(axes))))
+        begin, axis = _flight(clock, places)
+        axes.add(axis)
+        if len(axes) > 1:
+            raise InputError(str(one), "it falls along another axis than the first", "let all fall along one axis")
+        begins, places, attitudes = float(clock[begin]), places[:, begin:], attitudes[:, begin:]
+        clock = clock[begin:] - begins
+        runs.append(Toss(clock, places, first(clock, places, attitudes, axis), begins))
     half, mass = _resting(runs, max(axes)), said.number("mass", "kg")
     # The component of the attitudes that stays in every run: the length of a quaternion says nothing.
     fixed = max(ATTITUDE, key=lambda n: min(abs(t.state.values[n]) for t in runs))
@@ -142,11 +149,13 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
             f"time = {toml(time)}",
             f"observe = {{ {observed} }}",
             'noise = "estimate"',
-            f'parameters = {{ "body.{fixed}" = {toss.state.values[fixed]:.6g} }}',
+            *([f'window = ["{toss.begins:.9g} s", "{toss.begins + toss.clock[-1]:.9g} s"]'] if toss.begins else []),
+            f'parameters = {{ "body.{fixed}" = {toss.state.values[fixed]:.6g}, time_offset = {toss.begins:.9g} }}',
             f"bounds = {{ {bounds} }}",
         ]
     lines += ["[free]", *_free(runs, half, mass, fixed)]
     kind = f"places and attitudes are those of a tossed body: CHECK its size and inertia in {scene_of(path)}"
+    kind += f'; of a ball take its height alone: --observe "{headers[PLACES[max(axes)]]}"'
     missing = "" if half else "write the sizes in place of the question marks, then "
     return with_scene(path, _scene(runs, max(axes), half, mass), lines, kind, missing)
 

@@ -311,3 +311,48 @@ def test_tables_alike_but_for_a_number_and_rates_of_the_struct_about_them(tmp_pa
     holds(of(tmp_path, "a.xlsx", (tmp_path / "a.xlsx").read_bytes()), FORCE, FORCE)
     content = {"device": "q", "fs": 20e3, "channels": [{"name": "force", "unit": "N", "data": [*FORCE]}]}
     holds(of(tmp_path, "b.json", json.dumps(content)), FORCE)
+
+
+def test_monitors_counters_and_heads_of_other_loggers(tmp_path):
+    rows = [f"14:03:{22 + t:06.3f} -> {1e6 * t:.0f}, {f:.2f}" for t, f in PAIRS]
+    holds(of(tmp_path, "monitor.txt", "\n".join(["14:03:21.900 -> micros, force_N", *rows]) + "\n"), FORCE)
+    for size in (2**16, 2**32):
+        rows = "".join(f"{(size - 3000 + 50 * k) % size},{f:.3f}\n" for k, f in enumerate(FORCE))
+        holds(of(tmp_path, "ticks.csv", "tick_us,force_N\n" + rows), FORCE)
+    # A clock that falls back otherwise is a fault.
+    rows = "".join(f"{50 * k - 1000 * (k > 90)},{f:.3f}\n" for k, f in enumerate(FORCE))
+    with pytest.raises(InputError, match="times must increase"):
+        of(tmp_path, "back.csv", "tick_us,force_N\n" + rows)
+    head = "Kanal:;Kraft\nDelta-X:;5E-05\nX-Einheit:;s\nY-Einheit:;N\nAnzahl Werte:;200\n\n"
+    rows = "".join(f"{f:.4f}\n" for f in FORCE).replace(".", ",")
+    found = of(tmp_path, "famos.txt", head + rows)
+    holds(found, FORCE)
+    assert found.columns == {"N": "Kraft [N]"}
+    rows = "".join(f"{1e3 * t:.3f}\t{f / 9.80665:.5f}\n" for t, f in PAIRS)
+    found = of(tmp_path, "shock.txt", "TEST: 3\nTIME(mS)\tAMPLITUDE(G)\n" + rows)
+    np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    head = "Sample rate (samples/sec),20000\nSample,Ch 1 X (G),Ch 3 Z (G)\n"
+    rows = "".join(f"{k},{0.01 * (k % 3)},{-f / 9.80665:.5f}\n" for k, f in enumerate(FORCE))
+    found = of(tmp_path, "saver.csv", head + rows)
+    np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    np.testing.assert_allclose(found.records[0].clock, TIMES, atol=1e-9)
+    head = "Interval=\t5e-05 s\nChannelTitle=\tForce\tAccel\nUnitName=\tN\tg\n"
+    found = of(tmp_path, "chart.txt", head + "".join(f"{t:.5f}\t{f:.3f}\t{f / 8:.4f}\n" for t, f in PAIRS))
+    holds(found, FORCE)
+    assert found.columns == {"N": "Force [N]", "m/s^2": "-Accel [g]"}
+    head = "*CREATOR\nMSR 7.0\n*CHANNEL\nTIME;ACC x;ACC z;\n*UNIT\n;G;G;\n*LIMITS\n;;;\n*DATA\n"
+    rows = "".join(f"2026-03-02 {stamp};0.0;{f / 9.80665:.5f};\n" for stamp, f in zip(STAMPS, FORCE, strict=True))
+    found = of(tmp_path, "msr.csv", head + rows)
+    np.testing.assert_allclose(-found.records[0].readings["m/s^2"], FORCE, atol=1e-3 * FORCE.max())
+    rows = "".join(
+        f"{t:.6f},{f:.3f}" + (f",{2 * t:.6f},0.{k % 7}\n" if k < 90 else ",,\n") for k, (t, f) in enumerate(PAIRS)
+    )
+    holds(of(tmp_path, "two.csv", "X[s],Load[N],X[s],EMG[mV]\n" + rows), FORCE)
+
+
+def test_a_column_that_is_one_word_throughout_numbers_no_runs(tmp_path):
+    rows = "".join(f"{run},EPDM,{ms},{f:.3f}\n" for run in ("R1", "R2") for ms, f in zip(MS, FORCE, strict=True))
+    for name in ("run_id", "label"):
+        found = of(tmp_path, "tidy.csv", f"{name},specimen,t_ms,force_N\n" + rows)
+        holds(found, FORCE, FORCE)
+        assert found.runs == ("run_id" if name == "run_id" else "sweep", 2)

@@ -13,9 +13,11 @@ from typer.testing import CliRunner
 from bcfj_jax.cli import app
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.normal import AbstractLaw
-from calibration import load
-from calibration.impacts.events import Event
+from calibration import init, load
+from calibration.impacts.events import Event, contacts, falls
 from calibration.impacts.flights import contradicted, loss, restitutions
+from calibration.impacts.proposal import Run
+from calibration.impacts.slow_tests import is_slow
 
 VALUES = {"stiffness": 1e6, "exponent": 1.5, "damping": 0.05, "mass": 0.2}
 
@@ -116,3 +118,88 @@ def test_a_drop_whose_loss_grows_keeps_its_damping(here):
     record(lambda v: exact(0.08, v), Path("ball.csv"))
     assert CliRunner().invoke(app, ["init", "calibration", "ball.csv"]).exit_code == 0
     assert "damping = {" in Path("ball.toml").read_text() and not load("ball.toml").doubts
+
+
+def ball(rate=200.0, height=0.5, kept=0.8, held=0.1, span=1.5):
+    """Clock (N,) [s] and height (N,) [m] of a ball that is held, falls, and bounces with a restitution."""
+    clock = np.arange(0.0, span, 1.0 / rate)
+    t, speed = clock - held - np.sqrt(2.0 * height / 9.81), kept * np.sqrt(2.0 * 9.81 * height)
+    z = np.where(clock < held, height, height - 0.5 * 9.81 * np.maximum(clock - held, 0.0) ** 2)
+    while (t > 0.0).any():
+        z = np.where(t > 0.0, speed * t - 0.5 * 9.81 * t**2, z)
+        t, speed = t - 2.0 * speed / 9.81, kept * speed
+    return clock, z
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(30.0, 2e-3), (100.0, 5e-4), (240.0, 2e-4), (1000.0, 2e-5)])
+def test_places_that_fall_say_their_unit_and_which_way_is_up(rate, noise):
+    clock, z = ball(rate)
+    z = z + noise * np.random.default_rng(1).standard_normal(z.size)
+    for unit in (1.0, 1e-2, 1e-3):
+        for up in (1.0, -1.0):
+            assert falls(clock, up * z / unit + 7.0) == up * unit
+    z[::9] = np.nan
+    assert falls(clock, z) == 1.0
+    # Neither a cart, a swing nor a body at rest falls, nor one that falls on the moon.
+    for other in (0.8 * np.abs(clock - 0.6), 0.1 * np.sin(9.0 * clock), noise * z, z / 6.0):
+        assert falls(clock, other) == 0.0
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(100.0, 5e-4), (240.0, 2e-4), (1000.0, 2e-4), (4000.0, 1e-5)])
+def test_the_bounces_of_places_and_of_velocities_are_its_contacts(rate, noise):
+    clock, z = ball(rate)
+    speed, first = np.gradient(z, clock), 0.1 + np.sqrt(2.0 * 0.5 / 9.81)
+    rng, touches = np.random.default_rng(2), first + np.sqrt(8.0 * 0.5 / 9.81) * np.cumsum([0.0, 0.8, 0.64])
+    for kind, values, size in (("place", z, noise), ("velocity", -speed, 0.01)):
+        found = contacts(f"body.{kind}.y", clock, values + size * rng.standard_normal(z.size))
+        begins = np.array([e.begin + e.loose for e in found])
+        assert begins.size >= 3 and np.abs(begins[:3] - touches[touches < 1.5][:3]).max() < 0.012 + 1.0 / rate
+
+
+def test_a_bouncing_ball_is_a_drop_under_gravity(tmp_path):
+    clock, z = ball()
+    rows = "".join(f"{k},{3 * t:.4f},{1e3 * h:.2f}\n" for k, (t, h) in enumerate(zip(clock, z, strict=True)))
+    (tmp_path / "ball.csv").write_text("Trajectories\n200\n,Ball,\nFrame,X,Z\n,mm,mm\n" + rows)
+    init.run(tmp_path / "ball.csv", tmp_path / "ball.toml", init.Said(mass="0.1 kg"), lambda line: None)
+    problem = load(tmp_path / "ball.toml")
+    assert problem.scene.kind == "bounce" and problem.params["gravity"] == pytest.approx(9.81, rel=1e-3)
+    low, high = next((f.lower, f.upper) for f in problem.free if f.name == "drop_height")
+    assert low < 0.5 < high and problem.experiments[0].channels[0].observes == "body.place.y"
+    np.testing.assert_allclose(problem.experiments[0].channels[0].values, z, atol=1e-5)
+    # Of one bounce the fall says when and from where.
+    (tmp_path / "one.csv").write_text(
+        "t [s],h [m]\n" + "".join(f"{t},{h:.6f}\n" for t, h in zip(clock[:110], z[:110], strict=True))
+    )
+    init.run(tmp_path / "one.csv", tmp_path / "one.toml", init.Said(mass="0.1 kg"), lambda line: None)
+    one = load(tmp_path / "one.toml")
+    bounds = {f.name: (f.lower, f.upper) for f in one.free}
+    low, high = one.experiments[0].bounds["time_offset"]
+    assert one.scene.kind == "bounce" and bounds["drop_height"][0] < 0.5 < bounds["drop_height"][1] and low < 0.1 < high
+    touches = [e.begin for e in contacts("body.place.y", clock, z)]
+    first = 0.1 + np.sqrt(2.0 * 0.5 / 9.81)
+    np.testing.assert_allclose(touches[:2], [first, first + 2.0 * 0.8 * np.sqrt(2.0 * 0.5 / 9.81)], atol=0.01)
+
+
+def test_an_accelerometer_that_is_held_and_dropped_is_read_from_its_release_on(tmp_path):
+    clock = np.arange(0.0, 1.5, 1e-3)
+    reading = np.where(clock < 0.2, 9.81, 0.0)
+    for at, peak in ((0.5, 300.0), (0.95, 200.0), (1.25, 130.0)):
+        reading += np.where(np.abs(clock - at) < 0.01, peak * np.cos((clock - at) / 0.02 * np.pi), 0.0)
+    rows = "".join(f"{t:.4f},{a:.4f}\n" for t, a in zip(clock, reading, strict=True))
+    (tmp_path / "phone.csv").write_text("Time (s),Acceleration z (m/s^2)\n" + rows)
+    init.run(tmp_path / "phone.csv", tmp_path / "phone.toml", init.Said(mass="0.2 kg"), lambda line: None)
+    (one,) = load(tmp_path / "phone.toml").experiments
+    assert one.times[0] == pytest.approx(0.2)
+    low, high = one.bounds["acceleration_offset"]
+    assert low < 9.81 < high  # In flight it reads 0, and falls by g.
+
+
+def test_a_place_that_an_instrument_shows_from_the_touch_on_is_that_of_an_impact():
+    clock = np.linspace(-2e-3, 6e-3, 400)
+    hit = np.where((clock > 0.0) & (clock < 4e-3), np.sin(np.pi * np.clip(clock, 0.0, 4e-3) / 4e-3), 0.0)
+    for force in (1e3 * hit, 1e3 * hit**1.5, 1e3 * hit**2.5):  # The steeper the law, the later it is seen to touch.
+        event = contacts("contact.normal", clock, force)
+        assert not is_slow(Run("", clock, {"N": force, "m": 1e-3 * hit}, event))
+    pressed = np.clip(clock, 0.0, 6e-3)
+    event = contacts("contact.normal", clock, 1e6 * pressed)
+    assert is_slow(Run("", clock, {"N": 1e6 * pressed, "m": pressed}, event))

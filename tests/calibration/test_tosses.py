@@ -123,9 +123,6 @@ def test_many_tosses_have_a_first_state_each_and_other_words_for_columns(tmp_pat
 
 def test_what_is_no_flight_and_what_is_an_impact_all_the_same(tmp_path):
     places, attitudes = toss()
-    late = write(tmp_path / "late.csv", places, attitudes, time=TIMES + 1.0)
-    with pytest.raises(InputError, match=r"its clock begins at 1 s; let every toss begin at 0 s"):
-        init.run(late, tmp_path, init.Said(), lambda line: None)
     rests = write(tmp_path / "rests.csv", places[:, -60:], attitudes[:, -60:], time=TIMES[:60])
     with pytest.raises(InputError, match="its first rows fall along no axis"):
         init.run(rests, tmp_path, init.Said(), lambda line: None)
@@ -190,6 +187,35 @@ def test_many_first_states_are_shown_by_their_range():
     assert command._own(shown) == (["damping"], [["body.x of 25 runs", "100 to 340 mm"]])
     runs.popitem(), shown.popitem()
     assert command._own(shown) == (["damping", *runs], [])
+
+
+def test_a_body_that_is_held_at_first_falls_later_and_a_matrix_is_an_attitude(tmp_path):
+    """As Qualisys writes it: millimetres that no line states, the matrix column by column, zeros of a body that is not seen."""
+    held, begins = 30, 30 / 150.0
+    clock = begins + np.arange(40) / 150.0
+    fall = 0.4 - 0.5 * 9.81 * (clock - begins) ** 2
+    places = np.array([0.1 + 0.3 * (clock - begins), 0.0 * clock, fall])
+    turned = Rotation.from_rotvec(np.outer(np.arange(40) / 150.0, [0.3, -2.0, 1.0]))
+    places = np.c_[np.repeat(places[:, :1], held, axis=1), places] + 1e-5 * np.sin(1e3 * np.arange(70))
+    matrices = np.r_[np.repeat(np.eye(3)[None], held, axis=0), turned.as_matrix()]
+    cells = np.c_[1e3 * places.T, matrices.transpose(0, 2, 1).reshape(-1, 9)]
+    cells[50, 3:] = 0.0
+    names = ["X", "Y", "Z", *(f"Rot[{k}]" for k in range(9))]
+    rows = ["\t".join(f"{v:.6f}" for v in row) for row in cells]
+    (tmp_path / "box.tsv").write_text("\n".join(["FREQUENCY\t150", "\t".join(names), *rows]) + "\n")
+    init.run(tmp_path / "box.tsv", tmp_path / "box.toml", init.Said(mass="0.4 kg"), lambda line: None)
+    scene = tmp_path / "box_scene.toml"
+    scene.write_text(scene.read_text().replace("? kg m^2", "1e-3 kg m^2").replace("? mm", "50 mm"))
+    (one,) = load(tmp_path / "box.toml").experiments
+    assert one.times[0] == pytest.approx(one.fixed["time_offset"]) == pytest.approx(begins, abs=4.1 / 150.0)
+    seen = {c.observes: c.values for c in one.channels}
+    shown = np.round(one.times * 150).astype(int)
+    np.testing.assert_allclose(seen["body.place.z"], places[2, shown], atol=1e-5)
+    wanted = Rotation.from_matrix(matrices[shown]).as_quat(scalar_first=True)
+    whole = shown != 50
+    for k in (1, 2, 3):
+        np.testing.assert_allclose(seen[f"body.attitude.q{k}"][whole], wanted[whole, k], atol=2e-6)
+    assert np.isnan(seen["body.attitude.q1"][~whole]).all()
 
 
 @pytest.mark.slow
