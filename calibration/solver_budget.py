@@ -25,42 +25,28 @@ class Sought(Protocol):
 
 
 class SolverBudget(NamedTuple):
-    """What the search and its tests may spend on runs of one kind of problem.
+    """What the search and its tests may spend on runs of one kind of problem."""
 
-    Attributes:
-        accuracy: force error of runs, where the problem says nothing; loose: on the way to an optimum.
-        steps: attempted steps of a run until it has failed.
-        tighter: so many times as tight is the run that gives the integrator's error.
-        rough: whether that error is what the cost's last digits are made of: slopes decide, and no profile is drawn unasked.
-        apart: whether as many points are run at a time as there are cores; else one after the other.
-        drawn: points of the design for each start.
-        asked: points of the design at which the influence of a coordinate on all data is computed.
-        kept: starts that are not given up, however far off.
-        descend: steps of a batched descent on one leg.
-        roughly, tolerance: what that may leave to gain, in units of cost / residuals, on the way and at the end.
-        step, gain: of the trust region, the shortest step and the least gain as a share of the cost.
-        elsewhere: unit-box distance of ends that are not one.
-        rotations: cubature rules over which a rough scene's Jacobian is averaged.
-        bends: whether the cost is looked at along every unknown; else along those that all records share.
-    """
-
-    accuracy: float
-    loose: float | str
-    steps: int
-    tighter: float
+    accuracy: float  # force error of runs, where the problem says nothing
+    loose: float | str  # on the way to an optimum
+    steps: int  # attempted steps of a run until it has failed
+    tighter: float  # so many times as tight is the run that gives the integrator's error
+    # Whether that error is what the cost's last digits are made of: slopes decide, and no profile is drawn unasked.
     rough: bool
-    apart: bool
-    drawn: int
-    asked: int
-    kept: int
-    descend: int
+    apart: bool  # whether as many points are run at a time as there are cores; else one after the other
+    drawn: int  # points of the design for each start
+    asked: int  # points of the design at which the influence of a coordinate on all data is computed
+    kept: int  # starts that are not given up, however far off
+    descend: int  # steps of a batched descent on one leg
+    # roughly, tolerance: what that may leave to gain, in units of cost / residuals, on the way and at the end.
     roughly: float
     tolerance: float
+    # step, gain: of the trust region, the shortest step and the least gain as a share of the cost.
     step: float
     gain: float
-    elsewhere: float
-    rotations: int
-    bends: bool = True
+    elsewhere: float  # unit-box distance of ends that are not one
+    rotations: int  # cubature rules over which a rough scene's Jacobian is averaged
+    bends: bool = True  # whether the cost is looked at along every unknown; else along those that all records share
 
 
 # Simulate ten times finer than the assumed noise of a record (``forward.integration``); use that itself during the search.

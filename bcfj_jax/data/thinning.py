@@ -24,18 +24,12 @@ _UNEVEN = 1e-3
 
 
 class Thinned(NamedTuple):
-    """A table, and how far it is from the record.
+    """A table, and how far it is from the record."""
 
-    Attributes:
-        times: (K,) [s], of the record's rows; values (K,).
-        error: largest difference of the straight lines from the filtered record.
-        filtered: root mean square of what the filter took; 0 without one.
-    """
-
-    times: np.ndarray
+    times: np.ndarray  # (K,) [s], of the record's rows; values (K,)
     values: np.ndarray
-    error: float
-    filtered: float
+    error: float  # largest difference of the straight lines from the filtered record
+    filtered: float  # root mean square of what the filter took; 0 without one
 
 
 def thinned(times: ArrayLike, values: ArrayLike, error: float, band: float | None = None) -> Thinned:

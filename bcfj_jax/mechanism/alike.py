@@ -26,12 +26,9 @@ _PACKAGE = __name__.partition(".")[0] + "."
 
 
 class Alike(Contact):
-    """Contacts in the place of one, whose numbers have an axis over them.
+    """Contacts in the place of one, whose numbers have an axis over them."""
 
-    Attributes:
-        each: the contacts, in the mechanism's order; its own fields are the first one's.
-    """
-
+    # The contacts, in the mechanism's order; its own fields are the first one's.
     each: tuple[Contact, ...] = eqx.field(static=True, default=())
 
     def coefficients(self, p: Params) -> dict[str, Array]:

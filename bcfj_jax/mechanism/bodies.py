@@ -342,25 +342,20 @@ def unit_of(key: str) -> str:
 
 
 class Part(NamedTuple):
-    """A body in motion, world components; numbers are scalars, or (k,) of a body with members.
+    """A body in motion, world components; numbers are scalars, or (k,) of a body with members."""
 
-    Attributes:
-        axes, place: the body's axes and its origin [m].
-        velocity, spin: of the origin [m/s]; angular [rad/s].
-        partials: by index of a velocity, (w_j, v_j of the origin).
-        drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
-        turn: angle of the body's own joint, of all its turns [rad]; of two hinges the second's, 0 without.
-        of: of one body in a row (``rows``) its place, and how many there are: its partials are that of the row's velocities.
-    """
-
+    # axes, place: the body's axes and its origin [m].
     axes: Axes
     place: Vector
+    # velocity, spin: of the origin [m/s]; angular [rad/s].
     velocity: Vector
     spin: Vector
-    partials: dict[int, tuple[Vector, Vector]]
+    partials: dict[int, tuple[Vector, Vector]]  # by index of a velocity, (w_j, v_j of the origin)
+    # drift, swirl: acceleration of the origin and angular acceleration less the partials' part.
     drift: Vector
     swirl: Vector
-    turn: Number = 0.0
+    turn: Number = 0.0  # angle of the body's own joint, of all its turns [rad]; of two hinges the second's, 0 without
+    # Of one body in a row (``rows``) its place, and how many there are: its partials are that of the row's velocities.
     of: tuple[int, int] | None = None
 
     def velocity_at(self, arm: Vector) -> Vector:

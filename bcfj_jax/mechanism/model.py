@@ -53,42 +53,33 @@ IMPLICIT_SOLVERS = ("rodas3", "sdirk2", "bdf")
 
 
 class ModelTraits(NamedTuple):
-    """What solvers, budgets and features follow from.
+    """What solvers, budgets and features follow from."""
 
-    Attributes:
-        stiff: whether it needs an implicit solver (stiff friction, strong damping); springs alone are oscillatory.
-        history: whether it is integrated; without, each instant is solved for itself (``AbstractModel.instants``).
-        turning: whether a period is that of the force history (a drive turns), and not the interval between contacts.
-        large: whether one run fills a core (tens of states): batches are small and gain little.
-        rough: whether a fit's cost is rough in its parameters: many contacts begin and end in every run.
-        open: whether the model is yet to be chosen (``AbstractModel.choose``): ``simulate`` alone can run it.
-    """
-
+    # Whether it needs an implicit solver (stiff friction, strong damping); springs alone are oscillatory.
     stiff: bool = False
+    # Whether it is integrated; without, each instant is solved for itself (``AbstractModel.instants``).
     history: bool = True
+    # Whether a period is that of the force history (a drive turns), and not the interval between contacts.
     turning: bool = False
-    large: bool = False
-    rough: bool = False
+    large: bool = False  # whether one run fills a core (tens of states): batches are small and gain little
+    rough: bool = False  # whether a fit's cost is rough in its parameters: many contacts begin and end in every run
+    # Whether the model is yet to be chosen (``AbstractModel.choose``): ``simulate`` alone can run it.
     open: bool = False
 
 
 class Solution(NamedTuple):
-    """States (T, n) at the times asked for, NaN from a failure on; a status code; the time at which the run ended [s].
-
-    Attributes:
-        accepted, rejected: numbers of steps.
-        extremes: in the order of ``AbstractModel.alike`` ``solve.extremes.Extremes``, where the plan asks for them.
-        totals: by account rows of ``solve.extremes.Totals``, likewise.
-        whole: what is of the continuous curves between the first and the last time, where it was asked for.
-    """
+    """States (T, n) at the times asked for, NaN from a failure on; a status code; the time at which the run ended [s]."""
 
     states: Array
     code: Array
     end: Array
+    # accepted, rejected: numbers of steps.
     accepted: Array
     rejected: Array
+    # In the order of ``AbstractModel.alike`` ``solve.extremes.Extremes``, where the plan asks for them.
     extremes: Any = None
-    totals: Any = None
+    totals: Any = None  # by account rows of ``solve.extremes.Totals``, likewise
+    # What is of the continuous curves between the first and the last time, where it was asked for.
     whole: Continuous | None = None
 
 

@@ -98,22 +98,17 @@ class Programme(eqx.Module):
     """An amount A(t) = r(t) (size + amplitude sin(2 pi frequency t)), or size times a table's value.
 
     r(t) = s(t/ramp), and with a reversal  r(t) = s(t/ramp) (1 - 2 s((t - reversal)/reversal_ramp)).
-
-    Attributes:
-        size: what it rises to; None with a table of absolute values.
-        ramp: rise time [s]; None: there from the start.
-        shape: s, a name of ``SHAPES``.
-        table: times [s] and values, linear between them, constant beyond.
-        amplitude, frequency: of a fluctuation [Hz]; None for none.
-        reversal, reversal_ramp: when the amount begins to change its sign, and over what time [s]; None for never.
     """
 
-    size: Size = eqx.field(static=True, default=None)
-    ramp: Size = eqx.field(static=True, default=None)
-    shape: str = eqx.field(static=True, default="smooth")
+    size: Size = eqx.field(static=True, default=None)  # what it rises to; None with a table of absolute values
+    ramp: Size = eqx.field(static=True, default=None)  # rise time [s]; None: there from the start
+    shape: str = eqx.field(static=True, default="smooth")  # s, a name of ``SHAPES``
+    # Times [s] and values, linear between them, constant beyond.
     table: Table | None = eqx.field(static=True, default=None)
+    # amplitude, frequency: of a fluctuation [Hz]; None for none.
     amplitude: Size = eqx.field(static=True, default=None)
     frequency: Size = eqx.field(static=True, default=None)
+    # reversal, reversal_ramp: when the amount begins to change its sign, and over what time [s]; None for never.
     reversal: Size = eqx.field(static=True, default=None)
     reversal_ramp: Size = eqx.field(static=True, default=None)
 

@@ -15,17 +15,12 @@ _APART = 1e-12
 
 
 class Folded(NamedTuple):
-    """A run of T times as one of M = T + 2 C, whatever is folded: one program serves both.
+    """A run of T times as one of M = T + 2 C, whatever is folded: one program serves both."""
 
-    Attributes:
-        times: (M,) increasing [s], at which to solve.
-        index: (T,) which of them answers each time wanted; pitches (T,): how many pitches earlier it is.
-        before, last: (C,) the same phases of the last pitch but one and the last.
-    """
-
-    times: np.ndarray
-    index: np.ndarray
+    times: np.ndarray  # (M,) increasing [s], at which to solve
+    index: np.ndarray  # (T,) which of them answers each time wanted; pitches (T,): how many pitches earlier it is
     pitches: np.ndarray
+    # before, last: (C,) the same phases of the last pitch but one and the last.
     before: np.ndarray
     last: np.ndarray
 

@@ -26,15 +26,10 @@ _RUNS = 4
 
 
 class Row(NamedTuple):
-    """A body, or several that are alike.
+    """A body, or several that are alike."""
 
-    Attributes:
-        name: the body's; of several one that no body has.
-        each: the bodies, in the mechanism's order.
-    """
-
-    name: str
-    each: tuple[Body, ...]
+    name: str  # the body's; of several one that no body has
+    each: tuple[Body, ...]  # the bodies, in the mechanism's order
 
     @property
     def body(self) -> Body:
@@ -88,17 +83,11 @@ def rows(bodies: Sequence[Body], tied: Collection[str]) -> tuple[Row, ...]:
 
 
 class Places(NamedTuple):
-    """Where the bodies of contacts are in a row.
+    """Where the bodies of contacts are in a row."""
 
-    Attributes:
-        row: its name.
-        at: of each contact the place of its body (c,).
-        of: of each body the places of its contacts (m, k), c for none.
-    """
-
-    row: str
-    at: np.ndarray
-    of: np.ndarray
+    row: str  # its name
+    at: np.ndarray  # of each contact the place of its body (c,)
+    of: np.ndarray  # of each body the places of its contacts (m, k), c for none
 
     def spread(self, x: Any) -> Iterator[Any]:
         """Numbers of contacts as numbers of bodies, in as many parts as a body has contacts; 0 for none."""

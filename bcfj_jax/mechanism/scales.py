@@ -39,20 +39,16 @@ _NOTHING = 1e-9
 
 
 class Expected(NamedTuple):
-    """What the first instant says.
+    """What the first instant says."""
 
-    Attributes:
-        depth, speed: penetration [m] and speed [m/s] of the contacts to come.
-        levers: by velocity of ``rows``, how far the points of contact move by it [m/rad, or 1].
-        brought, stored: by contact, energy [J] that it is to take in, and that its first penetration holds.
-        flight: by contact, time [s] from a touch to the next under the free acceleration; infinite without one.
-    """
-
+    # depth, speed: penetration [m] and speed [m/s] of the contacts to come.
     depth: Array
     speed: Array
-    levers: list[Number]
+    levers: list[Number]  # by velocity of ``rows``, how far the points of contact move by it [m/rad, or 1]
+    # brought, stored: by contact, energy [J] that it is to take in, and that its first penetration holds.
     brought: dict[str, Array]
     stored: dict[str, Array]
+    # By contact, time [s] from a touch to the next under the free acceleration; infinite without one.
     flight: dict[str, Array]
 
 

@@ -39,17 +39,11 @@ Slips = dict[str, Any]
 
 
 class Ways(NamedTuple):
-    """What slips of velocities (n,) are at some places.
+    """What slips of velocities (n,) are at some places."""
 
-    Attributes:
-        slips: with the part along the normal, (..., n) numbers by which to multiply velocities.
-        faces: by contact and face its normal, and its normal force [N].
-        level: (n, n), of a move the part by which nothing that touches goes deeper or apart.
-    """
-
-    slips: Slips
-    faces: dict[str, list[tuple[Vector, Array]]]
-    level: Array
+    slips: Slips  # with the part along the normal, (..., n) numbers by which to multiply velocities
+    faces: dict[str, list[tuple[Vector, Array]]]  # by contact and face its normal, and its normal force [N]
+    level: Array  # (n, n), of a move the part by which nothing that touches goes deeper or apart
 
     def along(self, v: Array) -> Slips:
         """Slips of velocities."""

@@ -75,26 +75,20 @@ DEFAULTS: dict[str, tuple[float, str]] = {
 
 
 class Loads(NamedTuple):
-    """What the string bears, by joint from the drive to the bit, (n,), and at the drive.
+    """What the string bears, by joint from the drive to the bit, (n,), and at the drive."""
 
-    Attributes:
-        bend: of every joint [rad]; torque [N m] and axial force [N]: what each joint hands down.
-        wall: force of the hole on the string over the joint's bend [N]; side: 2 T tan(beta/2)/L, shear between segments [N].
-        drive_torque, hook_load: torque of the drive [N m], force that feeds the string [N].
-        around, along: friction of the wall by joint, with that of the segment below it, torque [N m] and force [N].
-        pushed: force of the wall on the middle of the segment below the joint, which bends it [N].
-    """
-
-    bend: Array
+    bend: Array  # of every joint [rad]; torque [N m] and axial force [N]: what each joint hands down
     torque: Array
     axial: Array
-    wall: Array
-    side: Array
+    wall: Array  # force of the hole on the string over the joint's bend [N]
+    side: Array  # 2 T tan(beta/2)/L, shear between segments [N]
+    # drive_torque, hook_load: torque of the drive [N m], force that feeds the string [N].
     drive_torque: Array
     hook_load: Array
+    # around, along: friction of the wall by joint, with that of the segment below it, torque [N m] and force [N].
     around: Array
     along: Array
-    pushed: Array
+    pushed: Array  # force of the wall on the middle of the segment below the joint, which bends it [N]
 
 
 def chord(params: Params) -> Array:
@@ -142,24 +136,18 @@ def handed(params: Params, count: int, bending: bool = False) -> Array:
 
 
 class Segments(NamedTuple):
-    """How the segments below the joints give and what they are stressed by, (n,) from the drive to the bit.
+    """How the segments below the joints give and what they are stressed by, (n,) from the drive to the bit."""
 
-    Attributes:
-        twist: T L/(G J) [rad]; stretch: -F L/(E A) [m], shortening.
-        moment: T tan(beta/2) [N m], by which either end holds the segment across its axis.
-        shear: T d/J [Pa]; axial: F/A [Pa], bending: M d/I [Pa], all at the outer fibre; M the greater of that moment and of
-            the wall's in the middle.
-        stress: sqrt((axial + bending)^2 + 3 shear^2) [Pa], von Mises.
-        bow: how far the hole bends the middle [m]; slope [rad] and sway [m]: of the ends, and at the quarters, by that moment.
-    """
-
-    twist: Array
-    stretch: Array
-    moment: Array
-    shear: Array
+    twist: Array  # T L/(G J) [rad]
+    stretch: Array  # -F L/(E A) [m], shortening
+    moment: Array  # T tan(beta/2) [N m], by which either end holds the segment across its axis
+    shear: Array  # T d/J [Pa]
+    # F/A [Pa], bending: M d/I [Pa], all at the outer fibre; M the greater of that moment and of the wall's in the
+    # middle.
     axial: Array
     bending: Array
-    stress: Array
+    stress: Array  # sqrt((axial + bending)^2 + 3 shear^2) [Pa], von Mises
+    # How far the hole bends the middle [m]; slope [rad] and sway [m]: of the ends, and at the quarters, by that moment.
     bow: Array
     slope: Array
     sway: Array

@@ -58,17 +58,12 @@ def _d(x: Array) -> Array:
 
 
 class Bent(NamedTuple):
-    """Of segments that the hole bends, each of the shape of the axial force.
+    """Of segments that the hole bends, each of the shape of the axial force."""
 
-    Attributes:
-        bow: w, how far the middle is bent [m]; push: P, of the wall on the middle [N].
-        slope: of an end towards the hole's curve [rad]; moment: in the middle [N m].
-    """
-
-    bow: Array
-    push: Array
-    slope: Array
-    moment: Array
+    bow: Array  # w, how far the middle is bent [m]
+    push: Array  # P, of the wall on the middle [N]
+    slope: Array  # of an end towards the hole's curve [rad]
+    moment: Array  # in the middle [N m]
 
 
 def rigidity(p: Params) -> Array:

@@ -41,22 +41,15 @@ from bcfj_jax.models.string_motion import MovingString, above, below, weight
 
 
 class _Factors(NamedTuple):
-    """Of n joints.
+    """Of n joints."""
 
-    Attributes:
-        own: each joint's.
-        answer: (n, 2, states) what a unit torque on seat and on head does to a joint whose head rubs.
-        slope: (n,) of the torque of wall and bit by the head's speed.
-        by_place, by_speed: (n,) torque above a joint by what its ends close at in places known, and in speeds.
-        bands: (3, n) below, on and above the diagonal of the system of torques.
-    """
-
-    own: Any
-    answer: Array
-    slope: Array
+    own: Any  # each joint's
+    answer: Array  # (n, 2, states) what a unit torque on seat and on head does to a joint whose head rubs
+    slope: Array  # (n,) of the torque of wall and bit by the head's speed
+    # by_place, by_speed: (n,) torque above a joint by what its ends close at in places known, and in speeds.
     by_place: Array
     by_speed: Array
-    bands: Array
+    bands: Array  # (3, n) below, on and above the diagonal of the system of torques
 
 
 class Chained(AbstractStructure):

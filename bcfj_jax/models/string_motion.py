@@ -273,17 +273,12 @@ def below(x: Array) -> Array:
 
 
 class MovingString(StringModel):
-    """A string that twists and swings; made by ``in_motion``.
+    """A string that twists and swings; made by ``in_motion``."""
 
-    Attributes:
-        torsion: its lumps, in a row.
-        names: parameters of drive and loads over time.
-        flexible: whether the drive is.
-    """
-
-    torsion: Mechanism = eqx.field(static=True, kw_only=True)
+    torsion: Mechanism = eqx.field(static=True, kw_only=True)  # its lumps, in a row
+    # Parameters of drive and loads over time.
     names: tuple[tuple[str, float], ...] = eqx.field(static=True, kw_only=True)
-    flexible: bool = eqx.field(static=True, default=False)
+    flexible: bool = eqx.field(static=True, default=False)  # whether the drive is
 
     # At first every lump turns as the drive does, untwisted.
     initial_state, vector_field, tolerance, breaks = map(

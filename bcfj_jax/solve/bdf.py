@@ -45,49 +45,37 @@ _EDGE = np.arange(ORDERS + 1)
 
 
 class Record(NamedTuple):
-    """Accepted steps, N at most, in segments of S: all that their transposition needs.
+    """Accepted steps, N at most, in segments of S: all that their transposition needs."""
 
-    Attributes:
-        ends, lengths: (1 + N,) when each step ended, and its length [s]; the first entries are 0 and the first length tried.
-        orders: (1 + N,); the first entry is 1.
-        states: (S, n) after the steps of the last segment, which is empty where its number is a multiple of S.
-        starts: (1 + N // S, 1 + ORDERS, n) differences where each segment begins, in steps of the length before it.
-    """
-
+    # ends, lengths: (1 + N,) when each step ended, and its length [s]; the first entries are 0 and the first length
+    # tried.
     ends: Array
     lengths: Array
-    orders: Array
-    states: Array
-    starts: Array
+    orders: Array  # (1 + N,); the first entry is 1
+    states: Array  # (S, n) after the steps of the last segment, which is empty where its number is a multiple of S
+    starts: Array  # (1 + N // S, 1 + ORDERS, n) differences where each segment begins, in steps of the length before it
 
 
 class Found(NamedTuple):
-    """Rows (T, 1 + k, n) at the times asked for, NaN from where it stopped; how far it came; attempts.
-
-    Attributes:
-        rates: (T, n) of the state's polynomial, and ``seen``, what its watch knows at the end; None without a watch.
-    """
+    """Rows (T, 1 + k, n) at the times asked for, NaN from where it stopped; how far it came; attempts."""
 
     rows: Array
     end: Array
     accepted: Array
     rejected: Array
     record: Record | None = None
+    # (T, n) of the state's polynomial, and ``seen``, what its watch knows at the end; None without a watch.
     rates: Array | None = None
     seen: Any = None
 
 
 class Limits(NamedTuple):
-    """What ends steps beside their errors.
+    """What ends steps beside their errors."""
 
-    Attributes:
-        longest: of a step [s]; ``breaks``: (B,) sorted times at which steps end [s], or None.
-        hidden: (begin, end, state before, read) -> share of a step at which it has to end (``seeking``), or None;
-            ``read`` gives the state (n,) at a time within the step.
-    """
-
-    longest: Any
+    longest: Any  # of a step [s]; ``breaks``: (B,) sorted times at which steps end [s], or None
     breaks: Array | None = None
+    # (begin, end, state before, read) -> share of a step at which it has to end (``seeking``), or None; ``read`` gives
+    # the state (n,) at a time within the step.
     hidden: Callable[..., Array] | None = None
 
 
@@ -159,44 +147,28 @@ def between(time: Array, end: Array, length: Array, order: Array) -> Array:
 
 
 class Posed(NamedTuple):
-    """What is integrated.
+    """What is integrated."""
 
-    Attributes:
-        solver: structure, tolerances and Newton's settings; args: of the structure's field.
-        changes: of ``args``, k of each; None where nothing changes.
-        start: (1 + k, n) rows of the state and its tangents.
-        scales: (n,) natural sizes of the states; tangents' errors are absolute up to these, relative beyond.
-        first: length of the first step [s]; shortest: of any.
-    """
-
-    solver: Sdirk
-    args: Any
-    changes: Any
-    start: Array
-    scales: Array
-    first: Any
-    shortest: Any
+    solver: Sdirk  # structure, tolerances and Newton's settings
+    args: Any  # of the structure's field
+    changes: Any  # of ``args``, k of each; None where nothing changes
+    start: Array  # (1 + k, n) rows of the state and its tangents
+    scales: Array  # (n,) natural sizes of the states; tangents' errors are absolute up to these, relative beyond
+    first: Any  # length of the first step [s]
+    shortest: Any  # of any
 
 
 class Steps(NamedTuple):
-    """How steps are taken, and what is noted of them.
+    """How steps are taken, and what is noted of them."""
 
-    Attributes:
-        budget: of attempts; orders: the highest.
-        share: of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
-        segment: how many states a record keeps, which lengthens no run; 0: no record.
-        watch: what looks at every accepted step, which changes none.
-        limits: of steps, beside their errors.
-        memory: states that events set; not where a record is kept.
-    """
-
-    budget: int
-    orders: int = ORDERS
+    budget: int  # of attempts
+    orders: int = ORDERS  # the highest
+    # Of a tangent, to which its error is relative; below 1 for a sum of tangents, whose parts are smaller.
     share: float = 1.0
-    segment: int = 0
-    watch: AbstractWatch | None = None
-    limits: Limits | None = None
-    memory: AtTouch | None = None
+    segment: int = 0  # how many states a record keeps, which lengthens no run; 0: no record
+    watch: AbstractWatch | None = None  # what looks at every accepted step, which changes none
+    limits: Limits | None = None  # of steps, beside their errors
+    memory: AtTouch | None = None  # states that events set; not where a record is kept
 
 
 class _Carry(NamedTuple):

@@ -32,29 +32,20 @@ _FALL = 0.05
 
 
 class _Memory(NamedTuple):
-    """What a watch knows.
+    """What a watch knows."""
 
-    Attributes:
-        times: (2,) of the last two looks [s].
-        past: (C,) size of the force at the first of them [N]; ``before``: all of the second.
-        inside: (C,) which channels touch.
-        found: contacts so far; ``reaches``: (C, K) of their summits [s].
-        missed: (C,) crossings and returns within a step.
-        top, high, reach: (C,) greatest force of this contact [N], when [s], and half of its summit's width [s].
-        fresh: (C,) whether it was at the last look.
-    """
-
-    times: Array
-    past: Array
+    times: Array  # (2,) of the last two looks [s]
+    past: Array  # (C,) size of the force at the first of them [N]; ``before``: all of the second
     before: Look
-    inside: Array
-    found: Instants
+    inside: Array  # (C,) which channels touch
+    found: Instants  # contacts so far; ``reaches``: (C, K) of their summits [s]
     reaches: Array
-    missed: Array
+    missed: Array  # (C,) crossings and returns within a step
+    # top, high, reach: (C,) greatest force of this contact [N], when [s], and half of its summit's width [s].
     top: Array
     high: Array
     reach: Array
-    fresh: Array
+    fresh: Array  # (C,) whether it was at the last look
 
 
 class Watch(bdf.AbstractWatch):

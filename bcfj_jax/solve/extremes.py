@@ -25,56 +25,38 @@ _NEWTON = 5
 
 
 class Extremes(NamedTuple):
-    """Of one contact, () or of its members (k,), from time 0 to the end of the run.
+    """Of one contact, () or of its members (k,), from time 0 to the end of the run."""
 
-    Attributes:
-        peak: greatest size of the normal force [N]; least: least normal force [N], below 0 where a contact pushes back.
-        peak_time, least_time: when they were [s].
-        onset: when the surfaces first touched [s]; infinite where they have not.
-        first, latest: when they first and last began to touch after time 0 [s]; infinite likewise.
-        end: when they last parted [s]; infinite where they touch at the end of the run, or never did.
-        count: number of contacts.
-        touching: time in contact [s].
-        impulse: integral of the size of the normal force; coarse: by how much Simpson's and the trapezium rule differ [N s].
-        work: integral of the size of the normal force over the penetration [J].
-        deepest: greatest penetration [m]; negative is the least gap.
-    """
-
-    peak: Array
+    peak: Array  # greatest size of the normal force [N]
+    # peak_time, least_time: when they were [s].
     peak_time: Array
-    least: Array
+    least: Array  # least normal force [N], below 0 where a contact pushes back
     least_time: Array
-    onset: Array
+    onset: Array  # when the surfaces first touched [s]; infinite where they have not
+    # first, latest: when they first and last began to touch after time 0 [s]; infinite likewise.
     first: Array
     latest: Array
-    end: Array
-    count: Array
-    touching: Array
-    impulse: Array
-    coarse: Array
-    work: Array
-    deepest: Array
+    end: Array  # when they last parted [s]; infinite where they touch at the end of the run, or never did
+    count: Array  # number of contacts
+    touching: Array  # time in contact [s]
+    impulse: Array  # integral of the size of the normal force
+    coarse: Array  # by how much Simpson's and the trapezium rule differ [N s]
+    work: Array  # integral of the size of the normal force over the penetration [J]
+    deepest: Array  # greatest penetration [m]; negative is the least gap
 
 
 class Totals(NamedTuple):
-    """Of one account, () or of a body's members (k,), over a run.
+    """Of one account, () or of a body's members (k,), over a run."""
 
-    Attributes:
-        first, last: its values at the beginning and at the end.
-        integral: of its rate over the time; size: of the sum of the sizes of the rate's terms.
-        miss: greatest size of what the value has changed by since the beginning, less the integral until then.
-        coarse: bound of the quadrature's error: the difference of two rules.
-        greatest: greatest size of the rate; when: it was [s].
-    """
-
+    # first, last: its values at the beginning and at the end.
     first: Array
     last: Array
-    integral: Array
-    size: Array
-    miss: Array
-    coarse: Array
-    greatest: Array
-    when: Array
+    integral: Array  # of its rate over the time
+    size: Array  # of the sum of the sizes of the rate's terms
+    miss: Array  # greatest size of what the value has changed by since the beginning, less the integral until then
+    coarse: Array  # bound of the quadrature's error: the difference of two rules
+    greatest: Array  # greatest size of the rate
+    when: Array  # it was [s]
 
 
 class Look(NamedTuple):

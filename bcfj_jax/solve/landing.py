@@ -53,21 +53,16 @@ def close(near: Any, t: Any, rate: Array) -> Array:
 
 
 class Instants(NamedTuple):
-    """Of each of C channels the first K contacts: (C, K) times [s], NaN for what there was not.
+    """Of each of C channels the first K contacts: (C, K) times [s], NaN for what there was not."""
 
-    Attributes:
-        begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
-        high: end of the step at which the normal force was greatest; in ``crossings`` about when.
-        count: (C,) contacts that began (or were closed at the start), also those beyond K.
-        reach: in ``crossings``, how far the summit of the force reaches to either side [s]; NaN for none.
-        missed: (C,) in ``crossings``, contacts and separations within one step, which are not among the others.
-    """
-
+    # begin, end: when the penetration was 0; no begin of a contact that was closed at the start.
     begin: Array
     end: Array
-    high: Array
-    count: Array
+    high: Array  # end of the step at which the normal force was greatest; in ``crossings`` about when
+    count: Array  # (C,) contacts that began (or were closed at the start), also those beyond K
+    # In ``crossings``, how far the summit of the force reaches to either side [s]; NaN for none.
     reach: Array | None = None
+    # (C,) in ``crossings``, contacts and separations within one step, which are not among the others.
     missed: Array | None = None
 
 
@@ -80,42 +75,30 @@ class Look(NamedTuple):
 
 
 class Tops(NamedTuple):
-    """Of each of C channels the ends of the steps at which its force was greatest, and least.
+    """Of each of C channels the ends of the steps at which its force was greatest, and least."""
 
-    Attributes:
-        size: (2, C) of that force [N], and of the opposite of the least.
-        time: (2, C) [s]; state: (2, C, n).
-        before, after: (2, C) lengths of the steps before and after these [s].
-    """
-
-    size: Array
-    time: Array
-    state: Array
+    size: Array  # (2, C) of that force [N], and of the opposite of the least
+    time: Array  # (2, C) [s]
+    state: Array  # (2, C, n)
+    # before, after: (2, C) lengths of the steps before and after these [s].
     before: Array
     after: Array
 
 
 class _Memory(NamedTuple):
-    """What the controller knows; of C channels, and behind them of the surfaces at which approach speeds are set.
+    """What the controller knows; of C channels, and behind them of the surfaces at which approach speeds are set."""
 
-    Attributes:
-        inner: the inner control's state; before: the step's start.
-        inside: (C,) which channels touch; since: (C,) from when on they do or do not [s].
-        found: contacts so far; tops: of the whole run, None where nobody asks.
-        tries: in a row to end on a surface; free: length of the step that first crossed it [s].
-        high, top: (C,) when the force was greatest in this contact [s], and its size [N].
-    """
-
-    inner: Any
-    before: Look
-    inside: Array
-    found: Instants
-    tries: Array
-    free: Array
-    since: Array
+    inner: Any  # the inner control's state
+    before: Look  # the step's start
+    inside: Array  # (C,) which channels touch
+    found: Instants  # contacts so far
+    tries: Array  # in a row to end on a surface
+    free: Array  # length of the step that first crossed it [s]
+    since: Array  # (C,) from when on they do or do not [s]
+    # high, top: (C,) when the force was greatest in this contact [s], and its size [N].
     high: Array
     top: Array
-    tops: Tops | None
+    tops: Tops | None  # of the whole run, None where nobody asks
 
 
 @partial(jax.jit, static_argnums=0)  # Traced once for all of its places, and for each derivative of them.

@@ -19,38 +19,29 @@ ALIKE, APART = 5e-3, 0.2
 
 
 class Accuracy(NamedTuple):
-    """How far a run is from one at a tenth of its tolerance.
+    """How far a run is from one at a tenth of its tolerance."""
 
-    Attributes:
-        asked: force error asked for, a fraction of the peak.
-        tolerance: of the run; the tighter run had a tenth of it.
-        begin: time from which the two are compared [s]: from where on the promised error holds, or 0 for a run that
-            ends before.
-        rms: by contact, rms over the times of the force difference, worst member's worst component, over the peak, the largest
-            component; of a contact that no sample sees pressed, of the rate of its penetration over the largest.
-        peak: by contact, difference of the largest normal force of a member, worst member, over the peak.
-        impulse: by contact, integral of the difference of normal forces, worst member, over the largest integral of the size
-            of a component.
-        agree_until: first time [s] at which a force differs by more than ``FACTOR`` times ``asked`` times the
-            contact's peak, or at which one of the runs has failed; NaN for none.
-        differs: the contact whose force does so, "" for none.
-        wall_s: seconds that the tighter run took.
-        parts: first time [s] from which on the bodies of a contact move otherwise in one run than in the other, though they
-            moved alike until then: an event happened in one of them alone; NaN for none.
-        parts_at: the contact whose bodies do so, "" for none.
-    """
-
-    asked: float
-    tolerance: float
+    asked: float  # force error asked for, a fraction of the peak
+    tolerance: float  # of the run; the tighter run had a tenth of it
+    # Time from which the two are compared [s]: from where on the promised error holds, or 0 for a run that ends before.
     begin: float
+    # By contact, rms over the times of the force difference, worst member's worst component, over the peak, the largest
+    # component; of a contact that no sample sees pressed, of the rate of its penetration over the largest.
     rms: dict[str, float]
+    # By contact, difference of the largest normal force of a member, worst member, over the peak.
     peak: dict[str, float]
+    # By contact, integral of the difference of normal forces, worst member, over the largest integral of the size of a
+    # component.
     impulse: dict[str, float]
+    # First time [s] at which a force differs by more than ``FACTOR`` times ``asked`` times the contact's peak, or at
+    # which one of the runs has failed; NaN for none.
     agree_until: float
-    differs: str
-    wall_s: float
+    differs: str  # the contact whose force does so, "" for none
+    wall_s: float  # seconds that the tighter run took
+    # First time [s] from which on the bodies of a contact move otherwise in one run than in the other, though they
+    # moved alike until then: an event happened in one of them alone; NaN for none.
     parts: float = float("nan")
-    parts_at: str = ""
+    parts_at: str = ""  # the contact whose bodies do so, "" for none
 
     @property
     def doubt(self) -> tuple[str, float]:

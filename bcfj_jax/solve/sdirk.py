@@ -30,18 +30,14 @@ _MATRICES = 8
 
 
 class Sdirk(dfx.AbstractAdaptiveSolver):
-    """SDIRK2 for a flat state, with the linear algebra of ``structure``.
-
-    Attributes:
-        tolerance: the step control's absolute tolerance of each state; Newton stops at ``newton`` times it.
-        iterations: of Newton, per stage; a stage that needs more rejects the step.
-        contraction: Newton takes a new matrix where a change is larger than this share of the one before.
-    """
+    """SDIRK2 for a flat state, with the linear algebra of ``structure``."""
 
     structure: AbstractStructure
-    tolerance: Array
+    tolerance: Array  # the step control's absolute tolerance of each state; Newton stops at ``newton`` times it
     newton: float = eqx.field(static=True, default=0.02)
+    # Of Newton, per stage; a stage that needs more rejects the step.
     iterations: int = eqx.field(static=True, default=20)
+    # Newton takes a new matrix where a change is larger than this share of the one before.
     contraction: float = eqx.field(static=True, default=0.2)
 
     term_structure: ClassVar = dfx.ODETerm

@@ -147,18 +147,13 @@ class Seeker(AbstractWrapped):
     """A solver that tells its step control (error, share, longest): where its step has to end, how long the next may be.
 
     Both are ``allowed``'s.
-
-    Attributes:
-        scales: natural sizes (n,) of the states; ``norm``: the step control's, of what is relative to them.
-        near: penetration that counts as none [m].
-        unsure: whether steps are looked at in between, too (``AbstractModel.unsure``).
-        blind: whether the solver's error ignores forces at a step's end (``allowed``), and its interpolant is not used.
     """
 
-    scales: Array
-    near: Array
+    scales: Array  # natural sizes (n,) of the states; ``norm``: the step control's, of what is relative to them
+    near: Array  # penetration that counts as none [m]
     norm: Callable[[Array], Array] = eqx.field(static=True)
-    unsure: bool = eqx.field(static=True)
+    unsure: bool = eqx.field(static=True)  # whether steps are looked at in between, too (``AbstractModel.unsure``)
+    # Whether the solver's error ignores forces at a step's end (``allowed``), and its interpolant is not used.
     blind: bool = eqx.field(static=True)
 
     def init(self, terms, t0, t1, y0, args):

@@ -29,24 +29,18 @@ Leaves = Sequence[Array]
 
 
 class _Map(NamedTuple):
-    """What the primitive computes: (points, vectors) -> outs, linear in the vectors.
+    """What the primitive computes: (points, vectors) -> outs, linear in the vectors."""
 
-    Attributes:
-        smooth: the map, which goes through ``jax.jvp`` any number of times.
-        quick: the same where it is only evaluated.
-        pull: its transpose, (points, cotangents) -> vectors.
-        reverse: of a map without vectors the function again, which goes through ``jax.vjp``; None for none.
-        vectors, outs: shapes.
-        ways: of a function and its tangents together, how many points, the last, the first half of the outs does not
-            depend on: the ways in which the tangents go.
-    """
-
-    smooth: Callable[[Leaves, Leaves], list[Array]]
-    quick: Callable[[Leaves, Leaves], list[Array]]
-    pull: Callable[[Leaves, Leaves], list[Array]]
+    smooth: Callable[[Leaves, Leaves], list[Array]]  # the map, which goes through ``jax.jvp`` any number of times
+    quick: Callable[[Leaves, Leaves], list[Array]]  # the same where it is only evaluated
+    pull: Callable[[Leaves, Leaves], list[Array]]  # its transpose, (points, cotangents) -> vectors
+    # Of a map without vectors the function again, which goes through ``jax.vjp``; None for none.
     reverse: Callable[[Leaves], list[Array]] | None
+    # vectors, outs: shapes.
     vectors: tuple[jax.ShapeDtypeStruct, ...]
     outs: tuple[jax.ShapeDtypeStruct, ...]
+    # Of a function and its tangents together, how many points, the last, the first half of the outs does not depend on:
+    # the ways in which the tangents go.
     ways: int = 0
 
 

@@ -41,23 +41,18 @@ Numbers = dict[str, float]
 
 
 class Sensor(NamedTuple):
-    """An error of a sensor, to first order.
+    """An error of a sensor, to first order."""
 
-    Attributes:
-        adds: to a reading (n,) of a series, with the channel's peak and the longest contact's duration.
-        unit, most: of its amplitude, and the size with 95 % if it acts.
-        nuisance: of a problem that fits it; key: of an instrument that states it; own: every record has it for itself, too.
-        sign: 1 where its amplitude cannot be negative; chance: that it acts.
-    """
-
+    # To a reading (n,) of a series, with the channel's peak and the longest contact's duration.
     adds: Callable[[Series, np.ndarray, float, float], np.ndarray]
+    # unit, most: of its amplitude, and the size with 95 % if it acts.
     unit: str
     most: float
-    nuisance: str
-    key: str
-    own: bool = False
-    sign: int = 0
-    chance: float = ACTS
+    nuisance: str  # of a problem that fits it
+    key: str  # of an instrument that states it
+    own: bool = False  # every record has it for itself, too
+    sign: int = 0  # 1 where its amplitude cannot be negative
+    chance: float = ACTS  # that it acts
 
 
 def _slope(s: Series, read: np.ndarray) -> np.ndarray:
@@ -95,31 +90,24 @@ SENSOR = {
 
 
 class Shape(NamedTuple):
-    """An error with numbers that say what it looks like.
+    """An error with numbers that say what it looks like."""
 
-    Attributes:
-        columns: (N, K) of a scene and its numbers, a unit of it.
-        unit, most: as of ``Sensor``; of an error of the ``law`` a unit moves readings by the peak.
-        listed: numbers by name, which intervals allow for and which share the odds of acting; those of a ``kind`` exclude
-            each other.
-        suspect: its name in the diagnosis, "" for none there; sought: its numbers on a grid.
-        given: whether its amplitude is 1, the numbers alone saying how large it is.
-        sign, chance: as of ``Sensor``, the chance of all that is listed; amplitude: its name, where that is one number.
-        nuisance: of a problem that fits it, or knows it of a record.
-    """
-
-    columns: Callable[..., np.ndarray]
+    columns: Callable[..., np.ndarray]  # (N, K) of a scene and its numbers, a unit of it
+    # unit, most: as of Sensor; of an error of the law a unit moves readings by the peak.
     unit: str = ""
     most: float = 0.0
+    # Numbers by name, which intervals allow for and which share the odds of acting; those of a ``kind`` exclude each
+    # other.
     listed: Callable[[Scene], dict[str, Numbers]] = lambda scene: {}
     kind: str = ""
-    suspect: str = ""
-    sought: Callable[[Scene], dict[str, np.ndarray]] = lambda scene: {}
-    given: bool = False
+    suspect: str = ""  # its name in the diagnosis, "" for none there
+    sought: Callable[[Scene], dict[str, np.ndarray]] = lambda scene: {}  # its numbers on a grid
+    given: bool = False  # whether its amplitude is 1, the numbers alone saying how large it is
+    # sign, chance: as of Sensor, the chance of all that is listed.
     sign: int = 0
-    amplitude: str = ""
+    amplitude: str = ""  # its name, where that is one number
     law: bool = False
-    nuisance: str = ""
+    nuisance: str = ""  # of a problem that fits it, or knows it of a record
     chance: float = ACTS
 
 

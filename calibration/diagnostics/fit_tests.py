@@ -49,24 +49,18 @@ class Test(NamedTuple):
 class Spread(NamedTuple):
     """Covariance (P, P) of the unit-box coordinates, None where the data leave a combination free, and how well it is known
     itself.
-
-    Attributes:
-        quantile: the largest that an interval of a single coordinate takes; freedom: samples less parameters.
-        weakest, condition: direction that the data determine least, and largest over least singular value.
-        moved: by estimated number of the noise, derivative (P, P) of the covariance by its logarithm and the variance of
-            that.
-        rise: of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss.
-        student: degrees of freedom of the covariance itself, where it is not the noise's.
     """
 
     covariance: np.ndarray | None
-    quantile: float
-    freedom: int
+    quantile: float  # the largest that an interval of a single coordinate takes
+    freedom: int  # samples less parameters
+    # weakest, condition: direction that the data determine least, and largest over least singular value.
     weakest: np.ndarray
     condition: float
+    # By estimated number of the noise, derivative (P, P) of the covariance by its logarithm and the variance of that.
     moved: tuple[tuple[np.ndarray, float], ...] = ()
-    rise: float = 1.0
-    student: float = np.inf
+    rise: float = 1.0  # of the cost by a step whose length is 1 in units of the covariance; 1 but for a robust loss
+    student: float = np.inf  # degrees of freedom of the covariance itself, where it is not the noise's
 
     def quantile_of(self, slope: np.ndarray) -> float:
         """Quantile of a combination's 95 % interval: Student's, degrees of freedom by Satterthwaite.

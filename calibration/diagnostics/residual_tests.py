@@ -32,27 +32,21 @@ _NONE = np.zeros(0)
 
 
 class Series(NamedTuple):
-    """White residuals of one record and channel in time order.
+    """White residuals of one record and channel in time order."""
 
-    Attributes:
-        rows, touching: (n,) places among all residuals of the fit, and whether each sample is in contact; of a fit that is
-            not of contacts (``runs.of_contacts``) all are.
-        share: what one deviation is as a share of the record's peak.
-        longest: duration of the longest contact [s], infinite where there is none, half a wave of a fit that is not of contacts.
-        memory: correlation time of the noise [s].
-        declared, estimated: whether the noise was said to be correlated, and its deviation comes from these residuals.
-        integrator: whether they are no larger than the integrator's error: their order then says nothing.
-        clock, values, weights: (n,) times [s], readings and their inverse deviations, SI.
-    """
-
+    # rows, touching: (n,) places among all residuals of the fit, and whether each sample is in contact; of a fit that
+    # is not of contacts (runs.of_contacts) all are.
     rows: np.ndarray
     touching: np.ndarray
-    share: float
+    share: float  # what one deviation is as a share of the record's peak
+    # Duration of the longest contact [s], infinite where there is none, half a wave of a fit that is not of contacts.
     longest: float = np.inf
-    memory: float = 0.0
+    memory: float = 0.0  # correlation time of the noise [s]
+    # declared, estimated: whether the noise was said to be correlated, and its deviation comes from these residuals.
     declared: bool = False
     estimated: bool = False
-    integrator: bool = False
+    integrator: bool = False  # whether they are no larger than the integrator's error: their order then says nothing
+    # clock, values, weights: (n,) times [s], readings and their inverse deviations, SI.
     clock: np.ndarray = _NONE
     values: np.ndarray = _NONE
     weights: np.ndarray = _NONE

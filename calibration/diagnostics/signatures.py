@@ -27,23 +27,18 @@ _ONE_MASS = 0.98
 
 
 class Motion(NamedTuple):
-    """One contact's predicted motion in one record, and how a force beside it would change what is read.
+    """One contact's predicted motion in one record, and how a force beside it would change what is read."""
 
-    Attributes:
-        times, depth, rate, force: (T,) of the model's clock; elastic: the force without its damping; deepest: largest depth since
-            the contact began.
-        moves: (T - 1, 2, 2) from one instant's small change to the next one's; None where the motion is not of one mass.
-        tangent: (T, 2) k [N/m] and c [N s/m].
-    """
-
+    # times, depth, rate, force: (T,) of the model's clock.
     times: np.ndarray
     depth: np.ndarray
     rate: np.ndarray
     force: np.ndarray
-    elastic: np.ndarray
-    deepest: np.ndarray
+    elastic: np.ndarray  # the force without its damping
+    deepest: np.ndarray  # largest depth since the contact began
+    # (T - 1, 2, 2) from one instant's small change to the next one's; None where the motion is not of one mass.
     moves: np.ndarray | None
-    tangent: np.ndarray
+    tangent: np.ndarray  # (T, 2) k [N/m] and c [N s/m]
     mass: float
 
     @property
@@ -88,24 +83,16 @@ class Held(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What signatures are made from.
+    """What signatures are made from."""
 
-    Attributes:
-        size: N, residuals of the fit.
-        series: residuals by record and channel; runs: the record of each; read: (n,) what is predicted of each, SI.
-        motions: of the contact that each reads; None where it reads another thing.
-        contact: duration of the longest contact [s]; peak: largest predicted reading, SI.
-        channels: what each series reads; of one channel where none are named.
-    """
-
-    size: int
-    series: list[Series]
-    runs: list[int]
-    read: list[np.ndarray]
-    motions: list[Held | None]
-    contact: float
-    peak: float
-    channels: Sequence[str] = ()
+    size: int  # N, residuals of the fit
+    series: list[Series]  # residuals by record and channel
+    runs: list[int]  # the record of each
+    read: list[np.ndarray]  # (n,) what is predicted of each, SI
+    motions: list[Held | None]  # of the contact that each reads; None where it reads another thing
+    contact: float  # duration of the longest contact [s]
+    peak: float  # largest predicted reading, SI
+    channels: Sequence[str] = ()  # what each series reads; of one channel where none are named
 
     @property
     def deepest(self) -> float:

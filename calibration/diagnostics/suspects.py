@@ -39,25 +39,16 @@ NOISES = ("clock jitter", "quantisation", "saturation", "correlated noise")
 
 
 class Found(NamedTuple):
-    """What one suspect explains.
-
-    Attributes:
-        explained: share of the held-out sum of squares.
-        chance: that noise alone lets any suspect explain as much as this; 1 where it explains nothing.
-        values: numbers of its best shape, SI, and its amplitude where that is one number.
-        columns: (N, K) its signature there; none of a noise; given: whether its amplitude is 1.
-        numbers: that are fitted or sought for it.
-        named: whether it is the one that explains most.
-    """
+    """What one suspect explains."""
 
     name: str
-    explained: float
-    chance: float
-    values: dict[str, float]
-    columns: np.ndarray | None = None
-    given: bool = False
-    numbers: int = 1
-    named: bool = False
+    explained: float  # share of the held-out sum of squares
+    chance: float  # that noise alone lets any suspect explain as much as this; 1 where it explains nothing
+    values: dict[str, float]  # numbers of its best shape, SI, and its amplitude where that is one number
+    columns: np.ndarray | None = None  # (N, K) its signature there; none of a noise
+    given: bool = False  # whether its amplitude is 1
+    numbers: int = 1  # that are fitted or sought for it
+    named: bool = False  # whether it is the one that explains most
 
     @property
     def likely(self) -> bool:

@@ -60,27 +60,21 @@ _ROWS = 12
 
 
 class Data(eqx.Module):
-    """Records padded to one length, and features: E experiments, C channels, T times, F features.
+    """Records padded to one length, and features: E experiments, C channels, T times, F features."""
 
-    Attributes:
-        times: (E, T) [s].
-        values, weights: (E, C, T) readings, SI, and 1/sigma; weight 0 is no sample; features, feature_weights: (E, F)
-            likewise.
-        memory: (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``.
-        fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
-        passed: the filter between sensor and record, or None.
-    """
-
-    times: Array
+    times: Array  # (E, T) [s]
+    # values, weights: (E, C, T) readings, SI, and 1/sigma; weight 0 is no sample.
     values: Array
     weights: Array
-    memory: Array
+    memory: Array  # (E, C, T) correlation of a sample's noise with the one before, whose index is ``previous``
     previous: Array
+    # features, feature_weights: (E, F) likewise.
     features: Array
     feature_weights: Array
+    # fixed, chain: by name (E,), scene parameters and nuisances where they are not searched.
     fixed: dict[str, Array]
     chain: dict[str, Array]
-    passed: Passed | None = None
+    passed: Passed | None = None  # the filter between sensor and record, or None
 
     def white(self, errors: Any) -> Any:
         """Errors of the readings (E, C, T) [SI] as residuals: in deviations, freed of the noise's memory, 0 of no sample."""

@@ -41,23 +41,18 @@ class Loss(NamedTuple):
 
 
 class Passage(NamedTuple):
-    """A contact between two flights: what is known of it without a law, SI.
-
-    Attributes:
-        speed: before it, v = g t/2 of a flight of the length t.
-        kept: restitution, by the flights before and after.
-        mass: impulse over change of speed: 2 J/(g (t_1 + t_2)), t from the middle of a contact to that of the next, which
-            holds the weight's impulse, too.
-        clock, force: (k,) its window, the clock from half a sample before ``begin`` on, the force above its rest.
-    """
+    """A contact between two flights: what is known of it without a law, SI."""
 
     begin: float
-    speed: float
-    kept: float
+    speed: float  # before it, v = g t/2 of a flight of the length t
+    kept: float  # restitution, by the flights before and after
     impulse: float
+    # Impulse over change of speed: 2 J/(g (t_1 + t_2)), t from the middle of a contact to that of the next, which holds
+    # the weight's impulse, too.
     mass: float
     duration: float
     peak: float
+    # clock, force: (k,) its window, the clock from half a sample before begin on, the force above its rest.
     clock: np.ndarray
     force: np.ndarray
 

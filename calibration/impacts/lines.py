@@ -38,24 +38,17 @@ NOISE = Line('noise = "estimate"', 'or what the sensor is known to: "0.1 N", "2 
 
 
 class Said(NamedTuple):
-    """What is said beside the record.
+    """What is said beside the record."""
 
-    Attributes:
-        scene: impact, bounce or oblique_impact; "" takes what the record looks like.
-        mass, speed: texts with units, where they are known.
-        table: which table inside the file.
-        struck: mass of the body that is struck, with a unit, or "fixed".
-        stated: how the record is written, where it is not to be found; the problem file then says so, too.
-        hints: which columns are what.
-    """
-
-    scene: str = ""
+    scene: str = ""  # impact, bounce or oblique_impact; "" takes what the record looks like
+    # mass, speed: texts with units, where they are known.
     mass: str | None = None
     speed: str | None = None
-    table: str | None = None
-    struck: str | None = None
+    table: str | None = None  # which table inside the file
+    struck: str | None = None  # mass of the body that is struck, with a unit, or "fixed"
+    # How the record is written, where it is not to be found; the problem file then says so, too.
     stated: Stated = Stated()
-    hints: Hints = Hints()
+    hints: Hints = Hints()  # which columns are what
 
     def number(self, key: str, unit: str) -> float | None:
         """A mass or a speed, SI."""

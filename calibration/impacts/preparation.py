@@ -33,27 +33,17 @@ _BLOCK = 32
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is asked of a record, SI. None: nothing of the kind.
+    """What is asked of a record, SI. None: nothing of the kind."""
 
-    Attributes:
-        resample: rate [Hz] to bring it down to.
-        saturation: magnitude at and beyond which the sensor cannot read, by channel.
-        align: whether time 0 becomes the first sample above rest by a tenth of the first channel's peak.
-        window: times [s] to keep, after aligning.
-        impact: whether the record holds a whole impact, which begins and ends apart.
-        offset: whether the reading where there is nothing to read is unknown.
-        exact: whether the sensor's zero is 0, though the record rests elsewhere.
-        thin: "mean" or "every": how a record with more samples than its contacts need is thinned (``_thinned``).
-    """
-
-    resample: float | None = None
+    resample: float | None = None  # rate [Hz] to bring it down to
+    # Magnitude at and beyond which the sensor cannot read, by channel.
     saturation: Mapping[str, float] = field(default_factory=dict)
-    align: bool = False
-    window: tuple[float, float] | None = None
-    impact: bool = False
-    offset: bool = False
-    exact: bool = False
-    thin: str = ""
+    align: bool = False  # whether time 0 becomes the first sample above rest by a tenth of the first channel's peak
+    window: tuple[float, float] | None = None  # times [s] to keep, after aligning
+    impact: bool = False  # whether the record holds a whole impact, which begins and ends apart
+    offset: bool = False  # whether the reading where there is nothing to read is unknown
+    exact: bool = False  # whether the sensor's zero is 0, though the record rests elsewhere
+    thin: str = ""  # "mean" or "every": how a record with more samples than its contacts need is thinned (``_thinned``)
 
 
 @dataclass(frozen=True)
@@ -67,27 +57,18 @@ class Reading:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A record, and what was understood of it.
-
-    Attributes:
-        clock: (N,) time of every row [s], aligned.
-        gaps: pairs of times [s] between which nothing was sampled.
-        times: (T,) of the samples kept [s].
-        readings: by what each observes.
-        first_contact: what alignment took from the clock [s], or None.
-        averaged: so many successive samples are one.
-    """
+    """A record, and what was understood of it."""
 
     name: str
     source: str
-    clock: np.ndarray
-    gaps: tuple[tuple[float, float], ...]
-    times: np.ndarray
-    readings: dict[str, Reading]
-    first_contact: float | None
+    clock: np.ndarray  # (N,) time of every row [s], aligned
+    gaps: tuple[tuple[float, float], ...]  # pairs of times [s] between which nothing was sampled
+    times: np.ndarray  # (T,) of the samples kept [s]
+    readings: dict[str, Reading]  # by what each observes
+    first_contact: float | None  # what alignment took from the clock [s], or None
     window: tuple[float, float] | None
     notes: tuple[str, ...]
-    averaged: int = 1
+    averaged: int = 1  # so many successive samples are one
 
 
 def prepare(name: str, part: Record, time: str, observe: dict[str, str], recipe: Recipe, where: str) -> Prepared:

@@ -102,39 +102,26 @@ class Run:
 
 @dataclass(frozen=True)
 class Understood:
-    """What a table holds.
-
-    Attributes:
-        columns: header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
-        runs: the column that numbers runs, and how many; "file" where each file is one.
-        records: every run, at most 50.
-        rows: which value of a column of text its readings stand beside.
-        said: how the file is written, in words.
-        given: the column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
-        speeds: of each record [m/s], by that column.
-        each: whether each contact is a record, cut from its run.
-        plate: of a force plate, which force is read and where it acts.
-        parts: runs that stand beside each other in columns or tables; empty for none.
-        mass: of what strikes [kg], as the file states it.
-        falls: whether the places read are those of a body that falls freely.
-    """
+    """What a table holds."""
 
     path: Path
     table: str
     time: str
+    # Header by unit, "-" before it where the sign is to be flipped; "tangential" for a second force.
     columns: dict[str, str]
     others: list[str]
-    runs: tuple[str, int]
-    records: list[Run]
-    rows: dict[str, str] = field(default_factory=dict)
-    said: str = ""
+    runs: tuple[str, int]  # the column that numbers runs, and how many; "file" where each file is one
+    records: list[Run]  # every run, at most 50
+    rows: dict[str, str] = field(default_factory=dict)  # which value of a column of text its readings stand beside
+    said: str = ""  # how the file is written, in words
+    # The column of heights [m] or speeds [m/s] of the runs, and its unit; "" for none.
     given: tuple[str, str] = ("", "")
-    speeds: tuple[float, ...] = ()
-    each: bool = False
-    plate: str = ""
-    parts: tuple[Part, ...] = ()
-    mass: float | None = None
-    falls: bool = False
+    speeds: tuple[float, ...] = ()  # of each record [m/s], by that column
+    each: bool = False  # whether each contact is a record, cut from its run
+    plate: str = ""  # of a force plate, which force is read and where it acts
+    parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
+    mass: float | None = None  # of what strikes [kg], as the file states it
+    falls: bool = False  # whether the places read are those of a body that falls freely
 
 
 class Part(NamedTuple):
@@ -430,14 +417,6 @@ class Sizes(NamedTuple):
     """What the first contacts say, by medians: peak [N], impulse [N s], duration [s], samples in contact and step [s].
 
     Of records without a force, peak and impulse are per mass; NaN where neither is read.
-
-    Attributes:
-        contacts, flights: of the run that has most, their number and the times between them [s].
-        speed: least and largest before contact [m/s], from a velocity or position; None where neither is read.
-        mass: from the impulse over the change of the speed, or from force over acceleration, or None.
-        doubt: deviation of the impulse by noise, as a share of it.
-        silent: names of the records whose contact has no impulse.
-        impulses, after: least and largest impulse, and time to the second contact [s], of all records.
     """
 
     peak: float
@@ -445,15 +424,18 @@ class Sizes(NamedTuple):
     duration: float
     samples: int
     step: float
+    # contacts, flights: of the run that has most, their number and the times between them [s].
     contacts: int
+    # Least and largest before contact [m/s], from a velocity or position; None where neither is read.
     speed: tuple[float, float] | None
-    mass: float | None
+    mass: float | None  # from the impulse over the change of the speed, or from force over acceleration, or None
     flights: list[float]
+    # impulses, after: least and largest impulse, and time to the second contact [s], of all records.
     impulses: tuple[float, float]
     after: tuple[float, float]
     loss: Loss | None
-    doubt: float
-    silent: list[str]
+    doubt: float  # deviation of the impulse by noise, as a share of it
+    silent: list[str]  # names of the records whose contact has no impulse
 
 
 def sizes(found: Understood) -> Sizes:

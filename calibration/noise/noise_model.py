@@ -35,18 +35,15 @@ _MOVES, _FEW, _LEAST = 1e-6, 8, 1e-2
 
 
 class Estimate(NamedTuple):
-    """What was found of the noise.
+    """What was found of the noise."""
 
-    Attributes:
-        sigma, correlation: deviation, SI, and time [s], by channel whose noise, or correlation, is estimated.
-        moved: for each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the variance
-            of that.
-        integrator: channels whose residuals are no larger than the integrator's error, which stands for their noise.
-    """
-
+    # sigma, correlation: deviation, SI, and time [s], by channel whose noise, or correlation, is estimated.
     sigma: dict[str, float]
     correlation: dict[str, float]
+    # For each of these numbers, the derivative (P, P) of the information matrix by its logarithm, and the variance of
+    # that.
     moved: list[tuple[np.ndarray, float]]
+    # Channels whose residuals are no larger than the integrator's error, which stands for their noise.
     integrator: tuple[str, ...] = ()
 
 

@@ -62,20 +62,15 @@ class Likelihood(NamedTuple):
 
 @dataclass(frozen=True)
 class Rival:
-    """One model that was fitted.
-
-    Attributes:
-        likelihood: None where a robust loss, which is no likelihood, was asked for, or nothing was fitted.
-        held_out: rms of held-out errors as a share of each record's peak; None without held-out records.
-        seconds: of one prediction of all fitted records.
-        kept: whether its search converged, its law is no misfit, and no other such model is decisively better by BIC.
-    """
+    """One model that was fitted."""
 
     name: str
     fit: Fit
+    # None where a robust loss, which is no likelihood, was asked for, or nothing was fitted.
     likelihood: Likelihood | None
-    held_out: float | None
-    seconds: float
+    held_out: float | None  # rms of held-out errors as a share of each record's peak; None without held-out records
+    seconds: float  # of one prediction of all fitted records
+    # Whether its search converged, its law is no misfit, and no other such model is decisively better by BIC.
     kept: bool = False
 
     @property

@@ -56,22 +56,16 @@ class Candidate:
 
 
 class Gain(NamedTuple):
-    """What a candidate would bring, for the parameters that all experiments share.
-
-    Attributes:
-        information: D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of
-            the covariances before and after.
-        variance_left: A-optimality, the mean over parameters of the variance after over that before.
-        shrink: width of each parameter's interval after over that before, by name; by the noise alone.
-        quoted: half widths of the interval to quote, now and then (``narrowed``).
-    """
+    """What a candidate would bring, for the parameters that all experiments share."""
 
     name: str
+    # D-optimality, the information gained [nats]: half the logarithm of the ratio of the determinants of the
+    # covariances before and after.
     information: float
-    variance_left: float
-    shrink: dict[str, float]
+    variance_left: float  # A-optimality, the mean over parameters of the variance after over that before
+    shrink: dict[str, float]  # width of each parameter's interval after over that before, by name; by the noise alone
     failure: str = ""
-    quoted: dict[str, Half] = {}
+    quoted: dict[str, Half] = {}  # half widths of the interval to quote, now and then (``narrowed``)
 
     @property
     def best(self) -> str:

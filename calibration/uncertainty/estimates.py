@@ -37,34 +37,26 @@ def one_by_one(names: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One estimate.
+    """One estimate."""
 
-    Attributes:
-        value: SI; of one with the interval to quote the expectation over errors that may act (``uncertainty.quote``).
-        least_squares: the value where residuals are least; the same where none else is given.
-        ci95: the headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not
-            determine it, or the search failed.
-        identifiable: whether the data determine it to better than a factor of two.
-        at_bound: "lower", "upper" or "": at which of its bounds it is; of one that the quantity has by nature, as 1 of an
-            exponent, "": an interval on one side says it.
-        kind: how it was found: "fitted", or "derived" from the reference force and exponent.
-        interval_kind: what the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
-        intervals: 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
-        headline: the kind that ci95 is, "" for none.
-        with_budget: ci95, for one release more.
-    """
-
+    # SI; of one with the interval to quote the expectation over errors that may act (``uncertainty.quote``).
     value: float
     unit: str
+    # The headline, a 95 % interval: of ``intervals`` the widest that applies, or None where the data do not determine
+    # it, or the search failed.
     ci95: Ends | None
-    identifiable: bool
+    identifiable: bool  # whether the data determine it to better than a factor of two
+    # "lower", "upper" or "": at which of its bounds it is; of one that the quantity has by nature, as 1 of an exponent,
+    # "": an interval on one side says it.
     at_bound: str
-    kind: str = "fitted"
+    kind: str = "fitted"  # how it was found: "fitted", or "derived" from the reference force and exponent
+    # What the interval of the noise comes from, or would: "covariance", "profile" or "posterior".
     interval_kind: str = "covariance"
+    # 95 % intervals by kind: "noise", if law and sensor are exact, and those of ``law_miss``.
     intervals: dict[str, Ends | None] = field(default_factory=dict)
-    headline: str = ""
-    with_budget: Ends | None = None
-    least_squares: float = np.nan
+    headline: str = ""  # the kind that ci95 is, "" for none
+    with_budget: Ends | None = None  # ci95, for one release more
+    least_squares: float = np.nan  # the value where residuals are least; the same where none else is given
 
     def __post_init__(self) -> None:
         if np.isnan(self.least_squares):
@@ -102,17 +94,13 @@ class Estimates(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """What is estimated, on the scales of its coordinates; the logarithm of the reference force is the last.
-
-    Attributes:
-        z: (K,) coordinates; slopes: (K, P) how they move with the unit box; limits: (K, 2) of an interval.
-    """
+    """What is estimated, on the scales of its coordinates; the logarithm of the reference force is the last."""
 
     names: tuple[str, ...]
-    z: np.ndarray
-    slopes: np.ndarray
+    z: np.ndarray  # (K,) coordinates
+    slopes: np.ndarray  # (K, P) how they move with the unit box
     log: tuple[bool, ...]
-    limits: np.ndarray
+    limits: np.ndarray  # (K, 2) of an interval
 
 
 def moving(at: Optimum) -> Moving:

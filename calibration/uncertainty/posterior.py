@@ -46,21 +46,15 @@ class Around(NamedTuple):
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws and what they are worth.
-
-    Attributes:
-        draws: (chains, draws, P) of the parameters, SI.
-        rhat, effective: per parameter, potential scale reduction of split chains and effective sample size.
-        divergences: number of transitions that diverged.
-        refusal: why no interval may be read from the draws; "" if they may.
-    """
+    """Draws and what they are worth."""
 
     labels: tuple[str, ...]
-    draws: np.ndarray
+    draws: np.ndarray  # (chains, draws, P) of the parameters, SI
+    # rhat, effective: per parameter, potential scale reduction of split chains and effective sample size.
     rhat: np.ndarray
     effective: np.ndarray
-    divergences: int
-    refusal: str
+    divergences: int  # number of transitions that diverged
+    refusal: str  # why no interval may be read from the draws; "" if they may
 
     @property
     def intervals(self) -> dict[str, tuple[float, float] | None]:

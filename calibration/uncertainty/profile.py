@@ -52,29 +52,19 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Profile:
-    """How the smallest cost depends on one parameter.
-
-    Attributes:
-        values: (K,) of the parameter, SI, increasing.
-        rises: (K,) cost above the best [weighted squares].
-        best: the estimate, SI.
-        threshold: the rise that bounds the 95 % interval.
-        ends: where the threshold is met below and above the estimate; None where it is not.
-        quadratic: where the covariance puts those ends.
-        shape: "bounded", "one-sided", "flat" or "multimodal".
-        notes: in words, why an end is missing, and bounds of other parameters that an end rests on.
-    """
+    """How the smallest cost depends on one parameter."""
 
     name: str
-    values: np.ndarray
-    rises: np.ndarray
-    best: float
-    threshold: float
+    values: np.ndarray  # (K,) of the parameter, SI, increasing
+    rises: np.ndarray  # (K,) cost above the best [weighted squares]
+    best: float  # the estimate, SI
+    threshold: float  # the rise that bounds the 95 % interval
+    # Where the threshold is met below and above the estimate; None where it is not.
     ends: tuple[float | None, float | None]
-    quadratic: tuple[float, float]
-    shape: str
+    quadratic: tuple[float, float]  # where the covariance puts those ends
+    shape: str  # "bounded", "one-sided", "flat" or "multimodal"
     log: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # in words, why an end is missing, and bounds of other parameters that an end rests on
 
     @property
     def interval(self) -> tuple[float, float] | None:

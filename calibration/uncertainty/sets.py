@@ -39,26 +39,19 @@ _ROUNDED = 1e-13
 
 
 class Error(NamedTuple):
-    """An error that may act.
-
-    Attributes:
-        unit, most: of its amplitude, and the size that it has with 95 % if it acts.
-        columns: (N, K) a unit of it, in deviations of the noise; several have independent amplitudes.
-        kind: errors of one kind exclude each other; alone where empty.
-        stated: whether it acts always, in full. Of sets it is a member like others, that adds nothing: so no other error acts
-            more often where one is known.
-        sign: 1 where its amplitude cannot be negative, as a lag's.
-        chance: that it acts, before the record is looked at.
-    """
+    """An error that may act."""
 
     name: str
+    # unit, most: of its amplitude, and the size that it has with 95 % if it acts.
     unit: str
     most: float
-    columns: np.ndarray
-    kind: str = ""
+    columns: np.ndarray  # (N, K) a unit of it, in deviations of the noise; several have independent amplitudes
+    kind: str = ""  # errors of one kind exclude each other; alone where empty
+    # Whether it acts always, in full. Of sets it is a member like others, that adds nothing: so no other error acts
+    # more often where one is known.
     stated: bool = False
-    sign: int = 0
-    chance: float = ACTS
+    sign: int = 0  # 1 where its amplitude cannot be negative, as a lag's
+    chance: float = ACTS  # that it acts, before the record is looked at
 
     @property
     def prior(self) -> tuple[np.ndarray, float]:
@@ -68,44 +61,30 @@ class Error(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """A fit, linear about its optimum.
+    """A fit, linear about its optimum."""
 
-    Attributes:
-        data: (N,) readings less predictions, in deviations; jacobian: (N, P) of the predictions.
-        rows: (Q, P) how what is quoted moves with the coordinates.
-        floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss.
-        freedom: readings less coordinates.
-        series: rows in order of time, which may share more than the noise.
-        student: quantile of an interval of the noise alone, over the normal one.
-    """
-
-    data: np.ndarray
-    jacobian: np.ndarray
-    rows: np.ndarray
+    data: np.ndarray  # (N,) readings less predictions, in deviations
+    jacobian: np.ndarray  # (N, P) of the predictions
+    rows: np.ndarray  # (Q, P) how what is quoted moves with the coordinates
+    # floor, ceiling: limits of the variance of the noise: at least 1 where its deviation is stated; 1 of a robust loss.
     floor: float
-    freedom: int
-    series: Sequence[np.ndarray] = ()
-    student: float = 1.0
+    freedom: int  # readings less coordinates
+    series: Sequence[np.ndarray] = ()  # rows in order of time, which may share more than the noise
+    student: float = 1.0  # quantile of an interval of the noise alone, over the normal one
     ceiling: float = np.inf
 
 
 class Mixture(NamedTuple):
-    """Normal estimates by set of acting errors.
+    """Normal estimates by set of acting errors."""
 
-    Attributes:
-        log: (M,) logarithms of weights; members: (M, E) with which share of its prior an error acts, 0 where not.
-        means, type_a, type_b: (M, Q) moves from the optimum, or from the point that they are about, and their deviations.
-        variance: of the noise.
-        prior: (E,) that each error acts, before the record is looked at.
-    """
-
-    log: np.ndarray
-    members: np.ndarray
+    log: np.ndarray  # (M,) logarithms of weights
+    members: np.ndarray  # (M, E) with which share of its prior an error acts, 0 where not
+    # means, type_a, type_b: (M, Q) moves from the optimum, or from the point that they are about, and their deviations.
     means: np.ndarray
     type_a: np.ndarray
     type_b: np.ndarray
-    variance: float
-    prior: np.ndarray
+    variance: float  # of the noise
+    prior: np.ndarray  # (E,) that each error acts, before the record is looked at
 
     @property
     def weights(self) -> np.ndarray:
@@ -163,27 +142,22 @@ def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
 
 
 class _Sums(NamedTuple):
-    """What is left of columns S and data y beside the coordinates and what always acts, for a variance of the noise.
+    """What is left of columns S and data y beside the coordinates and what always acts, for a variance of the noise."""
 
-    Attributes:
-        beside, rest: (N + B, C) S' and (N + B,) y'; the last B rows say that amplitudes of what always acts are about 0.
-        gram, push: S'^T S', S'^T y'; lean: (C,) means of amplitudes.
-        moved, moves: moves of what is quoted without errors (Q,) and by column (Q, C).
-        given: (Q, B) moves by a deviation of each of the last rows; used: how many of those the data replace.
-        alone: (Q,) variance without errors; log: logarithm of the evidence, as far as no set changes it.
-    """
-
+    # beside, rest: (N + B, C) S' and (N + B,) y'; the last B rows say that amplitudes of what always acts are about 0.
     beside: np.ndarray
     rest: np.ndarray
+    # gram, push: S'^T S', S'^T y'.
     gram: np.ndarray
     push: np.ndarray
-    lean: np.ndarray
+    lean: np.ndarray  # (C,) means of amplitudes
+    # moved, moves: moves of what is quoted without errors (Q,) and by column (Q, C).
     moved: np.ndarray
     moves: np.ndarray
-    given: np.ndarray
-    used: float
-    alone: np.ndarray
-    log: float
+    given: np.ndarray  # (Q, B) moves by a deviation of each of the last rows
+    used: float  # how many of those the data replace
+    alone: np.ndarray  # (Q,) variance without errors
+    log: float  # logarithm of the evidence, as far as no set changes it
 
 
 class _Batch(NamedTuple):

@@ -68,19 +68,15 @@ class Tried(NamedTuple):
 
 
 class Ambiguity(NamedTuple):
-    """What unstated filters make of a fit: the best fit, and D of that without a filter.
-
-    Attributes:
-        low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference force;
-            infinite where the slowest filter of all is not excluded.
-        slowest: of the filters that are not excluded the one with the lowest cut-off; None where all are.
-    """
+    """What unstated filters make of a fit: the best fit, and D of that without a filter."""
 
     best: Tried
     plain: float
+    # low, high: (K,) ends of the hull, of each coordinate on its scale and, last, of the logarithm of the reference
+    # force; infinite where the slowest filter of all is not excluded.
     low: np.ndarray
     high: np.ndarray
-    slowest: Tried | None
+    slowest: Tried | None  # of the filters that are not excluded the one with the lowest cut-off; None where all are
 
     @property
     def decisive(self) -> bool:

@@ -28,18 +28,14 @@ from bcfj_jax.xla.small import inverse, inverse3, inverse6, product
 
 
 class Heading(NamedTuple):
-    """The cage's azimuth in a step.
+    """The cage's azimuth in a step."""
 
-    Attributes:
-        by_axis, by_spin: (3,) derivatives of its rate.
-        carried: (3,) what a change of the axis alone turns the cage about it, less what it turns the azimuth's frame.
-        back: (3 F,) bristles by the azimuth; None without bristles.
-    """
-
+    # by_axis, by_spin: (3,) derivatives of its rate.
     by_axis: Array
     by_spin: Array
+    # (3,) what a change of the axis alone turns the cage about it, less what it turns the azimuth's frame.
     carried: Array
-    back: Array | None
+    back: Array | None  # (3 F,) bristles by the azimuth; None without bristles
 
 
 class Factors(NamedTuple):

@@ -47,18 +47,14 @@ WIDTH, LEAST = 0.2, 1e-7  # [-], [m]
 
 
 class Bands(NamedTuple):
-    """Numbers of the pilots' bands in a run, (k,) each but for the latitude.
+    """Numbers of the pilots' bands in a run, (k,) each but for the latitude."""
 
-    Attributes:
-        sine, cosine: of the band's half-width lambda.
-        width: w [m]; clearance [m].
-        lever: l [m] from the sphere's centre towards q: minus the radius of a hollow sphere, the radius of an inner one.
-    """
-
+    # sine, cosine: of the band's half-width lambda.
     sine: Array
     cosine: Array
-    width: Array
+    width: Array  # w [m]; clearance [m]
     clearance: Array
+    # L [m] from the sphere's centre towards q: minus the radius of a hollow sphere, the radius of an inner one.
     lever: Array
 
     def some(self, at: slice) -> Bands:
@@ -67,19 +63,13 @@ class Bands(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Where pilots bear, (k, ...); what other geometry has and a band has not is None.
+    """Where pilots bear, (k, ...); what other geometry has and a band has not is None."""
 
-    Attributes:
-        penetration: (k, 1) d [m].
-        mean: (k, 3) q; spread: (k,).
-        axis: (3,) of the cage; lever: (k,) [m].
-    """
-
-    penetration: Array
-    mean: Array
-    spread: Array
-    axis: Array
-    lever: Array
+    penetration: Array  # (k, 1) d [m]
+    mean: Array  # (k, 3) q
+    spread: Array  # (k,)
+    axis: Array  # (3,) of the cage
+    lever: Array  # (k,) [m]
     gate: None = None
 
 

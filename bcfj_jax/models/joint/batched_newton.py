@@ -104,19 +104,15 @@ class _Results(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Search:
-    """What does not change in a search.
+    """What does not change in a search."""
 
-    Attributes:
-        scene, problem, drift: as of ``search``; instants in their order.
-        origin: where each starts (size, T); ``near``: whether that is a solution for other parameters.
-        first, ends: of each lane the first instant, and the one behind the last.
-    """
-
+    # scene, problem, drift: as of search; instants in their order.
     scene: Joint
     problem: Problem
     drift: Problem
-    origin: Array
+    origin: Array  # where each starts (size, T); ``near``: whether that is a solution for other parameters
     near: bool
+    # first, ends: of each lane the first instant, and the one behind the last.
     first: np.ndarray
     ends: np.ndarray
 

@@ -37,32 +37,22 @@ from bcfj_jax.xla.small import block_diagonal, product, skew
 
 
 class Faces(NamedTuple):
-    """Friction's states of each face, w numbers:  dz = inverse r + place dx + rate dx',  with x and x' as of ``Slopes``.
+    """Friction's states of each face, w numbers:  dz = inverse r + place dx + rate dx',  with x and x' as of ``Slopes``."""
 
-    Attributes:
-        inverse: (..., f, w, w); place: (..., f, w, 6); rate: (..., f, w, k + 3).
-        pull: (..., o, f w) derivative of what the contact exerts by z.
-    """
-
-    inverse: Array
-    place: Array
-    rate: Array
-    pull: Array
+    inverse: Array  # (..., f, w, w)
+    place: Array  # (..., f, w, 6)
+    rate: Array  # (..., f, w, k + 3)
+    pull: Array  # (..., o, f w) derivative of what the contact exerts by z
 
 
 class Slopes(NamedTuple):
     """Derivatives of what contacts exert, (..., o): force on the second body, moment about its centre where it spins, and
     moment about the first body's centre. Friction's states are eliminated from them.
-
-    Attributes:
-        place: (..., o, 6) by the second body's displacement dp, the first one's rotation t.
-        rate: (..., o, k + 3) by the second body's twist (dv, dw) or velocity dv, the first one's spin dW.
-        faces: friction's states.
     """
 
-    place: Array
-    rate: Array
-    faces: Faces | None = None
+    place: Array  # (..., o, 6) by the second body's displacement dp, the first one's rotation t
+    rate: Array  # (..., o, k + 3) by the second body's twist (dv, dw) or velocity dv, the first one's spin dW
+    faces: Faces | None = None  # friction's states
 
 
 def slopes(part: Part, outer: Array, scale: Any) -> Slopes:
@@ -128,17 +118,11 @@ def _inverse(share: Array, outer: Array, width: int) -> Array:
 
 
 class Bristled(NamedTuple):
-    """What bristles do to a step, all F faces in the flat state's order.
+    """What bristles do to a step, all F faces in the flat state's order."""
 
-    Attributes:
-        inverse: (F, 3, 3) of each face's own block.
-        lift: (n k + b, 3 F) generalised forces by deflections.
-        back: (3 F, moving) deflections by all other states, the cage's turn as a rotation vector.
-    """
-
-    inverse: Array
-    lift: Array
-    back: Array
+    inverse: Array  # (F, 3, 3) of each face's own block
+    lift: Array  # (n k + b, 3 F) generalised forces by deflections
+    back: Array  # (3 F, moving) deflections by all other states, the cage's turn as a rotation vector
 
 
 class Blocks(NamedTuple):

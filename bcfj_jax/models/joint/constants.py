@@ -45,38 +45,28 @@ BALLS = ("seat_ball", "head_ball", "cage_ball", "cage_window_end")
 
 
 class Constants(eqx.Module):
-    """Numbers of one run, in the shapes in which they are used.
-
-    Attributes:
-        ball_laws, pilot_laws: of each of the ``groups`` of contacts; coefficients side by side (m, 1).
-        window_clearance: of faces, and of ends where there are any (m, 1); of unequal balls (balls, m, 1).
-        body_maps: of ``body_maps``.
-        axes: (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0.
-        bisector: normal of the bisecting plane.
-        ball_inverse_mass: (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias.
-        drive_stiffness, drive_damping: 0 of a prescribed drive.
-        programmes: what drive and loads read.
-        beside: what readings of it multiply (``mechanism.observed``).
-    """
+    """Numbers of one run, in the shapes in which they are used."""
 
     groove: Groove
+    # ball_laws, pilot_laws: of each of the groups of contacts; coefficients side by side (m, 1).
     ball_laws: tuple[ContactLaws, ...]
-    window_clearance: Array
+    window_clearance: Array  # of faces, and of ends where there are any (m, 1); of unequal balls (balls, m, 1)
     pilot_laws: tuple[ContactLaws, ...]
     pilot_clearance: Array
     pilot_hollow: Array
     bands: Bands | None
-    body_maps: Array
-    axes: Array
+    body_maps: Array  # of ``body_maps``
+    axes: Array  # (2, 3) unit axes of seat and head; ``radial`` and ``tangent``: where track 0 lies at turn 0
     radial: Array
     tangent: Array
-    bisector: Array
-    ball_inverse_mass: Array
+    bisector: Array  # normal of the bisecting plane
+    ball_inverse_mass: Array  # (twist,) and coupling_inverse_mass (coupling,): inverse masses and inertias
     coupling_inverse_mass: Array
+    # drive_stiffness, drive_damping: 0 of a prescribed drive.
     drive_stiffness: Array
     drive_damping: Array
-    programmes: dict[str, Array]
-    beside: dict[str, Array] = eqx.field(default_factory=dict)
+    programmes: dict[str, Array]  # what drive and loads read
+    beside: dict[str, Array] = eqx.field(default_factory=dict)  # what readings of it multiply (``mechanism.observed``)
 
 
 def coefficients(scene: Joint, params: Params, name: str) -> dict[str, Array]:

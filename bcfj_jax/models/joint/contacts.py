@@ -35,17 +35,12 @@ from bcfj_jax.xla.small import product, skew
 
 
 class ContactLaws(eqx.Module):
-    """One law and one friction law, or none, over any broadcast shape of contacts.
-
-    Attributes:
-        coefficients: by the laws' names; scalars, or arrays that broadcast against the contacts.
-        smoothing: half-width of the contact regularisation [m]; None for none.
-    """
+    """One law and one friction law, or none, over any broadcast shape of contacts."""
 
     law: AbstractLaw
     friction: AbstractFriction | None
-    coefficients: Mapping[str, Array]
-    smoothing: Array | None
+    coefficients: Mapping[str, Array]  # by the laws' names; scalars, or arrays that broadcast against the contacts
+    smoothing: Array | None  # half-width of the contact regularisation [m]; None for none
 
     def normal(self, penetration: Array, rate: Array) -> Array:
         """Normal force [N] >= 0 from penetration [m] and its rate [m/s]."""
@@ -86,68 +81,45 @@ class ContactLaws(eqx.Module):
 
 
 class Geometry(NamedTuple):
-    """Where contacts are; f faces (or flanks) each.
+    """Where contacts are; f faces (or flanks) each."""
 
-    Attributes:
-        penetration: (..., f) [m], positive in contact.
-        normal: (..., f, 3).
-        lever: (..., f) l [m].
-        gate: (..., f) 1 where the face is there, 0 beyond its edge; None for a face without edges.
-    """
-
-    penetration: Array
-    normal: Array
-    lever: Array
-    gate: Array | None = None
+    penetration: Array  # (..., f) [m], positive in contact
+    normal: Array  # (..., f, 3)
+    lever: Array  # (..., f) l [m]
+    gate: Array | None = None  # (..., f) 1 where the face is there, 0 beyond its edge; None for a face without edges
 
 
 class ContactForce(NamedTuple):
-    """What contacts do.
+    """What contacts do."""
 
-    Attributes:
-        force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
-        drag: (..., 3) the part of ``force`` that is friction.
-        normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
-        bending: (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
-        rubbed: (..., f) power that friction takes [W]; None without friction.
-        slip_squared: (..., f) of ``slip``, whose own derivative is not finite at rest.
-    """
-
+    # force, moment: (..., 3) on the second body and about its centre [N], [N m]; moment None without spin.
     force: Array
     moment: Array | None
-    drag: Array
+    drag: Array  # (..., 3) the part of ``force`` that is friction
+    # normal, penetration, rate, slip: (..., f) of each face: [N] >= 0, [m], [m/s], sliding speed [m/s].
     normal: Array
     penetration: Array
     rate: Array
     slip: Array
+    # (..., f, 3) z' less W x z [m/s], or (..., f, 1) w' [m/s^2]; None without a state of friction.
     bending: Array | None = None
-    rubbed: Array | None = None
-    slip_squared: Array | None = None
+    rubbed: Array | None = None  # (..., f) power that friction takes [W]; None without friction
+    slip_squared: Array | None = None  # (..., f) of ``slip``, whose own derivative is not finite at rest
 
 
 class Groove(NamedTuple):
-    """Shape of the tracks of both races; axes of length 2 are (seat, head).
+    """Shape of the tracks of both races; axes of length 2 are (seat, head)."""
 
-    Attributes:
-        radius: track centre circle R_c [m].
-        offset: (2,) centre circles' distance along the race's axis from its centre, (+e, -e) [m].
-        side: (2,) +1 for the outer race, -1 for the inner.
-        flank: r_g - r of the nominal groove [m]; 0 for a circular section.
-        sine, cosine: of the contact angle.
-        clearance: (2,) normal clearance to each flank [m]; (balls, 2) of unequal balls.
-        ball: ball radius [m].
-        gothic: (2,) +1 and -1, the flanks; (1,) zero for a circular section.
-    """
-
-    radius: Array
-    offset: Array
-    side: Array
-    flank: Array
+    radius: Array  # track centre circle R_c [m]
+    offset: Array  # (2,) centre circles' distance along the race's axis from its centre, (+e, -e) [m]
+    side: Array  # (2,) +1 for the outer race, -1 for the inner
+    flank: Array  # r_g - r of the nominal groove [m]; 0 for a circular section
+    # sine, cosine: of the contact angle.
     sine: Array
     cosine: Array
-    clearance: Array
-    ball: Array
-    gothic: Array
+    clearance: Array  # (2,) normal clearance to each flank [m]; (balls, 2) of unequal balls
+    ball: Array  # ball radius [m]
+    gothic: Array  # (2,) +1 and -1, the flanks; (1,) zero for a circular section
 
     def races(self, at: slice) -> Groove:
         """Of some of both races."""
@@ -263,20 +235,15 @@ def traction(
 
 
 class Tangents(NamedTuple):
-    """What contacts exert on the second body, (..., o), and its derivatives: force, and moment where it spins.
+    """What contacts exert on the second body, (..., o), and its derivatives: force, and moment where it spins."""
 
-    Attributes:
-        value: (..., o); place: (..., o, 3) by the relative place; twist: (..., o, k) by the relative twist.
-        bending: (..., f, w) rates of friction's states, and these by place and twist (..., f, w, 3 | k); None without states.
-        pull: (..., o, f w) by friction's states; decay: (..., f) how fast a state forgets itself [1/s].
-    """
-
-    value: Array
-    place: Array
-    twist: Array
+    value: Array  # (..., o)
+    place: Array  # (..., o, 3) by the relative place
+    twist: Array  # (..., o, k) by the relative twist
+    # (..., f, w) rates of friction's states, and these by place and twist (..., f, w, 3 | k); None without states.
     bending: tuple[Array, Array, Array] | None = None
-    pull: Array | None = None
-    decay: Array | None = None
+    pull: Array | None = None  # (..., o, f w) by friction's states
+    decay: Array | None = None  # (..., f) how fast a state forgets itself [1/s]
 
 
 class _Learning(NamedTuple):

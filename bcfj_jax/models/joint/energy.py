@@ -26,28 +26,21 @@ from bcfj_jax.models.joint.scene import Joint
 
 
 class Power(NamedTuple):
-    """Power [W] in one state; in: drive and hold, out: load and axial, lost: friction, damping and edge.
+    """Power [W] in one state; in: drive and hold, out: load and axial, lost: friction, damping and edge."""
 
-    Attributes:
-        drive: torque that holds the seat's speed, times it; of a flexible drive its torque times the prescribed speed.
-        hold: torque that turns a fixed cage at the drive's speed, times it; 0 for a free cage.
-        load: load torque times the head's speed.
-        axial: axial load times the head's velocity along its axis.
-        friction: sum over all faces of  N mu(|u|) |u|  >= 0, u the sliding velocity; of bristles  N traction . u,
-            of either sign, as it holds what they store, N sigma0 z.z/2, and give back.
-        damping: sum of  (N(d, d') - N(d, 0)) d',  and  c (speed lag)^2  of a flexible drive; >= 0 for every law but a
-            Kelvin-Voigt one with tension (where damping pulls harder than the spring pushes, N is 0 and the spring's
-            energy counts as lost).
-        edge: -E dg/dt of flanks whose gate g is neither 0 nor 1, of either sign; 0 in service.
-    """
-
+    # Torque that holds the seat's speed, times it; of a flexible drive its torque times the prescribed speed.
     drive: Array
-    hold: Array
-    load: Array
-    axial: Array
+    hold: Array  # torque that turns a fixed cage at the drive's speed, times it; 0 for a free cage
+    load: Array  # load torque times the head's speed
+    axial: Array  # axial load times the head's velocity along its axis
+    # Sum over all faces of  N mu(|u|) |u|  >= 0, u the sliding velocity; of bristles  N traction . u, of either sign,
+    # as it holds what they store, N sigma0 z.z/2, and give back.
     friction: Array
+    # Sum of  (N(d, d') - N(d, 0)) d',  and  c (speed lag)^2  of a flexible drive; >= 0 for every law but a Kelvin-Voigt
+    # one with tension (where damping pulls harder than the spring pushes, N is 0 and the spring's energy counts as
+    # lost).
     damping: Array
-    edge: Array
+    edge: Array  # -E dg/dt of flanks whose gate g is neither 0 nor 1, of either sign; 0 in service
 
     @property
     def lost(self) -> Array:
@@ -61,17 +54,11 @@ class Power(NamedTuple):
 
 
 class Stored(NamedTuple):
-    """Energy [J] in one state.
+    """Energy [J] in one state."""
 
-    Attributes:
-        kinetic: of balls with their spin, cage, head, and the seat where its drive is flexible.
-        elastic: of all contacts.
-        spring: of a flexible drive,  k (lag)^2 / 2.
-    """
-
-    kinetic: Array
-    elastic: Array
-    spring: Array
+    kinetic: Array  # of balls with their spin, cage, head, and the seat where its drive is flexible
+    elastic: Array  # of all contacts
+    spring: Array  # of a flexible drive,  k (lag)^2 / 2
 
     @property
     def total(self) -> Array:

@@ -32,18 +32,13 @@ _TURNS = 4
 
 
 class Statics(NamedTuple):
-    """Normal forces at T instants by contact, (T, balls) or (T,) [N].
+    """Normal forces at T instants by contact, (T, balls) or (T,) [N]."""
 
-    Attributes:
-        kinematic, quasistatic: of the two levels that solve no motion.
-        left_out: what the quasistatic ones lack, to first order.
-        converged: (T,) whether there is an equilibrium.
-    """
-
+    # kinematic, quasistatic: of the two levels that solve no motion.
     kinematic: dict[str, Array]
     quasistatic: dict[str, Array]
-    left_out: dict[str, Array]
-    converged: Array
+    left_out: dict[str, Array]  # what the quasistatic ones lack, to first order
+    converged: Array  # (T,) whether there is an equilibrium
 
 
 def generalised(scene: Joint, problem: Problem, at: Places, ball: Array, coupling: Array) -> Places:

@@ -32,17 +32,11 @@ SHAFTS = ("seat", "head")
 
 
 class Moments(NamedTuple):
-    """In one state.
+    """In one state."""
 
-    Attributes:
-        cage: by contact (3,) moment on the cage in its axes [N m].
-        bearings: by shaft what its bearings exert on it, in the shaft's axes; the couple has no z.
-        secondary: by shaft () secondary couple of the contacts on it [N m].
-    """
-
-    cage: dict[str, Array]
-    bearings: dict[str, Loads]
-    secondary: dict[str, Array]
+    cage: dict[str, Array]  # by contact (3,) moment on the cage in its axes [N m]
+    bearings: dict[str, Loads]  # by shaft what its bearings exert on it, in the shaft's axes; the couple has no z
+    secondary: dict[str, Array]  # by shaft () secondary couple of the contacts on it [N m]
 
 
 def moments(scene: Joint, c: Constants, t: Array, y: Array) -> Moments:

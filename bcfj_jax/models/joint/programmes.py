@@ -39,18 +39,14 @@ _STICK_SLIP = ("stick_ratio", "stick_speed", "stick_width")
 
 
 class Programmes(eqx.Module):
-    """What is not constant.
+    """What is not constant."""
 
-    Attributes:
-        torque, axial, drive: over time; None for a constant axial load, and for a constant speed.
-        stick_slip: whether the torque falls with the head's speed.
-        greatest: by the parameter that scales a table, the greatest of its values, which is the parameter's default.
-    """
-
+    # torque, axial, drive: over time; None for a constant axial load, and for a constant speed.
     torque: Programme = RISE
     axial: Programme | None = None
     drive: Drive | None = None
-    stick_slip: bool = eqx.field(static=True, default=False)
+    stick_slip: bool = eqx.field(static=True, default=False)  # whether the torque falls with the head's speed
+    # By the parameter that scales a table, the greatest of its values, which is the parameter's default.
     greatest: tuple[tuple[str, float], ...] = eqx.field(static=True, default=())
 
     @property

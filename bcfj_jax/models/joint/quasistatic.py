@@ -34,19 +34,14 @@ GROUND = 1e-2
 
 
 class QuasistaticSolution(NamedTuple):
-    """Equilibrium at each of T instants.
+    """Equilibrium at each of T instants."""
 
-    Attributes:
-        states: (T, scene.states) as ``system`` reads them; NaN where not converged. Velocities are the equilibrium's
-            own rates of change; a ball spins as the cage does.
-        converged: (T,) whether Newton's method did; iterations: (T,) evaluations of the forces it took.
-        places: displacements from the zero-clearance position, 0 where not converged; without derivatives.
-    """
-
+    # (T, scene.states) as ``system`` reads them; NaN where not converged. Velocities are the equilibrium's own rates of
+    # change; a ball spins as the cage does.
     states: Array
-    converged: Array
-    iterations: Array
-    places: Places
+    converged: Array  # (T,) whether Newton's method did
+    iterations: Array  # (T,) evaluations of the forces it took
+    places: Places  # displacements from the zero-clearance position, 0 where not converged; without derivatives
 
 
 @partial(jax.jit, static_argnums=(0, 4))

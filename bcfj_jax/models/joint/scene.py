@@ -94,17 +94,13 @@ class JointContact(eqx.Module):
 
 
 class Flat(NamedTuple):
-    """Parts of a flat state or its rate: n balls of k velocities, b coupling coordinates, friction's states and azimuth.
+    """Parts of a flat state or its rate: n balls of k velocities, b coupling coordinates, friction's states and azimuth."""
 
-    Attributes:
-        place: (n, 3), at: (b,) of the coupling; twist: (n, k), rate: (b,); others: the rest.
-    """
-
-    place: Array
-    at: Array
-    twist: Array
-    rate: Array
-    others: Array
+    place: Array  # (n, 3)
+    at: Array  # (b,) of the coupling
+    twist: Array  # (n, k)
+    rate: Array  # (b,)
+    others: Array  # the rest
 
     def whole(self) -> Array:
         """The flat state."""

@@ -24,26 +24,18 @@ RESULTANTS, MOMENTS = "resultants.csv", "moments.csv"
 
 
 class Whole(NamedTuple):
-    """What the joint as a whole does at T instants of a run with inertia.
+    """What the joint as a whole does at T instants of a run with inertia."""
 
-    Attributes:
-        resultants: by contact (T, 3) [N], see ``resultants``.
-        power, stored: flows [W] and stores [J] of energy, (T,) each.
-        cage_residual: (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
-        angle_error: (T,) head's turn less seat's [rad].
-        speed_ratio: (T,) head's speed over seat's [-].
-        rubbed: by contact (T,) power that friction takes [W].
-        moments: ``moments.Moments``; None in a summary made by hand.
-    """
-
-    resultants: dict[str, Array]
+    resultants: dict[str, Array]  # by contact (T, 3) [N], see ``resultants``
+    # power, stored: flows [W] and stores [J] of energy, (T,) each.
     power: energy.Power
     stored: energy.Stored
+    # (T, 3) Newton's law of the cage, ``energy.cage_equilibrium`` [N]; None for a fixed cage.
     cage_residual: Array | None
-    angle_error: Array
-    speed_ratio: Array
-    rubbed: dict[str, Array] = {}
-    moments: Moments | None = None
+    angle_error: Array  # (T,) head's turn less seat's [rad]
+    speed_ratio: Array  # (T,) head's speed over seat's [-]
+    rubbed: dict[str, Array] = {}  # by contact (T,) power that friction takes [W]
+    moments: Moments | None = None  # ``moments.Moments``; None in a summary made by hand
 
 
 def whole(scene: Joint, params: Params, times: Array, states: Array) -> Whole:

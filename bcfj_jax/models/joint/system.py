@@ -125,18 +125,12 @@ def parts(
 
 
 class RelativeMotions(NamedTuple):
-    """The bodies around the balls, m of them: seat, head, cage where there are windows, and again where these have ends.
+    """The bodies around the balls, m of them: seat, head, cage where there are windows, and again where these have ends."""
 
-    Attributes:
-        motion: of the balls relative to them, (balls, m, 3); spins: their angular velocities (m, 3).
-        across: normals of the track planes (balls, 2, 3).
-        parts: contacts that are evaluated together.
-    """
-
-    motion: Motion
-    spins: Array
-    across: Array
-    parts: list[Part]
+    motion: Motion  # of the balls relative to them, (balls, m, 3)
+    spins: Array  # their angular velocities (m, 3)
+    across: Array  # normals of the track planes (balls, 2, 3)
+    parts: list[Part]  # contacts that are evaluated together
 
 
 def shaft_axes(c: Constants, turns: Array) -> tuple[Array, Array]:
