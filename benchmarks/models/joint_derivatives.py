@@ -1,6 +1,6 @@
 """Work and precision of the joint's derivatives: ``jacfwd`` of ``force_history`` beside CVODES and differences.
 
-    python -m benchmarks.models.joint_derivatives [work] [kernel] [batch] [more] [long]    needs ``bench``
+    PJRT_NPROC=1 python -m benchmarks.models.joint_derivatives [work] [kernel] [batch] [more] [long]    needs ``bench``
         writes those parts of results/joint_derivatives.json, docs/images/joint_derivatives.png, tables of
         docs/derivatives.md
 
@@ -10,7 +10,7 @@ its worst parameter among those whose influence is above 1 % of the largest: rel
 compile. ``kernel``: BDF again, with options of XLA that make one kernel of the whole solver, in a process of its own.
 ``batch``: 64 of them at once, whose groove clearances are 0.8 to 1.25 times the joint's. ``more``: a Jacobian by 32
 parameters, and steps. ``long``: the scene's whole 3 s. Seconds are of the process, the least of several runs, for 601
-outputs, programs compiled.
+outputs, programs compiled. PJRT_NPROC leaves XLA one thread, as CVODES has.
 """
 
 from __future__ import annotations

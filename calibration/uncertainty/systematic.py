@@ -26,10 +26,9 @@ from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty.sets import Error
 
-# Step of a fixed value as a share of its tolerance, which is this share of it where none is stated.
-_STEP, _SHARE = 1e-2, 0.01
-# Constants, which are known.
-_KNOWN = ("gravity",)
+# Step of a fixed value as a share of its tolerance, which is this share of it where none is stated: of gravity what places
+# at sea level differ by, 9.780 m/s^2 at the equator and 9.832 at the poles (WGS 84).
+_STEP, _SHARE, _GRAVITY = 1e-2, 0.01, 0.003
 
 
 def every(problem: Problem, at: Optimum, moved: np.ndarray | None = None) -> list[Error]:
@@ -164,9 +163,9 @@ def of_fixed(
         # What may be 0, such as a place where a body starts, has no share of itself.
         own_range = None if name in CATALOGUE else model.scene.quantities.get(name)
         signed = own_range is not None and own_range.low < 0.0
-        if name in free or name in _KNOWN or (known is None and (signed or budget(model).rough)):
+        if name in free or (known is None and (signed or budget(model).rough)):
             continue
-        tolerance = _SHARE * np.abs(own) if known is None else known
+        tolerance = (_GRAVITY if name == "gravity" else _SHARE) * np.abs(own) if known is None else known
         if not np.any(tolerance):
             if known is not None:  # An error that is known not to act.
                 found.append(Error(name, "of itself", 0.0, np.zeros((plain.size, 1))))

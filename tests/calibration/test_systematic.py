@@ -236,6 +236,33 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         assert not systematic.of_sensor(apart, {"gain"})
 
 
+@pytest.mark.full
+def test_gravity_is_known_to_what_places_on_earth_differ_by():
+    """A point's length of swing is in proportion to gravity, whatever its amplitude."""
+    scene = bj.Mechanism(
+        "pendulum",
+        [bj.Body("bob", "hinge", axis="z", mass=1.0, center=("length", 0, 0), inertia=1e-9, start={"angle": 0.4})],
+        loads=[bj.loads.Gravity("x")],
+        own=[bj.Quantity("length", "m", "of the thread", 0.0, open_low=True)],
+        given={"length": 0.5, "gravity": 9.81},
+    )
+    times = np.linspace(0.0, 3.0, 151)
+    read = bj.simulate(scene, scene.parameters(), times, read=["bob.angle"]).readings["bob.angle"]
+    noisy = read + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
+    swing = Problem(
+        scene,
+        scene.parameters(),
+        (Experiment("swing", times, (Channel("bob.angle", noisy, 1e-3),)),),
+        (Free("length", 0.4, 0.6),),
+    )
+    for tolerances, wanted in (({}, 0.003), ({"gravity": 9.81e-4}, 1e-4)):
+        (line,) = (
+            x for x in fit(replace(swing, tolerances=tolerances), starts=4).systematic.lines if x.error == "gravity"
+        )
+        assert line.moves["length"] == pytest.approx(line.amplitude, rel=0.02)
+        assert 0.9 * wanted < line.amplitude < 1.1 * wanted
+
+
 @pytest.mark.slow
 def test_what_may_be_zero_has_no_share_of_itself():
     """A fixed place and speed of a body's start have an error only where it is said; a mass has one."""
