@@ -140,7 +140,7 @@ class _Around(NamedTuple):
     sets: Mixture
 
     def moves(self, i: int) -> np.ndarray:
-        """How far a set leads, in coordinates: what is quoted are as many combinations of these, or one more."""
+        """The shortest move of the coordinates that moves what is quoted as a set does."""
         size = np.maximum(np.linalg.norm(self.lin.rows, axis=1), 1e-300)
         return np.linalg.lstsq(self.lin.rows / size[:, None], self.sets.means[i] / size)[0]
 

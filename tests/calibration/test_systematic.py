@@ -236,6 +236,13 @@ def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
         assert not systematic.of_sensor(apart, {"gain"})
 
 
+def swung(scene, read: str, times: np.ndarray, free: Free) -> Problem:
+    """A reading of a motion without contact, with noise of 1e-3."""
+    seen = bj.simulate(scene, scene.parameters(), times, read=[read]).readings[read]
+    noisy = seen + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
+    return Problem(scene, scene.parameters(), (Experiment("swing", times, (Channel(read, noisy, 1e-3),)),), (free,))
+
+
 @pytest.mark.full
 def test_gravity_is_known_to_what_places_on_earth_differ_by():
     """A point's length of swing is in proportion to gravity, whatever its amplitude."""
@@ -246,15 +253,7 @@ def test_gravity_is_known_to_what_places_on_earth_differ_by():
         own=[bj.Quantity("length", "m", "of the thread", 0.0, open_low=True)],
         given={"length": 0.5, "gravity": 9.81},
     )
-    times = np.linspace(0.0, 3.0, 151)
-    read = bj.simulate(scene, scene.parameters(), times, read=["bob.angle"]).readings["bob.angle"]
-    noisy = read + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
-    swing = Problem(
-        scene,
-        scene.parameters(),
-        (Experiment("swing", times, (Channel("bob.angle", noisy, 1e-3),)),),
-        (Free("length", 0.4, 0.6),),
-    )
+    swing = swung(scene, "bob.angle", np.linspace(0.0, 3.0, 151), Free("length", 0.4, 0.6))
     for tolerances, wanted in (({}, 0.003), ({"gravity": 9.81e-4}, 1e-4)):
         (line,) = (
             x for x in fit(replace(swing, tolerances=tolerances), starts=4).systematic.lines if x.error == "gravity"
@@ -279,15 +278,7 @@ def test_what_may_be_zero_has_no_share_of_itself():
         ],
         given={"place": 0.1, "speed": 0.3, "weight": 1.0, "k": 50.0},
     )
-    times = np.linspace(0.0, 2.0, 101)
-    read = bj.simulate(scene, scene.parameters(), times, read=["b.place.x"]).readings["b.place.x"]
-    noisy = read + 1e-3 * np.random.default_rng(0).standard_normal(times.size)
-    swing = Problem(
-        scene,
-        scene.parameters(),
-        (Experiment("swing", times, (Channel("b.place.x", noisy, 1e-3),)),),
-        (Free("k", 10.0, 200.0),),
-    )
+    swing = swung(scene, "b.place.x", np.linspace(0.0, 2.0, 101), Free("k", 10.0, 200.0))
     for tolerances, wanted in (({}, {"weight"}), ({"place": 1e-3}, {"weight", "place"})):
         found = fit(replace(swing, tolerances=tolerances), starts=4)
         assert {line.error for line in found.systematic.lines} & {"place", "speed", "weight"} == wanted
