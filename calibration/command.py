@@ -14,10 +14,11 @@ from bcfj_jax import InputError
 from bcfj_jax.analysis import plausibility
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.progress import stage
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io import outputs, report, scenefile, tables
 from bcfj_jax.io.growing import Growing
 from bcfj_jax.io.journal import NAME, Journal, key_of
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Rows, Table, Verdict, bounded, brief, percent, span
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Listing, Page, Rows, Table, Verdict, bounded, brief, span
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.stop import heeded
 from bcfj_jax.io.units import format_si

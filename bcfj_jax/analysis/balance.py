@@ -22,8 +22,9 @@ import jax
 import numpy as np
 
 from bcfj_jax.analysis import features
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.page import brief, percent
+from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.solve.extremes import Totals, sampled
 from bcfj_jax.solve.simulation import Run

@@ -320,3 +320,10 @@ def whole(where: str, value: object, least: int = 1, most: int = 1_000_000_000) 
     if isinstance(value, (bool, np.bool_)) or not least <= found <= most:
         raise InputError(where, quoted(value), f"give a whole number from {least} to {most}")
     return found
+
+
+def percent(share: float | None, digits: int = 3, sign: str = "") -> str:
+    """A share in percent, without a power of ten: (0.998, 2) -> "100 %"; "-" where there is none.  sign: "+" for a change."""
+    if share is None or not math.isfinite(share):
+        return "-"
+    return f"{float(f'{100.0 * share:.{digits}g}'):{sign}.{max(digits, 6)}g} %"

@@ -146,8 +146,3 @@ def span(values: Iterable[float], unit: str = "1", digits: int = 3) -> str:
     scale, prefix = engineering([low, high], unit)
     ends = f"{low * scale:.{digits}g} to {high * scale:.{digits}g}"
     return ends if unit == "1" else f"{ends} {prefix.replace('u', 'µ')}{unit}"
-
-
-def percent(share: float | None, digits: int = 3) -> str:
-    """A share in percent; "-" for None and NaN."""
-    return "-" if share is None or not math.isfinite(share) else f"{brief(100.0 * share, '1', digits)} %"

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.quantities import percent
 from calibration.diagnostics.fit_tests import Test
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series
@@ -74,9 +75,9 @@ def law(
         return Answer("consistent", [])
     predicted = max((e["rms_error_of_peak"] for e in (held_out or {}).values()), default=0.0)
     good = miss <= threshold and predicted <= _HELD_OUT * threshold
-    size = f"{what} misses by {100 * miss:.2g} % of the peak (rms)"
-    size += f", and held-out records by {100 * predicted:.2g} %" if held_out else ""
-    limit = f"; up to {100 * threshold:.2g} % is called adequate"
+    size = f"{what} misses by {percent(miss, 2)} of the peak (rms)"
+    size += f", and held-out records by {percent(predicted, 2)}" if held_out else ""
+    limit = f"; up to {percent(threshold, 2)} is called adequate"
     heard = f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"
     return Answer("adequate" if good else "inadequate", [size + limit, *([heard] if loud > _LOUDER else []), *failed])
 

@@ -14,6 +14,7 @@ from scipy import special
 from scipy.integrate import quad
 from scipy.sparse import csr_array
 
+from bcfj_jax.core.quantities import percent
 from calibration.diagnostics.fit_tests import LEVEL, Test
 from calibration.noise.noise_model import OUTLYING
 from calibration.problem import ADEQUATE
@@ -154,7 +155,7 @@ def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residu
         f"{place}, residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
     )
     if p <= LEVEL / 2:
-        reason += f": the model misses a shape ({100 * share:.2g} % of the peak, rms)"
+        reason += f": the model misses a shape ({percent(share, 2)} of the peak, rms)"
     return Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.data.layout import others
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
@@ -50,7 +51,7 @@ def clock_note(clock: np.ndarray) -> str:
     regular = np.delete(steps, jumps(clock))
     rms, most = np.sqrt(np.mean((regular / step - 1.0) ** 2)), np.abs(regular / step - 1.0).max()
     span = f"{clock.size} samples over {format_si(clock[-1] - clock[0], 's', 4)}, every {format_si(step, 's', 4)}"
-    jitter = f"jitter {100 * rms:.2g} % of a step rms, at most {100 * most:.2g} %" if most > 1e-6 else "an even clock"
+    jitter = f"jitter {percent(rms, 2)} of a step rms, at most {percent(most, 2)}" if most > 1e-6 else "an even clock"
     return f"{span}; {jitter}"
 
 

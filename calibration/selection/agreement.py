@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bcfj_jax.io.page import brief, percent
+from bcfj_jax.core.quantities import percent
+from bcfj_jax.io.page import brief
 from calibration.diagnostics.suspects import Found
 from calibration.fit import Fit
 from calibration.forward.runs import contacts

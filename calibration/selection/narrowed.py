@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from bcfj_jax.core.quantities import percent
 from calibration import instrument
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
@@ -43,9 +44,8 @@ class Half(NamedTuple):
     @property
     def said(self) -> str:
         """In words; "" where nothing changes."""
-        text = "+- {:.2g} % to +- {:.2g} %" if self.relative else "+- {:.2g} to +- {:.2g}"
-        size = 100.0 if self.relative else 1.0
-        return text.format(size * self.now, size * self.then) if abs(self.then / self.now - 1.0) > _SAME else ""
+        now, then = (percent(x, 2) if self.relative else f"{x:.2g}" for x in (self.now, self.then))
+        return f"+- {now} to +- {then}" if abs(self.then / self.now - 1.0) > _SAME else ""
 
 
 def narrowed(

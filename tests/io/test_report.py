@@ -16,6 +16,7 @@ from pages import check
 
 from bcfj_jax.analysis.simulation import folder as runs
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io import plots, report
 from bcfj_jax.io.page import (
     BAD,
@@ -30,7 +31,6 @@ from bcfj_jax.io.page import (
     bounded,
     brief,
     from_content,
-    percent,
     span,
 )
 
@@ -215,7 +215,8 @@ def test_numbers_have_three_digits_and_one_unit():
     assert span([29504.0, 29571.0], "N") == "29.5 to 29.6 kN" and span([29.5, 29.51]) == "29.5"
     assert span([0.31, 1.21], "J") == "0.31 to 1.21 J"
     assert span([None, float("nan")], "N") == "-"  # pyright: ignore[reportArgumentType]
-    assert percent(0.012345) == "1.23 %" and percent(None) == "-"
+    assert percent(0.012345) == "1.23 %" and percent(None) == percent(float("nan")) == "-"
+    assert percent(0.998, 2) == "100 %" and percent(-12.3, 2, "+") == "-1200 %" and percent(0.5, 2, "+") == "+50 %"
 
 
 # Folders of runs.

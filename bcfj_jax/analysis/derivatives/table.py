@@ -16,6 +16,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.certificate import AVERAGED, BROKEN, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io.outputs import COMPONENTS
 from bcfj_jax.io.page import Picture, brief
 from bcfj_jax.io.plots import COLOURS, label, panels
@@ -155,13 +156,13 @@ def unknown(found: Sensitivity) -> str:
 def certificate_rows(certificate: Certificate) -> list[list[str]]:
     """The certificate's table: a parameter a row."""
 
-    def percent(x: float) -> str:
-        return "-" if math.isnan(x) else f"{100 * x:.2g} %" if math.isfinite(x) else "unbounded"
+    def share(x: float) -> str:
+        return "unbounded" if math.isinf(x) else percent(x, 2)
 
     rows = [["parameter", "verdict", "pointwise", "averaged", "tangent growth", "breaks down", "remark"]]
     for name, check in certificate.parameters.items():
         grown = "-" if math.isnan(check.growth) else f"{check.growth:.2g}"
-        figures = percent(check.pointwise), percent(check.average), grown, brief(check.breakdown, "s")
+        figures = share(check.pointwise), share(check.average), grown, brief(check.breakdown, "s")
         rows.append([name, check.verdict, *figures, check.remark])
     return rows
 

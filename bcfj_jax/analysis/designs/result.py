@@ -15,7 +15,7 @@ from bcfj_jax.analysis.designs.confirm import Confirmation, Robustness
 from bcfj_jax.analysis.designs.descent import Path as Way
 from bcfj_jax.analysis.designs.space import Space
 from bcfj_jax.core import presented
-from bcfj_jax.core.quantities import Quantity
+from bcfj_jax.core.quantities import Quantity, percent
 from bcfj_jax.io import outputs
 from bcfj_jax.io.page import Picture
 from bcfj_jax.io.plots import COLOURS, label, panels, sheet
@@ -92,7 +92,7 @@ class Design(NamedTuple):
     def change(self) -> str:
         """By how much the objective changed, of its size before: " (-54 %)"; "" where that is unknown."""
         share = (self.after - self.before) / abs(self.before) if self.before else math.nan
-        return f" ({100.0 * share:+.3g} %)" if math.isfinite(share) else ""
+        return f" ({percent(share, 3, '+')})" if math.isfinite(share) else ""
 
     def content(self) -> dict[str, Any]:
         """The design as ``design.json`` has it."""

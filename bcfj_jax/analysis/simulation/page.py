@@ -15,8 +15,9 @@ from bcfj_jax.analysis.plausibility import Finding, headline, judged
 from bcfj_jax.analysis.simulation import pictures, views
 from bcfj_jax.analysis.simulation.views import Turning
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io import report
-from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Rows, Table, Verdict, brief, percent, span
+from bcfj_jax.io.page import BAD, FAIR, GOOD, Page, Picture, Rows, Table, Verdict, brief, span
 from bcfj_jax.io.units import engineering
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.model import AbstractModel, Params

@@ -11,6 +11,7 @@ import numpy as np
 
 from bcfj_jax.analysis import balance, envelope, features, life, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io import outputs, report
 from bcfj_jax.io.page import Table, counted, model_form
 from bcfj_jax.io.scenefile import SceneFile
@@ -76,17 +77,14 @@ def accuracy_sentences(run: Run) -> list[str]:
     lines = []
     for name, errors in measured_errors(accuracy).items():
         worst = float(np.max(list(errors.values())))
-        lines.append(f"{name}: asked {_percent(accuracy.asked, 6)}, measured {_percent(worst, 2)}")
+        measured = percent(worst, 2) if np.isfinite(worst) else "unknown"
+        lines.append(f"{name}: asked {percent(accuracy.asked, 6)}, measured {measured}")
     if np.isfinite(accuracy.agree_until):
         lines.append(
             f"This run and the same at a tenth of its tolerance agree until {format_si(accuracy.agree_until, 's', 4)}: "
             f"then the force of {accuracy.differs} differs by more than {FACTOR:g} times the error asked for."
         )
     return lines
-
-
-def _percent(share: float, digits: int) -> str:
-    return f"{100.0 * share:.{digits}g} %" if np.isfinite(share) else "unknown"
 
 
 def share_of_time(times: np.ndarray, state: np.ndarray) -> dict[str, float]:

@@ -11,8 +11,8 @@ import numpy as np
 
 from bcfj_jax.analysis import features
 from bcfj_jax.analysis.simulation import pictures
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io.outputs import COMPONENTS, channels, force_columns
-from bcfj_jax.io.page import percent
 from bcfj_jax.io.show import Dataset, Told
 from bcfj_jax.io.units import format_si
 from bcfj_jax.mechanism.channels import unit_of

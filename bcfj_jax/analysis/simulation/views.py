@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io.outputs import channels
-from bcfj_jax.io.page import Picture, brief, percent, span
+from bcfj_jax.io.page import Picture, brief, span
 from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, over_time, panels, sheet
 from bcfj_jax.mechanism.model import Chain, Orbit
 from bcfj_jax.mechanism.readings import STATES

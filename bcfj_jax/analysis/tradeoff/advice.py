@@ -18,6 +18,7 @@ from bcfj_jax.analysis.tradeoff.measures import MAIN, worst
 from bcfj_jax.analysis.tradeoff.reference import NOT_ASKED, Reference
 from bcfj_jax.analysis.tradeoff.settings import AS_GIVEN, MODEL, Setting
 from bcfj_jax.analysis.tradeoff.study import OK, Study
+from bcfj_jax.core.quantities import percent
 
 BUDGETS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SAFETY = 2.0
@@ -120,7 +121,7 @@ def doubts(reference: Reference | None) -> list[str]:
         why = f": {certificate['reason']}" if certificate["reason"] else ""
         found.append(
             f"the two references differ by {worst(certificate['errors']):.1e}: budgets below "
-            f"{100 * SAFETY * reference.least_error:.2g} % cannot be tested{why}"
+            f"{percent(SAFETY * reference.least_error, 2)} cannot be tested{why}"
         )
     if reference.slopes is None and certificate["derivatives"]["reason"] != NOT_ASKED:
         found.append(f"no reference for derivatives: {certificate['derivatives']['reason']}")

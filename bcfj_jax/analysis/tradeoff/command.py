@@ -14,6 +14,7 @@ from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
 from bcfj_jax.analysis.tradeoff.settings import MODEL, settings
 from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study, study
 from bcfj_jax.core.progress import stage
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.journal import NAME as JOURNAL
@@ -189,7 +190,7 @@ def recommended_rows(advice: dict[str, Any]) -> Rows:
             rows.append([budget, "-", "-", "-", "-", one["reason"]])
             continue
         fast, wall = one["times_as_fast_as_given"], format_si(one["wall_s"], "s", 3)
-        times, error = f"{fast:.2g} times" if fast else "-", _share(max(one["errors"].values()))
+        times, error = f"{fast:.2g} times" if fast else "-", percent(max(one["errors"].values()), 2)
         rows.append([budget, one["setting"], wall, times, error, one["physics"]])
     return rows
 
@@ -204,11 +205,11 @@ def reference_rows(found: Study) -> Rows:
         asked = method["force_error"]
         how = f"force error {asked:g}, " if asked is not None and np.isfinite(asked) else ""
         rows.append([method["solver"], f"{how}{method['steps']} steps, {format_si(method['wall_s'], 's', 3)}"])
-    rows += [[f"differ by: {name.replace('_', ' ')}", _share(certificate["errors"][name])] for name in NAMES]
+    rows += [[f"differ by: {name.replace('_', ' ')}", percent(certificate["errors"][name], 2)] for name in NAMES]
     slopes = certificate["derivatives"]
     if slopes["methods"]:
         rows.append(["derivatives by", ", ".join(slopes["parameters"])])
-        rows.append([f"{' and '.join(m['solver'] for m in slopes['methods'])} differ by", _share(slopes["error"])])
+        rows.append([f"{' and '.join(m['solver'] for m in slopes['methods'])} differ by", percent(slopes["error"], 2)])
     return rows
 
 
@@ -220,10 +221,10 @@ def model_rows(found: Study) -> Rows:
     rows.sort(key=lambda row: -abs(row["peak_change"]) if np.isfinite(row["peak_change"]) else 1.0)
     head = [["choice", "largest change of a peak", "force rms", "wall", "what differs", "status"]]
     for row in rows:
-        change = f"{row['contact']} {100 * row['peak_change']:+.2g} %" if np.isfinite(row["peak_change"]) else "-"
+        change = f"{row['contact']} {percent(row['peak_change'], 2, '+')}" if np.isfinite(row["peak_change"]) else "-"
         times = row["wall_s"] / own if own else float("nan")
         wall = f"{times:.2g} times" if np.isfinite(times) else "-"
-        head.append([row["setting"], change, _share(row["force_rms_error"]), wall, row["physics"], _status(row)])
+        head.append([row["setting"], change, percent(row["force_rms_error"], 2), wall, row["physics"], _status(row)])
     return head
 
 
@@ -235,7 +236,7 @@ def model_form(found: Study) -> str:
     most = max(rows, key=lambda row: abs(row["peak_change"]))
     return (
         f"{len(rows)} other choices of the model were run beside the given one. They move a peak by up to "
-        f"{100 * abs(most['peak_change']):.2g} % ({most['setting']}: {most['contact']} {100 * most['peak_change']:+.2g} %). "
+        f"{percent(abs(most['peak_change']), 2)} ({most['setting']}: {most['contact']} {percent(most['peak_change'], 2, '+')}). "
         "The errors in the other tables are those of the computation."
     )
 
@@ -249,7 +250,7 @@ def rows_of(rows: Sequence[dict[str, Any]]) -> Rows:
         status = _status(row) + (" (at the reference)" if row["at_reference"] else "")
         walls = (format_si(row[name], "s", 3) for name in ("wall_s", "compile_s"))
         front = "yes" if row["pareto"] else ""
-        table.append([row["setting"], *(_share(row[name]) for name in errors), *walls, front, status])
+        table.append([row["setting"], *(percent(row[name], 2) for name in errors), *walls, front, status])
     return table
 
 
@@ -259,10 +260,6 @@ def _front(rows: Sequence[dict[str, Any]]) -> Rows:
     said = [any(row[k] not in ("-", "") for row in table[1:]) for k in range(len(table[0]))]
     kept = [k for k, head in enumerate(table[0]) if said[k] and head not in ("compile", "front")]
     return [[row[k] for k in kept] for row in table]
-
-
-def _share(value: float | None) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.2g} %"
 
 
 def picture(study: Study, advice: Mapping[str, Mapping[str, Any]], path: Path, title: str) -> Picture:

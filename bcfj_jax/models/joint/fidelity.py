@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from bcfj_jax.core.quantities import percent
 from bcfj_jax.mechanism.model import Choice, Params
 from bcfj_jax.models.joint import periodic
 from bcfj_jax.models.joint.model_error import Statics, statics
@@ -133,7 +134,7 @@ def adaptive(
         spent.append(seconds)
         for name, error in estimates.items():
             if error <= budget:
-                reason = f"what it leaves out changes the forces by {_percent(error)}, within {_percent(budget)}"
+                reason = f"what it leaves out changes the forces by {percent(error, 2)}, within {percent(budget, 2)}"
                 return chosen(run(resolved(scene, name), times), name, reason)
     motion = resolved(scene, "dynamic")
     ends = [periodic.risen(scene, params, count * scene.pitches) for count in _PITCHES]
@@ -151,9 +152,7 @@ def adaptive(
             periodic.mismatch(motion, params, folded, short.force, short.trajectory).values()
         )
         if errors["periodic"] <= enough:
-            reason = (
-                f"the last pitch repeats the one before to {_percent(errors['periodic'])}, within {_percent(enough)}"
-            )
+            reason = f"the last pitch repeats the one before to {percent(errors['periodic'], 2)}, within {percent(enough, 2)}"
             return chosen(_unfolded(motion, params, times, folded, short), "periodic", reason)
         spent.append(short.stats)
     if not ends:
@@ -161,7 +160,9 @@ def adaptive(
         return chosen(run(motion, times), "dynamic", reason)
     # At as many times as the short runs: the same program.
     folded = periodic.fold(scene, params, times, ends[0], whole=True)
-    reason = f"the last pitch repeats the one before to {_percent(errors['periodic'])}, more than {_percent(enough)}"
+    reason = (
+        f"the last pitch repeats the one before to {percent(errors['periodic'], 2)}, more than {percent(enough, 2)}"
+    )
     return chosen(_unfolded(motion, params, times, folded, run(motion, folded.times)), "dynamic", reason)
 
 
@@ -173,7 +174,3 @@ def _unfolded(scene: Joint, params: Params, times: np.ndarray, folded: periodic.
     }
     trajectory = periodic.unfolded_states(scene, params, folded, run.trajectory)
     return run._replace(times=times, trajectory=trajectory, **parts)
-
-
-def _percent(error: float) -> str:
-    return f"{100.0 * error:.2g} %"
