@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bcfj_jax import InputError, nearest
-from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.core.quantities import GRAVITY, rounded
 from bcfj_jax.data.readers import sheets
 from bcfj_jax.data.reading import read, tables
 from bcfj_jax.data.record import RUN_COLUMNS
@@ -233,7 +233,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:
         said_of.append(
-            f"CHECK: the impulse of this contact is {1.0 / s.doubt:.2g} deviations of the noise: the record may show none"
+            f"CHECK: the impulse of this contact is {rounded(1.0 / s.doubt)} deviations of the noise: the record may show none"
         )
     elif ratio + doubt <= 0.95 or ratio - doubt >= 2.05:
         wrong = "and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"

@@ -322,8 +322,11 @@ def whole(where: str, value: object, least: int = 1, most: int = 1_000_000_000) 
     return found
 
 
+def rounded(value: float, digits: int = 2, sign: str = "") -> str:
+    """A number of few digits, without a power of ten below a million: (123.0, 2) -> "120".  sign: "+" for a change."""
+    return f"{float(f'{value:.{digits}g}'):{sign}.{max(digits, 6)}g}"
+
+
 def percent(share: float | None, digits: int = 3, sign: str = "") -> str:
-    """A share in percent, without a power of ten: (0.998, 2) -> "100 %"; "-" where there is none.  sign: "+" for a change."""
-    if share is None or not math.isfinite(share):
-        return "-"
-    return f"{float(f'{100.0 * share:.{digits}g}'):{sign}.{max(digits, 6)}g} %"
+    """A share in percent, as ``rounded``: (0.998, 2) -> "100 %"; "-" where there is none."""
+    return "-" if share is None or not math.isfinite(share) else f"{rounded(100.0 * share, digits, sign)} %"

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from calibration.diagnostics.fit_tests import Test
 from calibration.diagnostics.records import Record
 from calibration.diagnostics.residual_tests import Series
@@ -78,7 +78,7 @@ def law(
     size = f"{what} misses by {percent(miss, 2)} of the peak (rms)"
     size += f", and held-out records by {percent(predicted, 2)}" if held_out else ""
     limit = f"; up to {percent(threshold, 2)} is called adequate"
-    heard = f"residuals in contact are {loud:.2g} times what the sensor scatters before contact"
+    heard = f"residuals in contact are {rounded(loud)} times what the sensor scatters before contact"
     return Answer("adequate" if good else "inadequate", [size + limit, *([heard] if loud > _LOUDER else []), *failed])
 
 

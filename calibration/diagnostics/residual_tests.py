@@ -14,7 +14,7 @@ from scipy import special
 from scipy.integrate import quad
 from scipy.sparse import csr_array
 
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from calibration.diagnostics.fit_tests import LEVEL, Test
 from calibration.noise.noise_model import OUTLYING
 from calibration.problem import ADEQUATE
@@ -258,5 +258,6 @@ def _matched(first: float, second: float, third: float) -> float:
 def _memory_test(series: list[Series]) -> Test:
     """Whether the noise forgets faster than a contact lasts: a slow error looks like a wrong shape."""
     worst = max((s.memory / s.longest for s in series if s.declared), default=0.0)
-    reason = f"residuals keep their sign for {worst:.2g} times as long as a contact lasts: a shape that the model misses does so"
+    reason = f"residuals keep their sign for {rounded(worst)} times as long as a contact lasts"
+    reason += ": a shape that the model misses does so"
     return Test("memory of the noise", worst, LONGEST_MEMORY, worst <= LONGEST_MEMORY, reason)

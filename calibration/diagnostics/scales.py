@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from bcfj_jax.core.quantities import rounded
 from bcfj_jax.mechanism.channels import quantity_of, unit_of
 from calibration.forward.model import Model, evaluation
 from calibration.problem import NUISANCES
@@ -161,7 +162,7 @@ def _shared(axes: _Axes, moves: np.ndarray, kept: list[int]) -> list[tuple[str, 
 
 
 def _moves(moves: list[tuple[str, float]]) -> str:
-    named = [f"{name} by {share:+.2g} %" for name, share in moves if abs(share) > _NAMED]
+    named = [f"{name} by {rounded(share, 2, '+')} %" for name, share in moves if abs(share) > _NAMED]
     return ", ".join(named) or "no estimate by 0.05 %"
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.quantities import rounded
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import format_si
 from calibration.impacts.events import contacts, quantity, rest, told
@@ -97,7 +98,7 @@ def unheard(record: Prepared) -> str:
     above = abs(float(np.sum(values[seen][inside] - (rest(values[seen]) or 0.0))))
     if not noise > 0.0 or above >= _HEARD * noise:
         return ""
-    return f"{record.name}: {observes} may show no contact: its largest is {above / noise:.2g} deviations of the noise"
+    return f"{record.name}: {observes} may show no contact: its largest is {rounded(above / noise)} deviations of the noise"
 
 
 def speeds(seen: Sequence[tuple[Prepared, float]]) -> tuple[str, float, float]:

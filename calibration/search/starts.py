@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.core.quantities import rounded
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.stop import check
 from calibration.forward.model import Model, build
@@ -141,8 +142,9 @@ def _lost(followed: np.ndarray, shares: tuple[float, float]) -> str:
     """Up to where records are fitted, and why no farther."""
     times = sorted({f"{t:.3g}" for t in followed}, key=float)
     upto = times[0] if len(times) == 1 else f"{times[0]} to {times[-1]}"
+    more = rounded(shares[1] / max(shares[0], 1e-300))
     return (
-        f"records are fitted up to {upto} s: farther on a sample costs {shares[1] / max(shares[0], 1e-300):.2g} times as much. "
+        f"records are fitted up to {upto} s: farther on a sample costs {more} times as much. "
         "Where a body that tumbles falls next hangs on all its contacts before: a little change of the law or of a first state "
         "leads elsewhere. What helps: records that begin between two contacts"
     )

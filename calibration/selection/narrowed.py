@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from calibration import instrument
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
@@ -44,7 +44,7 @@ class Half(NamedTuple):
     @property
     def said(self) -> str:
         """In words; "" where nothing changes."""
-        now, then = (percent(x, 2) if self.relative else f"{x:.2g}" for x in (self.now, self.then))
+        now, then = (percent(x, 2) if self.relative else rounded(x) for x in (self.now, self.then))
         return f"+- {now} to +- {then}" if abs(self.then / self.now - 1.0) > _SAME else ""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.extras import library
+from bcfj_jax.core.quantities import rounded
 from bcfj_jax.mechanism.channels import unit_of
 from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
@@ -182,7 +183,7 @@ def of_spanning(at: Optimum, parameters: dict[str, Parameter]) -> list[str]:
     """Of intervals to quote that span more than a factor of two."""
     log = {name for name, axis in zip(at.labels, at.model.coordinates, strict=True) if axis.log}
     wide = {n: p.ci95[1] / p.ci95[0] for n, p in parameters.items() if n in log and p.ci95 and p.ci95[0] > 0.0}
-    wide = [f"{n} (a factor of {x:.2g} from end to end)" for n, x in wide.items() if x > fit_tests.WIDEST_FACTOR]
+    wide = [f"{n} (a factor of {rounded(x)} from end to end)" for n, x in wide.items() if x > fit_tests.WIDEST_FACTOR]
     return [f"{SPANNING} {' and '.join(wide)}"] if wide else []
 
 
@@ -200,4 +201,4 @@ def of_overstated(series: list[Series], residuals: np.ndarray) -> list[str]:
     """Of noise that was stated larger than residuals show."""
     worst = min((np.sqrt(np.mean(residuals[s.rows] ** 2)) for s in series if overstated(s, residuals)), default=1.0)
     said = "it was stated too large, and intervals use what residuals show"
-    return [f"residuals are {worst:.2g} times the stated noise: {said}"] if worst < 1.0 else []
+    return [f"residuals are {rounded(worst)} times the stated noise: {said}"] if worst < 1.0 else []

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
@@ -64,7 +64,7 @@ class Line(NamedTuple):
     def limit(self) -> str:
         """The amplitude in words; of a resonance the frequency."""
         if self.error.startswith("resonance"):
-            return f"{1.0 / (2.0 * np.pi * np.sqrt(self.amplitude)):.2g} oscillations in a contact's duration"
+            return f"{rounded(1.0 / (2.0 * np.pi * np.sqrt(self.amplitude)))} oscillations in a contact's duration"
         return f"{percent(self.amplitude, 2)} {self.unit}"
 
     @property

@@ -16,7 +16,7 @@ from pages import check
 
 from bcfj_jax.analysis.simulation import folder as runs
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from bcfj_jax.io import plots, report
 from bcfj_jax.io.page import (
     BAD,
@@ -217,6 +217,8 @@ def test_numbers_have_three_digits_and_one_unit():
     assert span([None, float("nan")], "N") == "-"  # pyright: ignore[reportArgumentType]
     assert percent(0.012345) == "1.23 %" and percent(None) == percent(float("nan")) == "-"
     assert percent(0.998, 2) == "100 %" and percent(-12.3, 2, "+") == "-1200 %" and percent(0.5, 2, "+") == "+50 %"
+    assert [rounded(x) for x in (123.4, -0.0123, 1.23e-9, 0.0)] == ["120", "-0.012", "1.2e-09", "0"]
+    assert rounded(17.0, 1, "+") == "+20"
 
 
 # Folders of runs.

@@ -16,7 +16,7 @@ import numpy as np
 from bcfj_jax.analysis.derivatives.certificate import AVERAGED, BROKEN, LEAST, NOT, TRUSTED, Certificate, of_feature
 from bcfj_jax.analysis.derivatives.names import feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Sensitivity
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from bcfj_jax.io.outputs import COMPONENTS
 from bcfj_jax.io.page import Picture, brief
 from bcfj_jax.io.plots import COLOURS, label, panels
@@ -103,14 +103,14 @@ def _cell(elasticity: float, apart: float) -> str:
     if math.isnan(apart):
         return f"{elasticity:+.3g}"
     if math.isinf(apart):
-        return f"({elasticity:+.1g} ±?)"
+        return f"({rounded(elasticity, 1, '+')} ±?)"
     verdict, small = of_feature(apart), abs(elasticity) < LEAST
     if verdict == TRUSTED:
         return f"{elasticity:+.3g}" if not small else "0" if abs(elasticity) < 1e-4 else f"{elasticity:+.4f}"
     error = f"±{apart * LEAST:.4f}" if small else f"±{100 * apart:.0f} %"
     if verdict == AVERAGED:
-        return f"{elasticity:+.4f} {error}" if small else f"{elasticity:+.2g} {error}"
-    return f"({elasticity:+.3f} {error})" if small else f"({elasticity:+.1g} {error})"
+        return f"{elasticity:+.4f} {error}" if small else f"{rounded(elasticity, 2, '+')} {error}"
+    return f"({elasticity:+.3f} {error})" if small else f"({rounded(elasticity, 1, '+')} {error})"
 
 
 def drivers(found: Sensitivity) -> list[str]:
@@ -133,9 +133,9 @@ def drivers(found: Sensitivity) -> list[str]:
         first, *others = np.argsort(-size, kind="stable")
         if size[first] <= 0.0:
             continue
-        text = f"{ranked.parameters[first]} drives {kind}{name}: {row[first]:+.2g} % per %"
+        text = f"{ranked.parameters[first]} drives {kind}{name}: {rounded(row[first], 2, '+')} % per %"
         if others and size[others[0]] > 0.0:
-            text += f", then {ranked.parameters[others[0]]}: {row[others[0]]:+.2g}"
+            text += f", then {ranked.parameters[others[0]]}: {rounded(row[others[0]], 2, '+')}"
         unsure = math.isfinite(apart[first]) and of_feature(float(apart[first])) == NOT
         sentences.append(text + (", a size only: not known within 10 %" if unsure else ""))
     return sentences
@@ -161,7 +161,7 @@ def certificate_rows(certificate: Certificate) -> list[list[str]]:
 
     rows = [["parameter", "verdict", "pointwise", "averaged", "tangent growth", "breaks down", "remark"]]
     for name, check in certificate.parameters.items():
-        grown = "-" if math.isnan(check.growth) else f"{check.growth:.2g}"
+        grown = "-" if math.isnan(check.growth) else rounded(check.growth)
         figures = share(check.pointwise), share(check.average), grown, brief(check.breakdown, "s")
         rows.append([name, check.verdict, *figures, check.remark])
     return rows
@@ -216,14 +216,14 @@ def tornado(ranked: Ranking, path: Path) -> Picture:
             order = np.argsort(np.abs(line), kind="stable")
             colours = [COLOURS[0] if line[k] >= 0 else COLOURS[1] for k in order]
             bars = axis.barh([ranked.parameters[k] for k in order], line[order], color=colours)
-            axis.bar_label(bars, [f"{line[k]:+.2g}" for k in order], padding=3, fontsize=8)
+            axis.bar_label(bars, [rounded(line[k], 2, "+") for k in order], padding=3, fontsize=8)
             axis.set_axisbelow(True)
             axis.margins(x=0.16)
             axis.axvline(0.0, color=COLOURS[5], linewidth=0.8)
             axis.set_title(ranked.features[row])
             axis.set_xlabel("change [% per % of the parameter]")
             strongest = ranked.parameters[order[-1]]
-            said.append(f"{ranked.features[row]} most by {strongest} ({line[order[-1]]:+.2g} % per %)")
+            said.append(f"{ranked.features[row]} most by {strongest} ({rounded(line[order[-1]], 2, '+')} % per %)")
     if not said:
         return Picture(path.name, title, "No feature has a derivative that is known within 10 %.")
     return Picture(path.name, title, f"Change of each feature per 1 % of each parameter: {'; '.join(said)}.")

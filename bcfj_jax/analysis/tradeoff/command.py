@@ -14,7 +14,7 @@ from bcfj_jax.analysis.tradeoff.measures import NAMES, worst
 from bcfj_jax.analysis.tradeoff.settings import MODEL, settings
 from bcfj_jax.analysis.tradeoff.study import COLUMNS, NO_TIME, OK, Study, study
 from bcfj_jax.core.progress import stage
-from bcfj_jax.core.quantities import percent
+from bcfj_jax.core.quantities import percent, rounded
 from bcfj_jax.io import outputs, plots, report
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.journal import NAME as JOURNAL
@@ -190,7 +190,7 @@ def recommended_rows(advice: dict[str, Any]) -> Rows:
             rows.append([budget, "-", "-", "-", "-", one["reason"]])
             continue
         fast, wall = one["times_as_fast_as_given"], format_si(one["wall_s"], "s", 3)
-        times, error = f"{fast:.2g} times" if fast else "-", percent(max(one["errors"].values()), 2)
+        times, error = f"{rounded(fast)} times" if fast else "-", percent(max(one["errors"].values()), 2)
         rows.append([budget, one["setting"], wall, times, error, one["physics"]])
     return rows
 
@@ -223,7 +223,7 @@ def model_rows(found: Study) -> Rows:
     for row in rows:
         change = f"{row['contact']} {percent(row['peak_change'], 2, '+')}" if np.isfinite(row["peak_change"]) else "-"
         times = row["wall_s"] / own if own else float("nan")
-        wall = f"{times:.2g} times" if np.isfinite(times) else "-"
+        wall = f"{rounded(times)} times" if np.isfinite(times) else "-"
         head.append([row["setting"], change, percent(row["force_rms_error"], 2), wall, row["physics"], _status(row)])
     return head
 
