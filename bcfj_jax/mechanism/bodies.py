@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
@@ -218,12 +218,17 @@ class Body(eqx.Module):
 
     def __check_init__(self):
         where = sizes.checked_name("body", self.name)
+        sizes.check_fields(where, self)
         if self.joint not in JOINTS:
             raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
         if self.parent == self.name:
             raise InputError(f"{where} parent", "the body is its own parent", f"give another body, or '{GROUND}'")
         sizes.axis(self.axis, f"{where} axis")
         self._check_inertia(where)
+        if not isinstance(self.drive, Drive | None):
+            raise InputError(
+                f"{where} drive", f"{quoted(self.drive)} is no drive", 'give bj.Drive("constant", speed=2.0)'
+            )
         if self.drive is not None and self.joint not in ("slide", "hinge"):
             found = f"a drive moves one coordinate, and the joint '{self.joint}' has {len(JOINTS[self.joint])}"
             raise InputError(f"{where} drive", found, "drive a slide or a hinge")
@@ -249,8 +254,8 @@ class Body(eqx.Module):
     def _check_inertia(self, where: str) -> None:
         if not isinstance(self.inertia, tuple):
             return
-        if len(self.inertia) not in (3, 6):
-            found = f"{len(self.inertia)} numbers {list(self.inertia)}"
+        if len(self.inertia) not in (3, 6) or any(isinstance(x, tuple) for x in self.inertia):
+            found = f"{len(self.inertia)} numbers or rows {list(self.inertia)}"
             remedy = "give one number, three about the body's axes, or six: xx, yy, zz, xy, yz, zx"
             raise InputError(f"{where} inertia", found, remedy)
         if all(isinstance(x, (int, float)) for x in self.inertia):

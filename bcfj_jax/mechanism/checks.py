@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import SphereInSocket, SphereOnSphere
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, nearest, quoted
 from bcfj_jax.core.numerics import is_traced, positive
 from bcfj_jax.core.vectors import length, spread
 from bcfj_jax.mechanism import inputs
@@ -21,7 +21,7 @@ from bcfj_jax.mechanism.bodies import GROUND, principal, refuse_impossible
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import LOADS, CoordinateLoad, Spring, checked
 from bcfj_jax.mechanism.scales import expected
-from bcfj_jax.mechanism.sizes import Params, nothing
+from bcfj_jax.mechanism.sizes import Params, check_fields, nothing
 from bcfj_jax.xla import programs
 
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
@@ -37,9 +37,10 @@ _SPHERE, _FREE = "sphere: its rotation is not computed", "give it joint = 'free'
 
 def check_structure(scene: Dynamics) -> None:
     """Refuse bodies, contacts and loads that do not make a mechanism."""
-    where = f"mechanism '{scene.kind}'"
+    where = f"mechanism {quoted(scene.kind)}"
     if not scene.bodies:
         raise InputError(where, "has no bodies", "list at least one")
+    check_fields(where, scene)
     for load in scene.loads:
         checked(f"{where} load", load)
     _check_tree(scene, where)

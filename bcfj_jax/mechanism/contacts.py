@@ -95,8 +95,7 @@ class Contact(eqx.Module):
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
         where = sizes.checked_name("contact", self.name)
-        if len(self.between) != 2:
-            raise InputError(f"{where} between", f"{list(self.between)}", "give the names of two bodies")
+        sizes.check_fields(where, self)
         if self.between[0] == self.between[1]:
             raise InputError(f"{where} between", f"'{self.between[0]}' with itself", "give two different bodies")
         if not isinstance(self.gap, AbstractGap):

@@ -7,7 +7,7 @@ beside (``mechanism.mechanism``) is worked out from this by the other modules of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -52,9 +52,13 @@ class Dynamics(AbstractModel):
 
     kind: str = eqx.field(static=True)
     # Static, as functions within them are: a model has no leaves, and goes through every transformation as it is.
-    bodies: tuple[Body, ...] = eqx.field(static=True, converter=tuple)
-    contacts: tuple[Contact, ...] = eqx.field(static=True, converter=tuple, default=())
-    loads: tuple[AbstractLoad, ...] = eqx.field(static=True, converter=lambda x: tuple(map(kept, x)), default=())
+    bodies: tuple[Body, ...] = eqx.field(static=True, converter=partial(sizes.parts, "bodies", Body))
+    contacts: tuple[Contact, ...] = eqx.field(
+        static=True, converter=partial(sizes.parts, "contacts", Contact), default=()
+    )
+    loads: tuple[AbstractLoad, ...] = eqx.field(
+        static=True, converter=lambda x: tuple(map(kept, sizes.parts("loads", object, x))), default=()
+    )
     own: tuple[tuple[Quantity, Any], ...] = eqx.field(static=True, converter=lambda x: quantities("own", x), default=())
     given: tuple[tuple[str, float], ...] = eqx.field(static=True, converter=lambda x: _sorted(x), default=())
     end: Any = sizes.field("end", default=1.0)
@@ -522,5 +526,6 @@ def _alike(m: Dynamics) -> tuple[tuple[str, ...], ...]:
 
 
 def _sorted(values: Any) -> tuple[tuple[str, Any], ...]:
-    items = values.items() if isinstance(values, Mapping) else values
-    return tuple((name, arrays.number(f"given {name}", value)) for name, value in items)
+    return tuple(
+        (name, arrays.number(f"given {name}", value)) for name, value in sizes.by_name("mechanism given", values)
+    )

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from bcfj_jax.contact.part import checked as checked_part
 from bcfj_jax.contact.part import of
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, nearest, quoted, texts
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import (
     Number,
@@ -275,7 +275,9 @@ class Load(AbstractLoad):
 
     name: str = eqx.field(static=True)
     function: Callable[[Array, Moving, Params], list[Action]]
-    bodies: tuple[str, ...] = eqx.field(static=True, default=())
+    bodies: tuple[str, ...] = eqx.field(
+        static=True, default=(), converter=lambda x: texts("load bodies", x, "give names of bodies")
+    )
     quantities: tuple[tuple[Quantity, Any], ...] = eqx.field(
         static=True, default=(), converter=lambda x: quantities("quantities", x)
     )
@@ -319,6 +321,7 @@ def kept(load: Any) -> Any:
     """A load as a mechanism keeps it; what is no load stays as it is."""
     if not isinstance(load, AbstractLoad):
         return load
+    sizes.check_fields(f"load {quoted(load.name)}", load)
     return arrays.kept(f"load {quoted(load.name)}", load, HeldLoad)
 
 

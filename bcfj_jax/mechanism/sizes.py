@@ -72,8 +72,70 @@ def checked_name(what: str, name: Any) -> str:
 
 def items(where: str, given: Any) -> tuple[tuple[str, Size], ...]:
     """Sizes by name, as ``plain``."""
-    pairs = given.items() if isinstance(given, Mapping) else given
-    return tuple((key, plain(f"{where} {key}", size)) for key, size in pairs)
+    return tuple((key, plain(f"{where} {key}", size)) for key, size in by_name(where, given))
+
+
+def by_name(where: str, given: Any) -> list[tuple[str, Any]]:
+    """What was given by names: a table of Python's, or pairs."""
+    found = given.items() if isinstance(given, Mapping) else given
+    pairs: list[Any] = list(found) if isinstance(found, Iterable) and not isinstance(found, str) else [found]
+    if not all(isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) for one in pairs):
+        raise InputError(where, f"{quoted(given)} is no table by names", 'give values by names: {"name": value}')
+    return pairs
+
+
+def parts(what: str, kind: type[Any], given: Any) -> tuple[Any, ...]:
+    """The bodies, contacts or loads of a mechanism, from any sequence of them."""
+    where, remedy = f"mechanism {what}", 'give bj.Mechanism("name", [bodies], [contacts], [loads])'
+    if not isinstance(given, Iterable) or isinstance(given, (str, Mapping)):
+        raise InputError(where, f"{quoted(given)} is no list", remedy)
+    found = tuple(given)
+    for one in found:
+        if not isinstance(one, kind):
+            raise InputError(where, f"{quoted(one)} is no {kind.__name__.lower()}", remedy)
+    return found
+
+
+def _is_size(x: Any) -> bool:
+    return x is None or callable(x) or (isinstance(x, (int, float, str)) and not isinstance(x, bool))
+
+
+def _is_place(x: Any) -> bool:
+    return isinstance(x, tuple) and len(x) == 3 and all(map(_is_size, x))
+
+
+_BOOL = (bool, np.bool_)
+# By the annotation of a part's field, as it is or as a text: what may stand there, and what to give.
+_FIELDS: dict[Any, tuple[Callable[[Any], bool], str]] = {
+    Size: (_is_size, "give a number in SI units, the name of a parameter, or a function of the parameters"),
+    Place: (_is_place, "give three numbers [m] or names of parameters: (0.0, 0.0, 0.01)"),
+    tuple[Place, Place]: (
+        lambda x: isinstance(x, tuple) and len(x) == 2 and all(map(_is_place, x)),
+        "give a place in each body's axes: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.01))",
+    ),
+    tuple[str, str]: (
+        lambda x: len(x) == 2 and all(isinstance(one, str) for one in x), "give the names of two bodies",
+    ),
+    str: (lambda x: isinstance(x, str), "give a text"),
+    bool: (lambda x: isinstance(x, _BOOL), "give True or False"),
+    bool | None: (lambda x: x is None or isinstance(x, _BOOL), "give True, False or None"),
+}  # fmt: skip
+_NAMED = {"Size": Size, "Place": Place, "tuple[Place, Place]": tuple[Place, Place], "tuple[str, str]": tuple[str, str]}
+_NAMED |= {"str": str, "bool": bool, "bool | None": bool | None}
+
+
+def check_fields(where: str, part: Any) -> None:
+    """Refuse a field of a part that cannot be what its annotation says."""
+    for one in dataclasses.fields(part):
+        value, kind, place = getattr(part, one.name), str(one.type), f"{where} {one.name}"
+        fits, remedy = _FIELDS.get(_NAMED.get(kind, one.type), (lambda x: True, ""))
+        if kind.startswith(("Callable[", "collections.abc.Callable[")):
+            fits, remedy = lambda x, kind=kind: callable(x) or (x is None and "None" in kind), "give a function"
+        if not fits(value):
+            named = [x.name for x in (value if isinstance(value, tuple) else (value,)) if hasattr(x, "name")]
+            raise InputError(place, quoted(value), f"give its name, '{named[0]}'" if named else remedy)
+        if one.name == "direction":
+            axis(value, place)
 
 
 def given(part: Any) -> list[Any]:

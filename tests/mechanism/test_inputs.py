@@ -226,3 +226,49 @@ def test_programs_run_where_jit_is_disabled():
     with jax.disable_jit():
         found = bj.simulate(scene, scene.parameters(), times)
     np.testing.assert_array_equal(found.force["contact"], usual.force["contact"])
+
+
+_BALL = bj.Body("ball", "slide", axis="x", mass=1.0)
+_TOUCH = bj.Contact("touch", ("ground", "ball"), bj.gaps.SphereOnPlane())
+
+
+def _body(**more):
+    return bj.Body("ball", "slide", **{"axis": "x", "mass": 1.0, **more})
+
+
+def _contact(**more):
+    return bj.Contact("touch", gap=bj.gaps.SphereOnPlane(), **{"between": ("ground", "ball"), **more})
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: bj.Mechanism([_BALL], [_TOUCH]), r"mechanism bodies: Contact.* is no body; give bj.Mechanism\(\"name\","),
+        (lambda: bj.Mechanism("m", _BALL, [_TOUCH]), "mechanism bodies: Body.* is no list"),
+        (lambda: bj.Mechanism("m", {"ball": _BALL}), "mechanism bodies: .* is no list"),
+        (lambda: bj.Mechanism("m", [_BALL], None), "mechanism contacts: None is no list"),
+        (lambda: bj.Mechanism("m", [_BALL], [bj.loads.Gravity()]), "mechanism contacts: Gravity.* is no contact"),
+        (lambda: bj.Mechanism("m", [_BALL], [], bj.loads.Gravity()), "mechanism loads: Gravity.* is no list"),
+        (lambda: bj.Mechanism(3, [_BALL]), "mechanism 3 kind: 3; give a text"),
+        (lambda: bj.Mechanism("m", [_BALL], given=3), "mechanism given: 3 is no table by names"),
+        (lambda: bj.Mechanism("m", [_BALL], implicit="yes"), "implicit: 'yes'; give True, False or None"),
+        (lambda: bj.Mechanism("m", [_BALL], scale=3), "scale: 3; give a function"),
+        (lambda: _body(mass=[1.0]), "body 'ball' mass: .*; give a number in SI units"),
+        (lambda: _body(mass=True), "body 'ball' mass: True; give a number in SI units"),
+        (lambda: _body(start=[0.0, 1.0]), "body start: .* is no table by names"),
+        (lambda: _body(at=3), "body 'ball' at: 3; give three numbers"),
+        (lambda: _body(inertia=np.eye(3)), "body 'ball' inertia: 3 numbers or rows"),
+        (lambda: _body(parent=_BALL), "body 'ball' parent: .*; give its name, 'ball'"),
+        (lambda: _body(drive="ramp"), "body 'ball' drive: 'ramp' is no drive; give bj.Drive"),
+        (lambda: _contact(at=(0.0, 0.0, 0.0)), "contact 'touch' at: .*; give a place in each body's axes"),
+        (lambda: _contact(between="ball"), "contact 'touch' between: .*; give the names of two bodies"),
+        (lambda: _contact(values=[1.0]), "contact values: .* is no table by names"),
+        (lambda: bj.Mechanism("m", [_BALL], [], [bj.loads.Gravity(9.81)]), "direction: axis 9.81 is not a direction"),
+        (lambda: bj.Mechanism("m", [_BALL], [], [bj.loads.Force("push", _BALL)]), "body: .*; give its name, 'ball'"),
+        (lambda: bj.Mechanism("m", [_BALL], [], [bj.loads.Force("push", "ball", "up")]), "direction: no axis 'up'"),
+        (lambda: bj.Mechanism("m", [_BALL], [], [bj.Load("push", 3)]), "load 'push' function: 3; give a function"),
+    ],
+)  # fmt: skip
+def test_parts_that_are_none_say_where_and_what_would_be_right(made, said):
+    with pytest.raises(bj.InputError, match=f"(?s){said}"):
+        made()
