@@ -27,6 +27,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
 from bcfj_jax.contact.part import Part
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
+from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import bisected, positive, smooth_ramp, smooth_step
 
 # Gap [m] over which a contact forgets what it remembered while it touched.
@@ -373,10 +374,12 @@ def regularised_force(law: AbstractLaw, penetration: Array, rate: Array, c: Coef
         law, penetration, rate, c: as ``AbstractLaw.force``.
         width: half-width w [m] of the regularisation, >= 0; None takes the smoothing out of the program.
     """
-    if width is None:
-        return law.force(penetration, rate, c)
-    ramp, slope = smooth_ramp(penetration, width)
-    return slope * law.force(ramp, rate, c)
+    ramp, slope = (penetration, 1.0) if width is None else smooth_ramp(penetration, width)
+    found = law.force(ramp, rate, c)
+    if jnp.shape(found) not in ((), jnp.shape(ramp)):
+        seen = f"a force of shape {jnp.shape(found)} for a penetration of shape {jnp.shape(ramp)}"
+        raise InputError(f"law {type(law).__name__}", seen, "return one force [N] for each penetration")
+    return found if width is None else slope * found
 
 
 def regularised_rates(

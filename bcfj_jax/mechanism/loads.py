@@ -355,6 +355,10 @@ def checked_action(where: str, given: Any, bodies: Mapping[str, Part]) -> Action
         raise InputError(where, f"{quoted(given)} is no Action", remedy)
     if given.body not in bodies:
         raise InputError(where, f"acts on {quoted(given.body)}, which is no body", nearest(str(given.body), bodies))
+    for key in ("force", "at", "torque"):
+        value = getattr(given, key)
+        if not hasattr(value, "__len__") or len(value) != 3:
+            raise InputError(where, f"an Action with {key} = {quoted(value)}", "give its three components")
     return given
 
 

@@ -272,3 +272,25 @@ def _contact(**more):
 def test_parts_that_are_none_say_where_and_what_would_be_right(made, said):
     with pytest.raises(bj.InputError, match=f"(?s){said}"):
         made()
+
+
+class _Twice(bj.laws.AbstractLaw):
+    needs = ("stiffness",)
+
+    def force(self, penetration, rate, coefficients):
+        return jnp.stack(2 * [coefficients["stiffness"] * penetration])
+
+
+@pytest.mark.parametrize(
+    ("law", "load", "said"),
+    [
+        (_Twice(), None, r"law _Twice: a force of shape \(2,\) for a penetration of shape \(\)"),
+        ("hertz", bj.Load("push", lambda t, bodies, p: [bj.loads.Action("ball", (1.0, 0.0))]), "Action with force = "),
+    ],
+)
+def test_what_a_users_code_returns_has_its_shape(law, load, said):
+    contact = bj.Contact("touch", ("ground", "ball"), bj.gaps.SphereOnPlane(), law)
+    given = {"stiffness": 1e6, "radius": 0.01} | ({"exponent": 1.5} if load else {})
+    scene = bj.Mechanism("m", [_BALL], [contact], [load] if load else [], given=given)
+    with pytest.raises(bj.InputError, match=said):
+        bj.simulate(scene, scene.parameters(), [0.0, 1e-3])

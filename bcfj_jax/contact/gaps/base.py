@@ -285,6 +285,10 @@ def from_depth(
         needs: names of the coefficients it reads.
         quantities: what names of its own mean.
     """
+    if not callable(function):
+        raise InputError(
+            "bj.gaps.from_depth", f"{quoted(function)} is no function", "give (r, coefficients) -> penetration"
+        )
     return FromDepth(function, tuple(needs), tuple(quantities))
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, one_of
+from bcfj_jax.core.errors import InputError, one_of, quoted
 from bcfj_jax.core.extras import library
 from bcfj_jax.core.progress import stage
 from bcfj_jax.io.outputs import atomic, write_text
@@ -64,6 +64,8 @@ def animate(scene: AbstractModel, params: Params, run: Run, path: str | Path, ti
     checked(words[path.suffix], f"animate {path}")
     if path.exists():
         raise InputError(f"animate {path}", "is there already", "give another name")
+    if not isinstance(run, Run):
+        raise InputError(f"animate {path}", f"{quoted(run)} is no run", "give what bj.simulate returns")
     of = animation(scene, params, run, title)
     if of is None:
         raise InputError(f"animate {path}", "has nothing to draw", "give a mechanism, and a run of two samples or more")
