@@ -21,7 +21,7 @@ from jax import Array, lax
 
 from bcfj_jax.contact.elastic import Coefficients
 from bcfj_jax.contact.part import Part
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.core.numerics import smooth_step
 
 
@@ -333,6 +333,5 @@ def make_friction(name: str | bool) -> AbstractFriction | None:
     """
     if isinstance(name, bool):
         return FRICTION["brown_mcphee"] if name else None
-    if name not in FRICTION:
-        raise InputError("friction", f"no friction law '{name}'", nearest(name, FRICTION))
+    one_of("friction", "friction law", name, FRICTION)
     return FRICTION[name]

@@ -25,7 +25,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.contact.elastic import BACKING, AbstractElastic, Coefficients, Linear, Power, backing
-from bcfj_jax.contact.part import Part
+from bcfj_jax.contact.part import Part, checked
 from bcfj_jax.contact.restitution import LOWEST_RESTITUTION
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.numerics import bisected, positive, smooth_ramp, smooth_step
@@ -101,6 +101,10 @@ class AbstractElasticLaw(AbstractLaw):
     jumps: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...]] = ()
     elastic: AbstractElastic = Power()
+
+    def __check_init__(self):
+        remedy = "give one of bj.laws, such as Power()"
+        checked(f"law {type(self).__name__} elastic", self.elastic, AbstractElastic, "elastic part", remedy)
 
     @property
     def needs(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from bcfj_jax.core import limits
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, nearest, one_of, quoted
 from bcfj_jax.core.quantities import whole
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
@@ -86,8 +86,8 @@ class Drive(eqx.Module):
     def __check_init__(self):
         where = "drive"
         known = ("constant", "ramp", "table", "speeds", "function")
-        if self.kind not in known:
-            raise InputError(where, f"no kind of drive '{self.kind}'", nearest(self.kind, known))
+        one_of(where, "kind of drive", self.kind, known)
+        sizes.check_fields(where, self)
         checked_shape(f"{where} shape", self.shape)
         if self.kind in ("table", "speeds"):
             checked_table(f"{where} table", self.table, 3 if self.kind == "table" else 2)
@@ -179,6 +179,12 @@ class Drive(eqx.Module):
         return c[3] + x * (c[2] + x * (c[1] + x * c[0])) + beyond
 
 
+def checked_drive(where: str, given: Any) -> None:
+    """Refuse what is neither a drive nor None."""
+    if not isinstance(given, Drive | None):
+        raise InputError(f"{where} drive", f"{quoted(given)} is no drive", 'give bj.Drive("constant", speed=2.0)')
+
+
 class Body(eqx.Module):
     """One body, or ``members`` like ones side by side.
 
@@ -219,16 +225,16 @@ class Body(eqx.Module):
     def __check_init__(self):
         where = sizes.checked_name("body", self.name)
         sizes.check_fields(where, self)
-        if self.joint not in JOINTS:
-            raise InputError(f"{where} joint", f"no joint '{self.joint}'", nearest(self.joint, JOINTS))
+        one_of(f"{where} joint", "joint", self.joint, JOINTS)
         if self.parent == self.name:
             raise InputError(f"{where} parent", "the body is its own parent", f"give another body, or '{GROUND}'")
         sizes.axis(self.axis, f"{where} axis")
+        if self.tilt is not None:
+            if not isinstance(self.tilt, tuple) or len(self.tilt) != 2:
+                raise InputError(f"{where} tilt", quoted(self.tilt), "give (axis, angle [rad])")
+            sizes.axis(self.tilt[0], f"{where} tilt")
         self._check_inertia(where)
-        if not isinstance(self.drive, Drive | None):
-            raise InputError(
-                f"{where} drive", f"{quoted(self.drive)} is no drive", 'give bj.Drive("constant", speed=2.0)'
-            )
+        checked_drive(where, self.drive)
         if self.drive is not None and self.joint not in ("slide", "hinge"):
             found = f"a drive moves one coordinate, and the joint '{self.joint}' has {len(JOINTS[self.joint])}"
             raise InputError(f"{where} drive", found, "drive a slide or a hinge")

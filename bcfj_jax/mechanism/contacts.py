@@ -76,7 +76,7 @@ class Contact(eqx.Module):
     """
 
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    between: tuple[str, str] = eqx.field(static=True, converter=sizes.pair)
     gap: AbstractGap
     law: AbstractLaw = eqx.field(default="memory_free", converter=lambda x: _law(x))
     friction: AbstractFriction | None = eqx.field(default=None, converter=lambda x: _friction(x))
@@ -102,7 +102,9 @@ class Contact(eqx.Module):
             checked(
                 f"{where} gap", self.gap, AbstractGap, "gap", "give one of bj.gaps, or bj.gaps.from_depth(function)"
             )
-        if self.approach != "parameter" and not isinstance(self.approach, Approach):
+        if not isinstance(self.approach, Approach) and (
+            not isinstance(self.approach, str) or self.approach != "parameter"
+        ):
             raise InputError(f"{where} approach", f"{self.approach!r}", 'give "parameter" or an Approach')
         for name, _ in self.values:
             if name not in (*self.reads, "clearance", "smoothing"):

@@ -16,7 +16,7 @@ from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.vectors import Number, minus, times
 from bcfj_jax.mechanism import sizes, springs
 from bcfj_jax.mechanism.acting import CoordinateLoad, Onset
-from bcfj_jax.mechanism.bodies import Drive
+from bcfj_jax.mechanism.bodies import Drive, checked_drive
 from bcfj_jax.mechanism.programmes import Table
 from bcfj_jax.mechanism.sizes import Parameters, Params, Size
 
@@ -49,6 +49,7 @@ class JointSpring(CoordinateLoad):
 
     def __check_init__(self):
         springs.check(f"load '{self.name}'", self.side, self.table, self.stiffness)
+        checked_drive(f"load '{self.name}'", self.drive)
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return [] if self.drive is None else self.drive.kinks(self.name, p)
@@ -194,7 +195,7 @@ class Coupling(CoordinateLoad):
     """
 
     name: str = eqx.field(static=True)
-    joints: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    joints: tuple[str, str] = eqx.field(static=True, converter=sizes.pair)
     ratio: Size = sizes.field("coupling ratio")
     stiffness: Size = sizes.field("coupling stiffness")
     damping: Size = sizes.field("coupling damping", default=0.0)

@@ -5,7 +5,7 @@ To add one in a file of your own: ``Load(name, function)`` with a function (t, b
 
 # No ``from __future__ import annotations``: equinox reads ``AbstractVar`` from the annotations themselves, and would
 # take ``name`` for the first field of every load.
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, ClassVar
 
@@ -189,7 +189,7 @@ class Spring(_BetweenPoints):
 
     units: ClassVar[Mapping[str, str]] = {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    between: tuple[str, str] = eqx.field(static=True, converter=sizes.pair)
     stiffness: Size = sizes.field("spring stiffness", default=0.0)
     damping: Size = sizes.field("spring damping", default=0.0)
     free_length: Size = sizes.field("spring free_length", default=0.0)
@@ -240,7 +240,7 @@ class Bush(_BetweenPoints):
         "stiffness": "N/m", "damping": "N s/m", "turning_damping": "N m s/rad", "turning_stiffness": "N m/rad",
     }  # fmt: skip
     name: str = eqx.field(static=True)
-    between: tuple[str, str] = eqx.field(static=True, converter=lambda x: tuple(x))
+    between: tuple[str, str] = eqx.field(static=True, converter=sizes.pair)
     stiffness: Any = sizes.field("bush stiffness", default=1e7)
     damping: Any = sizes.field("bush damping", default=0.0)
     turning_damping: Any = sizes.field("bush turning_damping", default=0.0)
@@ -328,7 +328,7 @@ def kept(load: Any) -> Any:
 def quantities(where: str, given: Any) -> tuple[tuple[Quantity, Any], ...]:
     """Quantities of the user's with defaults: a ``float``, an array as ``arrays.Held``, or None."""
     found = []
-    for entry in given:
+    for entry in given if isinstance(given, Iterable) else (given,):
         quantity, default = entry if isinstance(entry, tuple) and not isinstance(entry, Quantity) else (entry, None)
         if not isinstance(quantity, Quantity):
             raise InputError(where, quoted(entry), "give (Quantity(name, unit, meaning), default)")

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core.errors import InputError, one_of, quoted
 from bcfj_jax.core.numerics import smooth_rise, smooth_step
 from bcfj_jax.core.vectors import Number, plus, times
 from bcfj_jax.mechanism import sizes
@@ -39,8 +39,7 @@ def risen(shape: str, fraction: ArrayLike) -> Array:
 
 def checked_shape(where: str, shape: Any) -> None:
     """Refuse a shape that is not known."""
-    if shape not in SHAPES:
-        raise InputError(where, f"no shape {quoted(shape)}", nearest(str(shape), SHAPES))
+    one_of(where, "shape", shape, SHAPES)
 
 
 def checked_table(where: str, table: Any, least: int = 2, what: str = "times") -> Table:
@@ -71,7 +70,10 @@ def given_table(where: str, table: Any, what: str = "times") -> Table | None:
 
 def given_breaks(times: Any) -> tuple[float, ...] | None:
     """Times of breaks as floats [s]; None for none that are given."""
-    return None if times is None else tuple(map(float, times))
+    try:
+        return None if times is None else tuple(map(float, times))
+    except (TypeError, ValueError):
+        raise InputError("breaks", f"{quoted(times)} are no times", "give a list of times [s], or None") from None
 
 
 def looked_up(t: ArrayLike, table: Table) -> Array:

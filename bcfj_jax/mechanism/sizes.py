@@ -84,6 +84,11 @@ def by_name(where: str, given: Any) -> list[tuple[str, Any]]:
     return pairs
 
 
+def pair(given: Any) -> tuple[Any, ...]:
+    """Two names as a tuple; what is none stays one thing, for ``check_fields``."""
+    return tuple(given) if isinstance(given, (list, tuple)) else (given,)
+
+
 def parts(what: str, kind: type[Any], given: Any) -> tuple[Any, ...]:
     """The bodies, contacts or loads of a mechanism, from any sequence of them."""
     where, remedy = f"mechanism {what}", 'give bj.Mechanism("name", [bodies], [contacts], [loads])'
@@ -118,10 +123,11 @@ _FIELDS: dict[Any, tuple[Callable[[Any], bool], str]] = {
     ),
     str: (lambda x: isinstance(x, str), "give a text"),
     bool: (lambda x: isinstance(x, _BOOL), "give True or False"),
+    float | None: (lambda x: x is None or (isinstance(x, (int, float)) and not isinstance(x, bool)), "give a number, or None"),
     bool | None: (lambda x: x is None or isinstance(x, _BOOL), "give True, False or None"),
 }  # fmt: skip
 _NAMED = {"Size": Size, "Place": Place, "tuple[Place, Place]": tuple[Place, Place], "tuple[str, str]": tuple[str, str]}
-_NAMED |= {"str": str, "bool": bool, "bool | None": bool | None}
+_NAMED |= {"str": str, "bool": bool, "bool | None": bool | None, "float | None": float | None}
 
 
 def check_fields(where: str, part: Any) -> None:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from bcfj_jax.core.errors import InputError, nearest
+from bcfj_jax.core.errors import InputError, one_of
 from bcfj_jax.core.vectors import Axes, Number, Vector, dot, minus, plus, scale, seen, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.acting import Onset
@@ -27,8 +27,7 @@ def field(where: str) -> Any:
 
 def check(where: str, side: str, table: Table | None, stiffness: Any) -> None:
     """Refuse a side that is none, and a table that stands beside a stiffness."""
-    if side not in SIDES:
-        raise InputError(f"{where} side", f"no side '{side}'", nearest(side, SIDES))
+    one_of(f"{where} side", "side", side, SIDES)
     if table is not None and not sizes.nothing(stiffness):
         raise InputError(f"{where} table", "is given beside a stiffness", "give one of them")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -294,3 +296,58 @@ def test_what_a_users_code_returns_has_its_shape(law, load, said):
     scene = bj.Mechanism("m", [_BALL], [contact], [load] if load else [], given=given)
     with pytest.raises(bj.InputError, match=said):
         bj.simulate(scene, scene.parameters(), [0.0, 1e-3])
+
+
+_SWING = bj.Body("arm", "hinge", mass=1.0, inertia=1.0)
+_BETWEEN = {"name": "own", "between": ("ground", "ball"), "stiffness": 1.0}
+_MADE = {
+    "Mechanism": (bj.Mechanism, {"kind": "m", "bodies": [_BALL]}),
+    "Body": (bj.Body, {"name": "ball", "mass": 1.0, "inertia": 1.0}),
+    "Drive": (bj.Drive, {"speed": 1.0}),
+    "Contact": (bj.Contact, {"name": "touch", "between": ("ground", "ball"), "gap": bj.gaps.SphereOnPlane()}),
+    "SphereInSocket": (bj.gaps.SphereInSocket, {}),
+    "BallInGroove": (bj.gaps.BallInGroove, {}),
+    "MemoryFree": (bj.laws.MemoryFree, {}),
+    "Gravity": (bj.loads.Gravity, {}),
+    "Force": (bj.loads.Force, {"name": "own", "body": "ball"}),
+    "Spring": (bj.loads.Spring, _BETWEEN),
+    "Bush": (bj.loads.Bush, _BETWEEN),
+    "JointSpring": (bj.loads.JointSpring, {"name": "own", "body": "ball", "stiffness": 1.0}),
+    "JointFriction": (bj.loads.JointFriction, {"name": "own", "body": "ball", "sliding": 1.0, "speed": 1.0}),
+    "Coupling": (bj.loads.Coupling, {"name": "own", "joints": ("ball", "arm"), "ratio": 1.0, "stiffness": 1.0}),
+}
+
+
+@pytest.mark.parametrize("part", _MADE)
+def test_no_value_of_a_field_ends_in_an_error_of_pythons(part):
+    """Every field of every part, with values of every kind: it is taken, or refused by its place."""
+    make, usual = _MADE[part]
+    values = (
+        "x",
+        "",
+        3,
+        -1,
+        np.nan,
+        True,
+        None,
+        [],
+        [1.0],
+        ["a", "b"],
+        {},
+        {"a": 1.0},
+        [[1, 2], [3]],
+        int,
+        1j,
+    )
+    refused = 0
+    for field in dataclasses.fields(make):
+        if field.name == "life":
+            continue
+        for value in values:
+            try:
+                found = make(**{**usual, field.name: value})
+                if isinstance(found, bj.loads.AbstractLoad):
+                    bj.Mechanism("m", [_BALL, _SWING], loads=[found])
+            except bj.InputError:
+                refused += 1
+    assert refused

@@ -25,8 +25,8 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.part import Part
-from bcfj_jax.core import limits, shapes
-from bcfj_jax.core.errors import InputError, nearest, quoted
+from bcfj_jax.core import errors, limits, shapes
+from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.quantities import Quantity, whole
 from bcfj_jax.core.shapes import Mesh
 from bcfj_jax.core.vectors import ZERO, Axes, Number, Vector, add, array, dot, scale, seen, subtract, turned
@@ -294,9 +294,7 @@ def from_depth(
 
 def one_of(option: str, value: Any, known: Iterable[str]) -> None:
     """Refuse an option's value that is not known."""
-    known = tuple(known)
-    if value not in known:
-        raise InputError(f"gap, option '{option}'", f"no {option} '{value}'", nearest(str(value), known))
+    errors.one_of(f"gap, option '{option}'", option, value, tuple(known))
 
 
 def counted(option: str, value: Any, around: str = "") -> int:
