@@ -166,6 +166,8 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
         raise InputError(f"{where} table", f"no table '{inside}' in {path}", nearest(wanted, tables))
     found = tables[wanted]
     longest = max(c.size for c in found.values())
+    if longest == 0:
+        raise InputError(str(path), "has no rows", "give a file with data")
     # A single number beside vectors describes them, as its step of time does; it is no column.
     alone = [(name, c) for name, c in found.items() if c.size == 1 < longest]
     found = {name: c for name, c in found.items() if c.size > 1 or longest == 1}
@@ -185,8 +187,6 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
         remedy = "put columns sampled together into a group of their own"
         raise InputError(place, f"its columns have different lengths: {sizes}", remedy)
     longest = max(c.size for c in found.values())
-    if longest == 0:
-        raise InputError(str(path), "has no rows", "give a file with data")
     header = [f"{n} [{c.unit}]" if c.unit and column(n)[1] is None else n for n, c in found.items()]
     arrays = tuple(np.ravel(c.values()) for c in found.values())
     arrays = tuple(np.char.decode(a, "utf-8", "replace") if a.dtype.kind == "S" else a for a in arrays)

@@ -358,3 +358,9 @@ def test_jitter_is_reported():
     expected = np.sqrt(np.mean((steps / np.median(steps) - 1.0) ** 2))
     assert f"jitter {100 * expected:.2g} % of a step rms" in said and "gaps" not in said
     assert "2001 samples over 20 ms, every 10 us; an even clock" in record(CLOCK, pulse(CLOCK))[2]
+
+
+def test_columns_without_a_row_are_refused(tmp_path):
+    np.savez(tmp_path / "r.npz", time=np.zeros(0), force=np.zeros(0))
+    with pytest.raises(InputError, match="has no rows"):
+        read(tmp_path / "r.npz", "here")

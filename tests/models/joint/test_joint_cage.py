@@ -226,7 +226,7 @@ def steady():
     params = scene.parameters()
     times = jnp.concatenate([jnp.zeros(1), jnp.linspace(0.4, 0.5, 201)])
     start = scene.initial_state(params)
-    return scene, params, np.asarray(times[1:]), solved(scene, params, start, times, 5e-3)[1:]
+    return scene, params, np.asarray(times[1:]), solved(scene, params, start, times, 2e-3)[1:]
 
 
 @pytest.mark.slow
