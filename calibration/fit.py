@@ -292,7 +292,8 @@ def with_errors(problem: Problem, found: Fit, bound: bool = False) -> Fit:
     values = {**found.values, **{name: every["parameters"][name].value for name in shared}}
     found = replace(found, systematic=known, conditional=conditional, values=values, **every)
     shown = (conditional or found).parameters
-    return _doubted(problem, replace(found, notes=[*found.notes, *intervals.of_spanning(at, shown)]))
+    said = [quote.BEYOND.format(known.beyond)] if known.beyond else []
+    return _doubted(problem, replace(found, notes=[*found.notes, *said, *intervals.of_spanning(at, shown)]))
 
 
 def _with_filters(problem: Problem, found: Fit) -> Fit:

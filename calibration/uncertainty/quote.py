@@ -31,6 +31,10 @@ from calibration.uncertainty.sets import (
 
 # Kind of interval.
 KIND = "errors"
+BEYOND = (
+    "the record shows '{}' larger than its prior, so nobody knows how large errors are here: the values are the likeliest, and "
+    "intervals reach to where residuals are least; state what the instrument is known to, or fit another law"
+)
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
 # A move whose square is such a share of the interval's half width is far, both as shares of the estimate: to second order
@@ -87,7 +91,7 @@ class Uncertainty(NamedTuple):
 
 class Quoted(NamedTuple):
     """What is quoted: names, how far the ends of each interval (K, 2) and the expectation (K,) lie from the optimum,
-    uncertainties, and every error.
+    uncertainties, every error, and the one that the record shows larger than its prior, or "".
 
     What is held where it is, as an estimate at its bound, has no uncertainty.
     """
@@ -97,6 +101,7 @@ class Quoted(NamedTuple):
     expected: np.ndarray
     uncertainties: dict[str, Uncertainty]
     lines: list[Line]
+    beyond: str = ""
 
 
 def quoted(
@@ -128,8 +133,9 @@ def quoted(
         how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
     )
     return Quoted(
-        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known
-    )
+        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known,
+        "" if bound or (k := found.beyond()) is None else last.errors[k].name,
+    )  # fmt: skip
 
 
 class _Around(NamedTuple):
@@ -276,7 +282,8 @@ def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept
     """Estimate k with the interval to quote, where it has one.
 
     Where ``moved`` its value is the expectation (JCGM 101, 7.6): residuals are least where an error that acts moves the
-    estimate. Else the value stays, and the interval reaches to it. Where ``kept`` it holds the interval that the estimate has.
+    estimate. Else the value stays, and the interval reaches to it, as it does where an error acts beyond its prior: what moves
+    the estimate then is of no known size. Where ``kept`` it holds the interval that the estimate has.
     """
     if p.ci95 is None:
         return p
@@ -284,7 +291,7 @@ def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept
     z = p.value if not log else np.log(p.value) if p.value > 0.0 else 0.0
     own = in_si(z + by.ends[k, 0], z + by.ends[k, 1], log, limits)
     value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
-    low, high = p.ci95 if kept else (value, value)
+    low, high = p.ci95 if kept else (p.value, p.value) if by.beyond else (value, value)
     ends = (min(own[0], low, value), max(own[1], high, value))
     headline = p.headline if kept and ends != own else KIND
     intervals = {**p.intervals, KIND: own}

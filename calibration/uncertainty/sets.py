@@ -104,6 +104,11 @@ class Mixture(NamedTuple):
         """(E,) that each error acts."""
         return self.weights @ (self.members > 0.0)
 
+    def beyond(self) -> int | None:
+        """The error that acts beyond its prior in most sets, by weight, where it does so in more than half of them."""
+        shares = self.weights @ (self.members > 1.0)
+        return int(np.argmax(shares)) if self.weights @ np.any(self.members > 1.0, axis=1) > 0.5 else None
+
     def combined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Standard uncertainties (Q,): combined, Type A, Type B; what sets differ by is of Type B."""
         mean = self.weights @ self.means

@@ -216,3 +216,15 @@ def test_an_interval_to_quote_holds_its_estimate():
         moved, stays = (quote.with_errors(known, 0, how, by, m) for m in (True, False))
         assert (*moved.ci95, moved.value, moved.least_squares) == pytest.approx((*ends, np.sqrt(np.prod(ends)), 0.066))
         assert (*stays.ci95, stays.value) == pytest.approx((*reaching, 0.066))
+        # Where an error acts beyond its prior nobody knows how large errors are: the value leads, the interval holds both.
+        both = quote.with_errors(known, 0, how, by._replace(beyond="b"), True)
+        assert (*both.ci95, both.value) == pytest.approx((*reaching, moved.value))
+
+
+@pytest.mark.parametrize(("size", "seen"), [(0.0, None), (1.0, None), (6.0, 1)])
+def test_an_error_beyond_its_prior_is_seen(size, seen):
+    """Its prior allows for one unit; none, one and six act."""
+    world = World(4)
+    errors = [e._replace(stated=False, most=1.0, columns=10.0 * e.columns) for e in world.errors]
+    data = world.jacobian @ np.ones(COORDINATES) + size * errors[1].columns[:, 0] + world.rng.standard_normal(COUNT)
+    assert mixture(world.at(data), errors).beyond() == seen
