@@ -45,6 +45,8 @@ _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which nothing is lost: no damping is searched where it is above by so many deviations of its
 # noise, and damping from 0 on where these leave open that it is.
 _ELASTIC, _SURE = 0.98, 2.0
+# Least share of itself that a flight loses to the next.
+_KEPT = 0.995
 # Shares of its noise in an impulse from which on a record may show no contact.
 _UNHEARD = 0.2
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
@@ -196,11 +198,14 @@ def _each(found: Understood, said: Said) -> Understood:
 
 
 def _kind(found: Understood) -> str:
-    """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces."""
+    """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces.
+
+    A swing and a clock hit at equal times.
+    """
     if "tangential" in found.columns:
         return "oblique_impact"
     s = sizes(found)
-    falling = all(b < a for a, b in pairwise(s.flights))
+    falling = all(b < _KEPT * a for a, b in pairwise(s.flights))
     return "bounce" if found.falls or (s.flights and falling and min(s.flights) > s.duration) else "impact"
 
 

@@ -223,8 +223,8 @@ def one_of(table: Record, header: str, unit: str) -> None:
     motions those that differ by a number or letter but x, y, z, too: two bodies, whose way to each other is what counts.
     """
     moves = unit in ("m/s", "m")
-    one = re.compile(r"(?i)\d+|\b[a-wA-W]\b" if moves else r"\d+")
-    alike = [h for h in table.header if one.sub("#", column(h)[0]) == one.sub("#", column(header)[0])]
+    one = re.compile(r"(?i)\d+|\b[a-w]\b" if moves else r"\d+")
+    alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
     read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}

@@ -30,7 +30,9 @@ class InMotion(InputError):
     """A record of a body's places and attitudes: no channel of it is an impact along one axis."""
 
     def __init__(self, table: Record, columns: dict[str, str]) -> None:
-        way = "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene"
+        way = (
+            "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene"
+        )
         super().__init__(table.name, "it holds places and attitudes of a body in motion", way)
         self.table, self.columns = table, columns
 

@@ -20,7 +20,7 @@ _ALIKE, _PULLS = 0.33, 0.1
 # Friction takes at least this share of the power that goes to and fro; a spring none.
 _RUBS = 0.5
 # Friction is above half its peak on that share of the way, and changes along it by less than this share of itself.
-_GOES_ON, _LEVEL = 0.8, 0.3
+_GOES_ON, _LEVEL = 0.8, 0.5
 # Of a loop the share of the work that comes back from which on nothing is lost.
 _ELASTIC = 0.96
 # A steady force rises with speed where it ends by so much above its least beyond the peak.
@@ -56,11 +56,11 @@ def pulls(run: Run, where: str) -> bool:
 
 def _slides(run: Run) -> bool:
     """Whether a force stays about the same over most of the way on which there is one: one that presses grows with depth."""
-    if not {"N", "m"} <= run.readings.keys() or run.events[0].duration < _LONG:
+    if "N" not in run.readings or run.events[0].duration < _LONG:
         return False
-    force, place = run.readings["N"] - run.rest("N"), run.readings["m"]
-    way = np.nan_to_num(np.abs(np.gradient(place))) * np.isfinite(force)
-    force, place, peak = np.nan_to_num(force), np.nan_to_num(place), float(np.nanmax(force))
+    force, steps = run.readings["N"] - run.rest("N"), np.nan_to_num(_speed(run) * np.gradient(run.clock))
+    way, place = np.abs(steps) * np.isfinite(force), np.nan_to_num(run.readings.get("m", np.cumsum(steps)))
+    force, peak = np.nan_to_num(force), float(np.nanmax(force))
     high = way * (force > 0.5 * peak)
     if not high.sum() > _GOES_ON * (way * (force > 0.05 * peak)).sum() > 0.0:
         return False

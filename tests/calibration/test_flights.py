@@ -237,6 +237,17 @@ def test_a_drop_that_the_file_names_has_its_weight_in_contact(name, head, falls,
     assert ("where the body falls, add gravity" in (tmp_path / "out.toml").read_text()) != falls
 
 
+@pytest.mark.parametrize(("kept", "kind"), [(1.0, "impact"), (0.97, "bounce")])
+def test_hits_at_equal_times_are_no_bounces(kept, kind, tmp_path):
+    """Of a swing, whose hits get weaker at one period; a ball that keeps 97 % of its speed flies shorter each time."""
+    clock, begins = np.arange(0.0, 4.0, 1e-3), 0.5 + np.cumsum([0.0, *(0.8 * kept**k for k in range(4))])
+    force = sum(100.0 * 0.8**k * np.sin(np.pi * np.clip((clock - t) / 0.02, 0.0, 1.0)) for k, t in enumerate(begins))
+    rows = "".join(f"{t:.4f},{f:.4f}\n" for t, f in zip(clock, force, strict=True))
+    (tmp_path / "hits.csv").write_text("t [s],F [N]\n" + rows)
+    init.run(tmp_path / "hits.csv", tmp_path / "hits.toml", init.Said(mass="0.2 kg"), lambda line: None)
+    assert load(tmp_path / "hits.toml").scene.kind == kind
+
+
 def test_two_bodies_that_move_are_asked_for(tmp_path):
     clock = np.arange(0.0, 0.8, 2e-3)
     way = 0.25 * np.tanh((clock - 0.4) / 0.02)

@@ -110,6 +110,15 @@ def test_a_force_that_stays_as_the_body_goes_on_is_friction(force, rubs, tmp_pat
     assert one.channels[0].observes == ("friction.drive" if rubs else "contact.normal")
 
 
+def test_a_pin_that_rubs_at_one_speed_is_no_impact(tmp_path):
+    rng, clock = np.random.default_rng(5), np.linspace(0.0, 20.0, 1001)
+    rubs = 3.0 + 1.2 * np.exp(-clock / 5.0) + 0.1 * rng.standard_normal(clock.size)
+    columns = {"time [s]": clock, "speed [m/s]": 0.2 + 1e-3 * rng.standard_normal(clock.size), "Reibkraft [N]": rubs}
+    path = write(tmp_path / "pin.csv", {**columns, "Normalkraft [N]": 10.0 + 0.0 * clock})
+    init.run(path, tmp_path / "pin.toml", init.Said(), lambda line: None)
+    assert load(tmp_path / "pin.toml").experiments[0].channels[0].observes == "friction.drive"
+
+
 def test_friction_under_a_load_that_stays_is_read_and_not_the_load(tmp_path):
     load_ = 50.0 + 0.2 * np.random.default_rng(4).standard_normal(TIMES.size)
     moved = {"time [s]": TIMES, "position [mm]": 5.0 * np.sin(6 * TIMES)}
