@@ -45,14 +45,13 @@ _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which nothing is lost: no damping is searched where it is above by so many deviations of its
 # noise, and damping from 0 on where these leave open that it is.
 _ELASTIC, _SURE = 0.98, 2.0
-# Least share of itself that a flight loses to the next.
-_KEPT = 0.995
 # Shares of its noise in an impulse from which on a record may show no contact.
 _UNHEARD = 0.2
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
-# Flights over contacts from which on contacts are apart; share of its speed that a body gains by gravity in contact, to be said.
-_APART, _PULLED = 2.0, 0.01
+# Flights over contacts from which on contacts are apart, and of a bounce at most over the one before; share of its speed that a
+# body gains by gravity in contact, to be said.
+_APART, _KEPT, _PULLED = 2.0, 0.995, 0.01
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -198,10 +197,7 @@ def _each(found: Understood, said: Said) -> Understood:
 
 
 def _kind(found: Understood) -> str:
-    """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces.
-
-    A swing and a clock hit at equal times.
-    """
+    """The scene that a record looks like: flights longer than contacts that get shorter are bounces, equal ones a swing's."""
     if "tangential" in found.columns:
         return "oblique_impact"
     s = sizes(found)

@@ -50,7 +50,8 @@ def _turned(table: Record) -> Record:
     ``Rot[0]`` to ``Rot[8]`` are the matrix column by column. A row without one, of a body not seen, is blank.
     """
     named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
-    angles = [h for a in ("roll", "pitch", "yaw") for h in table.header if column(h)[0].lower().endswith(a)]
+    turned = [h for h in table.header if column(h)[1] in (None, "deg", "°", "rad")]
+    angles = [h for a in ("roll", "pitch", "yaw") for h in turned if column(h)[0].lower().endswith(a)]
     if any(h.startswith("q0") for h in table.header) or not (len(named) == 9 or (len(angles) == 3 and table.clock)):
         return table
     from scipy.spatial.transform import Rotation
@@ -66,11 +67,12 @@ def _turned(table: Record) -> Record:
         seen = np.isfinite(cells).all(axis=0)
         # Angles without a unit are degrees if they are larger than a turn; else nothing says.
         wide, scale = np.abs(cells[:, seen]).max(initial=0.0) > 2.0 * np.pi, np.pi / 180.0 if bare else 1.0
-        orders = [Rotation.from_euler(o, scale * np.nan_to_num(cells.T)[:, ::s]) for o, s in (("XYZ", 1), ("ZYX", -1))]
-        odd = [_unsteady(turned[seen]) for turned in orders]
+        turns, orders = scale * np.nan_to_num(cells.T), (("XYZ", 1), ("ZYX", -1))
+        odd = [_unsteady(Rotation.from_euler(order, turns[seen][:, ::way])) for order, way in orders]
         if (bare and not wide) or not _STEADIER * min(odd) < min(max(odd), 1.0):
             return table
-        turned, said = orders[int(np.argmin(odd))], "x, y, z" if odd[0] < odd[1] else "z, y, x"
+        order, way = orders[int(np.argmin(odd))]
+        turned, said = Rotation.from_euler(order, turns[:, ::way]), ", ".join(order.lower())
         note = f"angles turn about the body's {said}: its spin is then {max(odd) / min(odd):.2g} times steadier"
         table = replace(table, found=f"{table.found}; {note}")
     parts = turned.as_quat(scalar_first=True)
