@@ -241,7 +241,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         wrong = "and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
         said_of.append(f"CHECK: impulse / (mass x speed) is {ratio:.3g}, {wrong}")
     pull = GRAVITY * s.duration / _DEPTH / (_middle(known.speed) or 1.0)
-    if kind == "impact" and not falls and pull > _PULLED:
+    if kind == "impact" and not falls and pull > _PULLED and known.speed != _ANY_SPEED:
         way = f'add gravity = "9.80665 m/s^2" to parameters: it is {pull:.1g} of the speed'
         said_of.append(f"CHECK: no gravity acts; where the body falls, {way}")
     if s.mass and not s.speed and mass is None:

@@ -124,9 +124,7 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
-    dropped: bool = (
-        False  # whether the file's name, a line beside the table or what numbers its runs says that it is dropped
-    )
+    dropped: bool = False  # whether the file's name, a line beside the table or what numbers its runs says so
 
 
 class Part(NamedTuple):
@@ -245,7 +243,7 @@ def _released(read: np.ndarray) -> int:
 
 def _of_places(clock: np.ndarray, readings: dict[str, np.ndarray]) -> bool:
     """Whether readings are of places that fall, as an acceleration is whose mean is no weight: an accelerometer's is one."""
-    mean = float(np.nanmean(readings.get("m/s^2", np.zeros(1))))
+    mean = float(np.mean(np.nan_to_num(readings.get("m/s^2", np.zeros(1)))))
     return "m" in readings and abs(mean) < 0.5 * GRAVITY and _fallen("m", clock, readings["m"])
 
 

@@ -121,14 +121,9 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
         "[free]",
         *free,
     ]
-    what = (
-        "a force that pulls as it pushes, or stays as the body goes on, is taken for friction of a driven body"
-        if rubbed
-        else ""
-    )
-    kind = (
-        f"{what or 'force and displacement are those of a slow test'}, no impact; --scene impact takes one all the same"
-    )
+    what = "a force that pulls as it pushes, or stays as the body goes on, is taken for friction of a driven body"
+    what = what if rubbed else "force and displacement are those of a slow test"
+    kind = f"{what}, no impact; --scene impact takes one all the same"
     return with_scene(path, scene, lines, kind)
 
 

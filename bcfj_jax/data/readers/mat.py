@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.data.clock import is_rate, is_step
-from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, text, vector, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, headed, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
@@ -39,7 +39,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
         rates = {**above, **_rates(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
-        for name, value in _headed(struct).items():
+        for name, value in headed(struct).items():
             if isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, Mapping) for v in value):
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
@@ -70,16 +70,6 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     visit("", content, {})
     return with_units(tables)
-
-
-def _headed(struct: Mapping[str, Any]) -> dict[str, Any]:
-    """A struct in which "Channel_1_Data" and the struct "Channel_1_Header" about it (catman) are one channel."""
-    heads = {
-        n.replace("_Header", "_Data"): v for n, v in struct.items() if n.endswith("_Header") and isinstance(v, Mapping)
-    }
-    own = {n: {**v, "name": v.get("SignalName"), "unit": v.get("Unit")} for n, v in heads.items() if n in struct}
-    kept = {n: v for n, v in struct.items() if n.replace("_Header", "_Data") not in own}
-    return kept | {n: {**v, "values": struct[n]} for n, v in own.items()}
 
 
 def _rates(struct: Mapping[str, Any]) -> Columns:
