@@ -124,7 +124,7 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
-    dropped: bool = False  # whether the file's name, a line beside the table or what numbers its runs says so
+    dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
 
 
 class Part(NamedTuple):
@@ -218,7 +218,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
-        dropped=any(_DROPPED.search(text) for text in (table.path.stem, run, *map(" ".join, table.facts))),
+        dropped=any(_DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 

@@ -222,9 +222,9 @@ def test_places_that_fall_go_before_what_was_derived_from_them(given, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "head", "falls"), [
-    ("tup", "Falling height [mm];250\n", True), ("drop_03", "", True), ("hammer", "", False),
+    ("tup", "Falling height [mm];250\n", True), ("tower", "Falltest;7\n", True), ("hammer", "", False),
 ])  # fmt: skip
-def test_a_drop_that_the_file_names_has_its_weight_in_contact(name, head, falls, tmp_path):
+def test_a_drop_that_the_file_states_has_its_weight_in_contact(name, head, falls, tmp_path):
     """Of a soft contact gravity gives 4 % of the speed; where nothing says that the body falls, a comment gives the line."""
     clock = np.arange(0.0, 0.06, 1e-4)
     push = 400.0 * np.sin(np.pi * np.clip((clock - 0.02) / 0.02, 0.0, 1.0))
