@@ -49,10 +49,9 @@ _ELASTIC, _SURE = 0.98, 2.0
 _UNHEARD = 0.2
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
-# Flights over contacts from which on contacts are apart.
-_APART = 2.0
-# How far what an accelerometer reads at rest may be from its weight.
-_HELD = 0.3
+# Flights over contacts from which on contacts are apart, and of a bounce at most over the one before; share of its speed that a
+# body gains by gravity in contact, to be said.
+_APART, _KEPT, _PULLED = 2.0, 0.995, 0.01
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -198,11 +197,11 @@ def _each(found: Understood, said: Said) -> Understood:
 
 
 def _kind(found: Understood) -> str:
-    """The scene that a record looks like: flights that are longer than contacts, and get shorter, are bounces."""
+    """The scene that a record looks like: flights longer than contacts that get shorter are bounces, equal ones a swing's."""
     if "tangential" in found.columns:
         return "oblique_impact"
     s = sizes(found)
-    falling = all(b < a for a, b in pairwise(s.flights))
+    falling = all(b < _KEPT * a for a, b in pairwise(s.flights))
     return "bounce" if found.falls or (s.flights and falling and min(s.flights) > s.duration) else "impact"
 
 
@@ -221,12 +220,15 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     ratio = float("nan")
     if isinstance(known.mass, float) and isinstance(known.speed, float):
         # Of an acceleration what is summed up is a change of speed already.
-        ratio = s.impulse / ((known.mass if "N" in found.columns else 1.0) * known.speed)
+        each = s.impulse / (known.mass if "N" in found.columns else 1.0)
+        # What falls is held up in contact, too.
+        ratio = (each - GRAVITY * s.duration * (kind == "bounce")) / known.speed
     doubt = _SURE * s.doubt * ratio
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     lossless = kind == "impact" and ratio + doubt > 1.0 + _ELASTIC
-    # A drop from a height goes on falling in contact.
-    falls = kind == "impact" and known.by_column and found.given[1] == "m"
+    # A drop goes on falling in contact.
+    dropped = found.dropped and said.struck is None
+    falls = kind == "impact" and (dropped or (known.by_column and found.given[1] == "m"))
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
@@ -238,6 +240,10 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     elif ratio + doubt <= 0.95 or ratio - doubt >= 2.05:
         wrong = "and 1 + e is 1 to 2: mass, speed, a unit or the gain is wrong"
         said_of.append(f"CHECK: impulse / (mass x speed) is {ratio:.3g}, {wrong}")
+    pull = GRAVITY * s.duration / _DEPTH / (_middle(known.speed) or 1.0)
+    if kind == "impact" and not falls and pull > _PULLED and known.speed != _ANY_SPEED:
+        way = f'add gravity = "9.80665 m/s^2" to parameters: it is {pull:.1g} of the speed'
+        said_of.append(f"CHECK: no gravity acts; where the body falls, {way}")
     if s.mass and not s.speed and mass is None:
         said_of.append(_BODY.format(format_si(s.mass, "kg", 3)))
     name = f"{found.path.stem}.toml"
@@ -471,10 +477,10 @@ def _window(s: Sizes, kind: str, runs: list[Run]) -> list[Line]:
     """About the first contact of an impact; a bounce is taken whole, from where a held accelerometer stops to read its weight."""
     if kind == "bounce":
         read, clock = runs[0].readings, runs[0].clock
-        held = np.abs(read.get("m/s^2", np.zeros(0))[: runs[0].events[0].first] + GRAVITY) < _HELD * GRAVITY
-        if len(runs) > 1 or "N" in read or held.size < 3 or held[-1] or not held[:3].all():
+        seen = np.flatnonzero(np.isfinite(read.get("m/s^2", np.zeros(1))))
+        if len(runs) > 1 or "N" in read or not seen.size or not seen[0]:
             return []
-        ends = [format_si(float(clock[k]), "s", 6) for k in (np.flatnonzero(held)[-1] + 1, -1)]
+        ends = [format_si(float(clock[k]), "s", 6) for k in (seen[0], -1)]
         return [Line(f'window = ["{ends[0]}", "{ends[1]}"]', "from its release on: it reads its weight before")]
     before = max(s.duration, 12.0 * s.step)
     after = s.duration + max(0.75 * s.duration, 6.0 * s.step)

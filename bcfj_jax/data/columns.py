@@ -6,7 +6,7 @@ reading a file costs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,6 +85,16 @@ def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
             made |= found
             columns = {n: c for n, c in columns.items() if n != names}
     return {**{n: c for n, c in columns.items() if not made or n not in texts or c.size == longest}, **made}
+
+
+def headed(struct: Mapping[str, Any]) -> dict[str, Any]:
+    """A struct in which "Channel_1_Data" and the struct "Channel_1_Header" about it (catman) are one channel."""
+    heads = {
+        n.replace("_Header", "_Data"): v for n, v in struct.items() if n.endswith("_Header") and isinstance(v, Mapping)
+    }
+    own = {n: {**v, "name": v.get("SignalName"), "unit": v.get("Unit")} for n, v in heads.items() if n in struct}
+    kept = {n: v for n, v in struct.items() if n.replace("_Header", "_Data") not in own}
+    return kept | {n: {**v, "values": struct[n]} for n, v in own.items()}
 
 
 def text(value: object) -> str | None:

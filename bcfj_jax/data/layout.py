@@ -179,8 +179,9 @@ def _incremented(
         cells, inline = preamble.inline(names[-1].cells)
         if len(cells) == wide - 1 and all(cells) and _numbers_rows(data):
             cells = ["", *cells]  # R gives the numbers of rows no name.
-        elif len(cells) == wide + 1 and preamble.before_names(cells[0]):
-            cells = cells[1:]
+        elif len(cells) - 1 in (wide, wide / 3) and preamble.before_names(cells[0]):
+            axes = ("",) if len(cells) > wide else (" X", " Y", " Z")  # A marker has three places (Qualisys).
+            cells = [f"{c}{axis}" for c in cells[1:] for axis in axes]
         names = [*names[:-1], names[-1]._replace(cells=cells)]
     below = data[0] if names and not _is_data(data[0].cells, numeric) else None
     more = preamble.increments(names[-1].cells, below.cells) if below and len(data) > 1 else []

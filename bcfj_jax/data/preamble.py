@@ -31,7 +31,7 @@ _DATA = re.compile(r"(?i)[\[\s]*(?:.*\b)?(?:data|daten|values|werte|messwerte|po
 # "column 2: force [kN]".
 _DESCRIBED = re.compile(r"(?i)\W*(?:col(?:umn)?|spalte|ch(?:annel)?)?\W*(\d{1,2})\s*[:=.)-]+\s*([^\W\d].*?)\s*")
 # What stands before names in their own line.
-_BEFORE = re.compile(r"(?i)(?:channel|column)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
+_BEFORE = re.compile(r"(?i)(?:channel|column|marker)?[_ ]?(?:names|headers?|labels|channels|columns|fields)\s*:?")
 _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
 # A number and its unit; a letter may be of a name, as in "1A".
 _AMOUNT = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?([^\W\d_]{2}[^\s\d]*)")

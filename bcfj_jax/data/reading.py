@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,22 +45,53 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
 
 
 def _turned(table: Record) -> Record:
-    """A table with the attitude q0 to q3, scalar first, of a body whose rotation matrix stands in nine columns (Qualisys).
+    """A table with the attitude q0 to q3, scalar first, of a body whose matrix or angles stand in columns (Qualisys).
 
     ``Rot[0]`` to ``Rot[8]`` are the matrix column by column. A row without one, of a body not seen, is blank.
     """
     named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
-    if len(named) != 9 or any(h.startswith("q0") for h in table.header):
+    turned = [h for h in table.header if column(h)[1] in (None, "deg", "°", "rad")]
+    angles = [h for a in ("roll", "pitch", "yaw") for h in turned if column(h)[0].lower().endswith(a)]
+    if any(h.startswith("q0") for h in table.header) or not (len(named) == 9 or (len(angles) == 3 and table.clock)):
         return table
     from scipy.spatial.transform import Rotation
 
-    cells = np.array([table.numbers(h, "1", table.name, True) for h in named])
-    matrices = np.nan_to_num(cells).reshape(3, 3, -1).transpose(2, 1, 0)
-    seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
-    turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3))).as_quat(scalar_first=True)
+    if len(named) == 9:
+        cells = np.array([table.numbers(h, "1", table.name, True) for h in named])
+        matrices = np.nan_to_num(cells).reshape(3, 3, -1).transpose(2, 1, 0)
+        seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
+        turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3)))
+    else:
+        bare = column(angles[0])[1] is None
+        cells = np.array([table.numbers(h, "1" if bare else "rad", table.name, True) for h in angles])
+        seen = np.isfinite(cells).all(axis=0)
+        # Angles without a unit are degrees if they are larger than a turn; else nothing says.
+        wide, scale = np.abs(cells[:, seen]).max(initial=0.0) > 2.0 * np.pi, np.pi / 180.0 if bare else 1.0
+        turns, orders = scale * np.nan_to_num(cells.T), (("XYZ", 1), ("ZYX", -1))
+        odd = [_unsteady(Rotation.from_euler(order, turns[seen][:, ::way])) for order, way in orders]
+        if (bare and not wide) or not _STEADIER * min(odd) < min(max(odd), 1.0):
+            return table
+        order, way = orders[int(np.argmin(odd))]
+        turned, said = Rotation.from_euler(order, turns[:, ::way]), ", ".join(order.lower())
+        note = f"angles turn about the body's {said}: its spin is then {max(odd) / min(odd):.2g} times steadier"
+        table = replace(table, found=f"{table.found}; {note}")
+    parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
-        table = table.beside(f"q{k}", np.where(seen, turned[:, k], np.nan))
+        table = table.beside(f"q{k}", np.where(seen, parts[:, k], np.nan))
     return table
+
+
+def _unsteady(turned: Any) -> float:
+    """By what share of itself the spin of a body that turns changes, in the median over steps of a fiftieth of a record.
+
+    No torque acts in flight: that of a body about as wide as high stays, but not where angles are taken in another order.
+    """
+    if len(way := turned[:: max(1, len(turned) // 50)]) < 2:
+        return 1.0
+    spin = (way[1:] * way[:-1].inv()).as_rotvec()
+    size, change = (np.linalg.norm(x, axis=1) for x in (spin[1:], np.diff(spin, axis=0)))
+    moves = size > 0.2 * size.max(initial=0.0)
+    return float(np.median(change[moves] / size[moves])) if np.count_nonzero(moves) > _FEW_TURNS else 1.0
 
 
 def _clocked(table: Record, rate: str, where: str) -> Record:
@@ -216,6 +248,8 @@ def _header(name: str, column: Column) -> str:
 
 # How far the determinant of a rotation matrix that is rounded may be from 1.
 _TURNS = 0.05
+# How much steadier one order of angles makes the spin than another; changes of spin that tell it.
+_STEADIER, _FEW_TURNS = 3.0, 8
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

@@ -179,6 +179,9 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
             return f"'{h}' is in {unit}: {needed.replace('10 mV/N', table.sensor) if table.sensor else needed}"
     if turns := torque(table):
         return turns
+    if h := next((h for h in table.header if column(h)[1] in ("deg", "°", "rad")), ""):
+        way = "write a scene file whose body is on a hinge, and observe its angle"
+        return f"'{h}' is an angle: {way}: docs/howto/problem_file.md"
     other = pulsing(table, found.get("s", ""))
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     # A letter alone may be of anything.
@@ -216,19 +219,26 @@ def pulsing(table: Record, clock: str) -> str:
 def one_of(table: Record, header: str, unit: str) -> None:
     """Refuse a force or acceleration beside which others, named as it is but for a number, show hits of another course.
 
-    Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read.
+    Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read. Of
+    motions those that differ by a number or letter but x, y, z, too: two bodies, whose way to each other is what counts.
     """
-    alike = [h for h in table.header if re.sub(r"\d+", "#", h) == re.sub(r"\d+", "#", header)]
+    moves = unit in ("m/s", "m")
+    one = re.compile(r"(?i)\d+|\b[a-w]\b" if moves else r"\d+")
+    alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
     read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}
     hits = [h for h, v in read.items() if np.ptp(v) > _STANDS_OUT * scatter(v)]
-    if unit not in ("N", "m/s^2") or header not in hits:
+    if header not in hits:
         return
     own = read[header]
-    apart = [h for h in hits if np.abs(read[h] - np.polyval(np.polyfit(own, read[h], 1), own)).max() > _AS_MUCH]
+    same = {h: own if moves else np.polyval(np.polyfit(own, read[h], 1), own) for h in hits}
+    apart = [h for h in hits if np.abs(read[h] - same[h]).max() > _AS_MUCH]
     if apart:
         which = ", ".join(f"'{h}'" for h in hits)
+        if moves:
+            way = f'write their difference as a column "relative [{unit}]" alone, and give --mass and --struck-mass'
+            raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')
         ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
 

@@ -9,11 +9,15 @@ from collections.abc import Mapping
 from bcfj_jax import InputError
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
+from calibration.impacts import headers
 from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
 _METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}  # Units of places by their size.
-_NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", "q_w": "q0", "q_x": "q1", "q_y": "q2", "q_z": "q3"}
+_NAMED, _ANGLES = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3"}, ("roll", "pitch", "yaw")
+# Words before x, y, z by which they are an attitude's, and by which they are no place's.
+_TURNED = {"rot", "rotation", "quat", "quaternion", "orientation", "attitude", "q"}
+_MOVED = {"linear", "angular", "spin", "omega", "w", "moment"}.union(*(headers.NAMES[u] for u in ("N", "m/s^2", "m/s")))
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
     "rebound": re.compile(r"(?i)rebound|r[üu]ck(?:prall|sprung)|restitution"),
@@ -26,11 +30,10 @@ class InMotion(InputError):
     """A record of a body's places and attitudes: no channel of it is an impact along one axis."""
 
     def __init__(self, table: Record, columns: dict[str, str]) -> None:
-        super().__init__(
-            table.name,
-            "it holds places and attitudes of a body in motion",
-            "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene",
+        way = (
+            "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene"
         )
+        super().__init__(table.name, "it holds places and attitudes of a body in motion", way)
         self.table, self.columns = table, columns
 
 
@@ -38,25 +41,30 @@ class Steady(InputError):
     """A curve of steady states: friction against speed, without a clock; ``columns``: speed, friction, and "" or normal force."""
 
     def __init__(self, table: Record, columns: tuple[str, str, str]) -> None:
-        super().__init__(
-            table.name,
-            f"'{columns[1]}' against '{columns[0]}' is a curve of steady states, without a time",
-            "propose a scene that is driven from state to state with bcfj init calibration, without --scene",
-        )
+        found = f"'{columns[1]}' against '{columns[0]}' is a curve of steady states, without a time"
+        way = "propose a scene that is driven from state to state with bcfj init calibration, without --scene"
+        super().__init__(table.name, found, way)
         self.table, self.columns = table, columns
 
 
 def refuse_motion(table: Record) -> None:
-    """Refuse a record of places and attitudes, scalar first, whatever else it holds."""
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds: "pose.orientation.x", "Position X"."""
     found: dict[str, str] = {}
     for header in table.header:
-        name = re.sub(r"^(?:pos(?:ition)?|place|cube|body)[ _.]", "", column(header)[0].strip().lower())
-        name = re.sub(r"^(?:rot(?:ation)?|quat(?:ernion)?|orientation)[ _.]?(?=[wxyz]$)", "q", name)
-        key = _NAMED.get(name, name)
-        if key in (*PLACES, *ATTITUDE):
+        *about, last = re.findall(r"[^\W_]+", column(header)[0].lower()) or [""]
+        key = f"q{last}" if _TURNED & {*about} and len(last) == 1 else last
+        key = _NAMED.get(key, key)
+        if key in ATTITUDE or last in _ANGLES or (key in PLACES and not _MOVED & {*about}):
             found.setdefault(key, header)
     if {*PLACES, *ATTITUDE} <= found.keys():
-        raise InMotion(table, {k: in_metres(table, h) if k in PLACES else h for k, h in found.items()})
+        places = {k: in_metres(table, found[k]) for k in PLACES}
+        raise InMotion(table, {**places, **{k: found[k] for k in ATTITUDE}})
+    if {*PLACES, *_ANGLES} <= found.keys():
+        known = (
+            f"'{found['roll']}' and others turn a body in an order that nothing states, and its motion does not show"
+        )
+        height = f'of a ball take its height alone, as --observe "{found["z"]}"'
+        raise InputError(table.name, known, f"write its attitude as columns q0 to q3, scalar first; {height}")
 
 
 def in_metres(table: Record, header: str) -> str:

@@ -29,7 +29,7 @@ from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 # Columns that are one number in each run: how high a body fell, or how fast it struck.
-_FELL = "(?:drop|fall|free fall|chute|ca[ií]da|queda)"
+_FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda)"
 _STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
 _GIVEN = {
     "m": re.compile(
@@ -39,16 +39,18 @@ _GIVEN = {
         rf"v0?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
     ),
 }  # fmt: skip
+_DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
 _TANGENTIAL = {
     "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
 }  # fmt: skip
 # Of several forces the sum goes with those that are named, of which the largest is read.
 _SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
+_MARKER = re.compile(r"(?i)\b[xyz]\d*$")
 # Durations of a contact over those of its event (``contacts``), which leaves out a speed's ends and what follows a place's turn.
 _WHOLE = {"m/s": 1.5, "m": 4.0}
-# Times the noise from which on a contact is seen.
-_SEEN = 12.0
+# Times the noise from which on a contact is seen; a load that keeps so much of its greatest is no impact's.
+_SEEN, _SUSTAINED = 12.0, 0.5
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -122,6 +124,7 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
+    dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
 
 
 class Part(NamedTuple):
@@ -169,6 +172,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     for unit in found.keys() & headers.READ.keys() if hints.observe is None else ():
         with faults:
             headers.physical(table, found[unit], unit)
+            if unit.startswith("m") and unit != next(u for u in headers.READ if u in found):
+                continue
             if not run and not _SUMS & set(re.split(r"[\W\d_]+", headers.name_of(found[unit]))):
                 headers.one_of(table, found[unit], unit)
     time = found.pop("s", "")
@@ -178,6 +183,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     found = {u: h for u, h in found.items() if max(np.isfinite(r[u]).sum() for _, r in raw) >= _FEWEST}
     if not found:
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
+    if "N" not in found and all(_of_places(*one) for one in raw):
+        found, raw = {"m": found["m"]}, [(clock, {"m": r["m"]}) for clock, r in raw]
     signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
     unit = next(u for u in headers.READ if u in found)
     records = []
@@ -211,6 +218,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
+        dropped=any(_DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
@@ -221,7 +229,22 @@ def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: s
     for u, sign in pulses.items():
         readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
     kind = "contact.normal" if unit in pulses else headers.READ[unit]
+    if unit == "m/s^2":
+        readings[unit] = np.where(np.arange(clock.size) < _released(readings[unit]), np.nan, readings[unit])
     return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
+
+
+def _released(read: np.ndarray) -> int:
+    """The sample at which an accelerometer (N,) that is held, and reads its weight, is let go, and reads nothing; 0 of none."""
+    held = np.abs(np.abs(read) - GRAVITY) < 0.5 * GRAVITY
+    flies = np.abs(read[np.argmin(held) :]) < 0.5 * GRAVITY
+    return int(np.argmin(held)) if held[:_FEWEST].all() and flies[:_FEWEST].all() else 0
+
+
+def _of_places(clock: np.ndarray, readings: dict[str, np.ndarray]) -> bool:
+    """Whether readings are of places that fall, as an acceleration is whose mean is no weight: an accelerometer's is one."""
+    mean = float(np.mean(np.nan_to_num(readings.get("m/s^2", np.zeros(1)))))
+    return "m" in readings and abs(mean) < 0.5 * GRAVITY and _fallen("m", clock, readings["m"])
 
 
 def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
@@ -356,13 +379,19 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
             found.setdefault(unit, h)
         if unit == "g" and found.get("N") == h:  # A force named so is a weight; "acc_g" is no force.
             found["N"] = f"{h} [g]"
-    if "N" not in found and found.keys() & {"m", "m/s"} and "tangential" in found:
-        found["N"] = found.pop("tangential")  # Of a rig that rubs; beside no motion it is that of an oblique impact.
+    load = np.abs(headers.values_of(table, found["N"], "N")) if "N" in found else np.zeros(0)
+    stays = bool(table.clock) and not (load < _SUSTAINED * np.fmax.reduce(load, initial=0.0)).any()
+    if "tangential" in found and found.keys() & {"m", "m/s"} and (stays or not load.size):
+        found["N"] = found.pop("tangential")  # Of a rig that rubs under a load; else it is that of an oblique impact.
     # A letter alone, without a unit, is a place only beside another reading, or where it falls as one: then its unit is known.
     if not found.keys() & {"N", "m/s^2", "m/s"} and (h := found.get("m", "")) in bare:
         found["m"] = in_metres(table, h)
         if found["m"] == h and len(headers.name_of(h)) == 1:
             del found["m"]
+    if not found.keys() & headers.READ.keys():  # "ball Z", "Ball Y1": places of a marker where they fall.
+        marker = max((h for h in bare if _MARKER.search(h)), key=lambda h: _range(table, h, "m"), default="")
+        if marker and (said := in_metres(table, marker)) != marker:
+            found["m"] = said
     return found
 
 

@@ -19,6 +19,8 @@ _LONG, _LOST = 1.0, 0.1
 _ALIKE, _PULLS = 0.33, 0.1
 # Friction takes at least this share of the power that goes to and fro; a spring none.
 _RUBS = 0.5
+# Friction is above half its peak on that share of the way, and changes along it by less than this share of itself.
+_GOES_ON, _LEVEL = 0.8, 0.5
 # Of a loop the share of the work that comes back from which on nothing is lost.
 _ELASTIC = 0.96
 # A steady force rises with speed where it ends by so much above its least beyond the peak.
@@ -34,7 +36,9 @@ _DRIVEN = (
 
 
 def pulls(run: Run, where: str) -> bool:
-    """Whether a force pulls about as it pushes; refused where it is no friction by the motion read."""
+    """Whether a force pulls about as it pushes, or stays as the body goes on; refused where its motion is not friction's."""
+    if _slides(run):
+        return True
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
     if force.size < _FEW:
@@ -48,6 +52,20 @@ def pulls(run: Run, where: str) -> bool:
         found = "the force pulls as it pushes, as friction and joints with two sides do, and a contact only pushes"
         raise InputError(where, found, f"{_DRIVEN}; to take it as impacts all the same give --scene impact")
     return bool(found)
+
+
+def _slides(run: Run) -> bool:
+    """Whether a force stays about the same over most of the way on which there is one: one that presses grows with depth."""
+    if "N" not in run.readings or run.events[0].duration < _LONG:
+        return False
+    force, steps = run.readings["N"] - run.rest("N"), np.nan_to_num(_speed(run) * np.gradient(run.clock))
+    way, place = np.abs(steps) * np.isfinite(force), np.nan_to_num(run.readings.get("m", np.cumsum(steps)))
+    force, peak = np.nan_to_num(force), float(np.nanmax(force))
+    high = way * (force > 0.5 * peak)
+    if not high.sum() > _GOES_ON * (way * (force > 0.05 * peak)).sum() > 0.0:
+        return False
+    slope = float(np.polyfit(place, force, 1, w=np.sqrt(high))[0])
+    return abs(slope) * float(np.ptp(place[high > 0.0])) < _LEVEL * float(np.average(force, weights=high))
 
 
 def _speed(run: Run) -> np.ndarray:
@@ -103,10 +121,9 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
         "[free]",
         *free,
     ]
-    what = "a force that pulls as it pushes is taken for friction of a driven body" if rubbed else ""
-    kind = (
-        f"{what or 'force and displacement are those of a slow test'}, no impact; --scene impact takes one all the same"
-    )
+    what = "a force that pulls as it pushes, or stays as the body goes on, is taken for friction of a driven body"
+    what = what if rubbed else "force and displacement are those of a slow test"
+    kind = f"{what}, no impact; --scene impact takes one all the same"
     return with_scene(path, scene, lines, kind)
 
 

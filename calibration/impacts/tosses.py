@@ -134,6 +134,7 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
     observed = ", ".join(f'"body.{what}.{n}" = {toml(headers[n])}' for what, keys in names.items() for n in keys)
     lines: list[Line | str] = [
         f"# A body in motion, {record.name}, proposed by bcfj init calibration. Next: bcfj calibrate {quote(path.name)}",
+        *([f"# Read as {moved.table.found}."] if moved.table.found else []),
         Line(f"scene = {toml(scene_of(path).name)}", "a box on a plane: CHECK its size and inertia there"),
         Line('sensor = "exact"', "each run has its own first state in place of a clock and zero"),
     ]

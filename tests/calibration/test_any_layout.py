@@ -356,3 +356,24 @@ def test_a_column_that_is_one_word_throughout_numbers_no_runs(tmp_path):
         found = of(tmp_path, "tidy.csv", f"{name},specimen,t_ms,force_N\n" + rows)
         holds(found, FORCE, FORCE)
         assert found.runs == ("run_id" if name == "run_id" else "sweep", 2)
+
+
+def test_a_marker_has_three_places_and_a_struct_beside_a_vector_is_its_head(tmp_path):
+    """As Qualisys names markers, and as catman writes MATLAB files."""
+    clock = np.arange(200) / 200.0
+    height = np.where(clock < 0.4, 800.0 - 0.5 * 9810.0 * clock**2, 15.2)
+    rows = "".join(f"1.0\t2.0\t3.0\t{50 * t:.3f}\t7.0\t{z:.3f}\n" for t, z in zip(clock, height, strict=True))
+    (tmp_path / "m.tsv").write_text("FREQUENCY\t200\nMARKER_NAMES\tfloor\tball\n" + rows)
+    table = read(tmp_path / "m.tsv", "record")
+    assert table.header[1:] == ("floor X", "floor Y", "floor Z", "ball X", "ball Y", "ball Z")
+    found = of(tmp_path, "m.tsv", (tmp_path / "m.tsv").read_text())
+    assert found.columns == {"m": "-ball Z [mm]"} and found.falls
+    from scipy.io import savemat
+
+    channels = ("Zeit", "ms", 1e3 * TIMES), ("Kraft", "kN", 1e-3 * FORCE), ("Weg", "mm", TIMES)
+    held = {f"Channel_{k}_Data": v[:, None] for k, (*_, v) in enumerate(channels, 1)}
+    held |= {f"Channel_{k}_Header": {"SignalName": n, "Unit": u} for k, (n, u, _) in enumerate(channels, 1)}
+    savemat(tmp_path / "c.mat", held)
+    found = of(tmp_path, "c.mat", (tmp_path / "c.mat").read_bytes())
+    assert found.time == "Zeit [ms]" and found.columns["N"] == "Kraft [kN]"
+    holds(found, FORCE)

@@ -10,13 +10,15 @@ import pytest
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
+from bcfj_jax import InputError
 from bcfj_jax.cli import app
 from bcfj_jax.contact import laws
 from bcfj_jax.contact.normal import AbstractLaw
+from bcfj_jax.data.reading import read
 from calibration import init, load
 from calibration.impacts.events import Event, contacts, falls
 from calibration.impacts.flights import contradicted, loss, restitutions
-from calibration.impacts.proposal import Run
+from calibration.impacts.proposal import Run, understood
 from calibration.impacts.slow_tests import is_slow
 
 VALUES = {"stiffness": 1e6, "exponent": 1.5, "damping": 0.05, "mass": 0.2}
@@ -192,6 +194,67 @@ def test_an_accelerometer_that_is_held_and_dropped_is_read_from_its_release_on(t
     assert one.times[0] == pytest.approx(0.2)
     low, high = one.bounds["acceleration_offset"]
     assert low < 9.81 < high  # In flight it reads 0, and falls by g.
+
+
+def test_a_contact_that_rises_through_the_weight_ends_no_release(tmp_path):
+    """Of an accelerometer slow enough that a sample before its contact reads its weight again."""
+    clock = np.arange(0.0, 1.2, 1e-3)
+    rises = np.where(np.abs(clock - 0.6) < 0.02, 250.0 * np.cos((clock - 0.6) / 0.04 * np.pi) ** 2, 0.0)
+    reading = np.where(clock < 0.25, 9.81, 0.0) + rises + np.where(clock > 1.0, 9.81, 0.0)
+    rows = "".join(f"{t:.4f},{-a:.4f}\n" for t, a in zip(clock, reading, strict=True))
+    (tmp_path / "tup.csv").write_text("Time (s),Acceleration z (m/s^2)\n" + rows)
+    found = understood(read(tmp_path / "tup.csv", "record"))
+    (run,) = found.records
+    assert clock[np.flatnonzero(np.isfinite(run.readings["m/s^2"]))[0]] == pytest.approx(0.25, abs=1.1e-3)
+    assert len(run.events) == 1 and run.events[0].begin == pytest.approx(0.582, abs=4e-3)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_places_that_fall_go_before_what_was_derived_from_them(given, tmp_path):
+    """An accelerometer reads nothing in flight and its weight at rest; the second derivative of a place sums up to no weight."""
+    clock, z = ball(rate=400.0)
+    speed = np.gradient(z, clock)
+    gained = np.gradient(speed, clock) + (0.0 if given else 9.81)
+    rows = "".join(f"{t:.5f},{a:.5f},{v:.5f},{w:.4f}\n" for t, a, v, w in zip(clock, z, speed, gained, strict=True))
+    (tmp_path / "ball.csv").write_text("Time (s),Position (m),Velocity (m/s),Acceleration (m/s²)\n" + rows)
+    found = understood(read(tmp_path / "ball.csv", "record"))
+    assert [*found.columns] == (["m"] if given else ["m/s^2", "m/s", "m"]) and found.falls == given
+
+
+@pytest.mark.parametrize(("name", "head", "falls"), [
+    ("tup", "Falling height [mm];250\n", True), ("tower", "Falltest;7\n", True), ("hammer", "", False),
+])  # fmt: skip
+def test_a_drop_that_the_file_states_has_its_weight_in_contact(name, head, falls, tmp_path):
+    """Of a soft contact gravity gives 4 % of the speed; where nothing says that the body falls, a comment gives the line."""
+    clock = np.arange(0.0, 0.06, 1e-4)
+    push = 400.0 * np.sin(np.pi * np.clip((clock - 0.02) / 0.02, 0.0, 1.0))
+    rows = "".join(f"{1e3 * t:.2f};{f:.3f}\n" for t, f in zip(clock, push, strict=True))
+    (tmp_path / f"{name}.csv").write_text(f"{head}\nTime [ms];Force [N]\n" + rows)
+    said = init.Said(mass="2 kg", speed="1.5 m/s")
+    init.run(tmp_path / f"{name}.csv", tmp_path / "out.toml", said, lambda line: None)
+    (one,) = load(tmp_path / "out.toml").experiments
+    assert one.fixed.get("gravity", 0.0) == pytest.approx(9.81 * falls)
+    assert ("where the body falls, add gravity" in (tmp_path / "out.toml").read_text()) != falls
+
+
+@pytest.mark.parametrize(("kept", "kind"), [(1.0, "impact"), (0.97, "bounce")])
+def test_hits_at_equal_times_are_no_bounces(kept, kind, tmp_path):
+    """Of a swing, whose hits get weaker at one period; a ball that keeps 97 % of its speed flies shorter each time."""
+    clock, begins = np.arange(0.0, 4.0, 1e-3), 0.5 + np.cumsum([0.0, *(0.8 * kept**k for k in range(4))])
+    force = sum(100.0 * 0.8**k * np.sin(np.pi * np.clip((clock - t) / 0.02, 0.0, 1.0)) for k, t in enumerate(begins))
+    rows = "".join(f"{t:.4f},{f:.4f}\n" for t, f in zip(clock, force, strict=True))
+    (tmp_path / "hits.csv").write_text("t [s],F [N]\n" + rows)
+    init.run(tmp_path / "hits.csv", tmp_path / "hits.toml", init.Said(mass="0.2 kg"), lambda line: None)
+    assert load(tmp_path / "hits.toml").scene.kind == kind
+
+
+def test_two_bodies_that_move_are_asked_for(tmp_path):
+    clock = np.arange(0.0, 0.8, 2e-3)
+    way = 0.25 * np.tanh((clock - 0.4) / 0.02)
+    rows = "".join(f"{t:.4f},{0.25 - w:.5f},{0.25 + w:.5f}\n" for t, w in zip(clock, way, strict=True))
+    (tmp_path / "carts.csv").write_text("Time (s),Cart A Velocity (m/s),Cart B Velocity (m/s)\n" + rows)
+    with pytest.raises(InputError, match=r"two bodies move.*relative \[m/s\]"):
+        understood(read(tmp_path / "carts.csv", "record"))
 
 
 def test_a_place_that_an_instrument_shows_from_the_touch_on_is_that_of_an_impact():

@@ -87,6 +87,47 @@ def test_a_brake_is_proposed_as_friction_of_a_driven_body(sign, by, tmp_path):
     assert [f.name for f in found.free] == ["friction.sliding", "friction.speed"]
 
 
+@pytest.mark.parametrize(
+    ("force", "rubs"),
+    [
+        (lambda x: 4.4 * (x > 0.0) + 1.6 * ((x > 0.0) & (x < 0.2)), True),  # A sled that breaks away and goes on.
+        (lambda x: 4.4 * (x > 0.0) + 0.02 * x, True),
+        (
+            lambda x: 3.0 * np.maximum(x - 2.0, 0.0),
+            False,
+        ),  # Pressed: in proportion to the depth, less, or more than that.
+        (lambda x: 3.0 * np.maximum(x - 2.0, 0.0) ** 1.5, False),
+        (lambda x: np.minimum(3.0 * np.maximum(x - 2.0, 0.0), 9.0) + 1.0 * np.maximum(x - 5.0, 0.0), False),
+    ],
+)
+def test_a_force_that_stays_as_the_body_goes_on_is_friction(force, rubs, tmp_path):
+    clock = np.linspace(0.0, 6.0, 1501)
+    place = 4.0 * np.maximum(clock - 1.0, 0.0)
+    read = force(place) + 0.02 * np.random.default_rng(3).standard_normal(clock.size)
+    path = write(tmp_path / "sled.csv", {"time [s]": clock, "way [mm]": place, "pull [N]": read})
+    init.run(path, tmp_path / "sled.toml", init.Said(), lambda line: None)
+    (one,) = load(tmp_path / "sled.toml").experiments
+    assert one.channels[0].observes == ("friction.drive" if rubs else "contact.normal")
+
+
+def test_a_pin_that_rubs_at_one_speed_is_no_impact(tmp_path):
+    rng, clock = np.random.default_rng(5), np.linspace(0.0, 20.0, 1001)
+    rubs = 3.0 + 1.2 * np.exp(-clock / 5.0) + 0.1 * rng.standard_normal(clock.size)
+    columns = {"time [s]": clock, "speed [m/s]": 0.2 + 1e-3 * rng.standard_normal(clock.size), "Reibkraft [N]": rubs}
+    path = write(tmp_path / "pin.csv", {**columns, "Normalkraft [N]": 10.0 + 0.0 * clock})
+    init.run(path, tmp_path / "pin.toml", init.Said(), lambda line: None)
+    assert load(tmp_path / "pin.toml").experiments[0].channels[0].observes == "friction.drive"
+
+
+def test_friction_under_a_load_that_stays_is_read_and_not_the_load(tmp_path):
+    load_ = 50.0 + 0.2 * np.random.default_rng(4).standard_normal(TIMES.size)
+    moved = {"time [s]": TIMES, "position [mm]": 5.0 * np.sin(6 * TIMES)}
+    path = write(tmp_path / "rig.csv", {**moved, "Fx Friction [N]": BRAKE, "Fz Load [N]": load_})
+    init.run(path, tmp_path / "rig.toml", init.Said(), lambda line: None)
+    (one,) = load(tmp_path / "rig.toml").experiments
+    assert one.channels[0].observes == "friction.drive" and np.abs(one.channels[0].values).max() < 21.0
+
+
 @pytest.mark.full
 def test_a_brake_is_identified_as_proposed(tmp_path):
     init.run(brake(tmp_path / "brake.csv", 1.0, "place"), tmp_path / "brake.toml", init.Said(), lambda line: None)

@@ -13,11 +13,13 @@ from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
 from bcfj_jax import InputError
+from bcfj_jax.data.reading import read
 from calibration import command, fit, init, load
 from calibration.diagnostics.records import series_of
 from calibration.forward.model import Model, build
 from calibration.forward.runs import Contact
-from calibration.impacts import tosses
+from calibration.impacts import otherwise, tosses
+from calibration.impacts.otherwise import InMotion
 from calibration.noise.noise_model import Estimate
 from calibration.search import continuation
 from calibration.search.descent import Descents
@@ -216,6 +218,36 @@ def test_a_body_that_is_held_at_first_falls_later_and_a_matrix_is_an_attitude(tm
     for k in (1, 2, 3):
         np.testing.assert_allclose(seen[f"body.attitude.q{k}"][whole], wanted[whole, k], atol=2e-6)
     assert np.isnan(seen["body.attitude.q1"][~whole]).all()
+
+
+@pytest.mark.parametrize(("order", "said"), [("XYZ", "x, y, z"), ("ZYX", "z, y, x")])
+def test_angles_are_an_attitude_in_the_order_in_which_nothing_turns_a_body_in_flight(order, said, tmp_path):
+    """Roll, pitch and yaw of a spin that stays; of one about a single axis either order fits, and a ball is not taken for it."""
+    clock = np.arange(120) / 200.0
+    turned = Rotation.from_rotvec([0.2, 0.1, -0.3]) * Rotation.from_rotvec(np.outer(clock, [5.0, -4.0, 3.0]))
+    angles = turned.as_euler(order, degrees=True) @ (np.eye(3) if order == "XYZ" else np.eye(3)[::-1])
+    places = np.array([0.3 * clock, 0.1 * clock, 1.9 - 0.5 * 9.81 * clock**2])
+    names = ["time [s]", *(f"pose.position.{k} [m]" for k in "xyz")]
+
+    def write_it(name, cells, more):
+        rows = "".join(",".join(f"{v:.6f}" for v in row) + "\n" for row in cells)
+        (tmp_path / name).write_text(",".join([*names, *more]) + "\n" + rows)
+
+    write_it("box.csv", np.c_[clock, places.T, angles], ["Roll", "Pitch", "Yaw"])
+    table = read(tmp_path / "box.csv", "record")
+    found = np.array([table.numbers(f"q{k}", "1", "box", True) for k in range(4)])
+    np.testing.assert_allclose(np.abs(np.sum(found.T * turned.as_quat(scalar_first=True), axis=1)), 1.0, atol=1e-9)
+    assert f"angles turn about the body's {said}" in table.found
+    with pytest.raises(InMotion):
+        otherwise.refuse_motion(table)
+    about = np.c_[clock, places.T, 0.0 * clock, 0.0 * clock, 400.0 * clock]
+    write_it("top.csv", about, ["Roll [deg]", "Pitch [deg]", "Yaw [deg]"])
+    with pytest.raises(InputError, match=r"write its attitude as columns q0 to q3"):
+        otherwise.refuse_motion(read(tmp_path / "top.csv", "record"))
+    write_it("ros.csv", np.c_[clock, places.T, found.T], [f"pose.orientation.{k}" for k in "wxyz"])
+    with pytest.raises(InMotion) as moved:
+        otherwise.refuse_motion(read(tmp_path / "ros.csv", "record"))
+    assert moved.value.columns["q3"] == "pose.orientation.z" and moved.value.columns["x"] == "pose.position.x [m]"
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.data.clock import is_rate, is_step
-from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, text, vector, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, headed, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
@@ -39,7 +39,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
         rates = {**above, **_rates(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
-        for name, value in struct.items():
+        for name, value in headed(struct).items():
             if isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, Mapping) for v in value):
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
