@@ -32,8 +32,8 @@ from calibration.uncertainty.sets import (
 # Kind of interval.
 KIND = "errors"
 BEYOND = (
-    "the record shows '{}' larger than its prior, so nobody knows how large errors are here: the values are the likeliest, and "
-    "intervals reach to where residuals are least; state what the instrument is known to, or fit another law"
+    "the record shows '{}' larger than its prior, so nobody knows how large errors are here: intervals reach to where "
+    "residuals are least; state what the instrument is known to, or fit another law"
 )
 # An error that moves no estimate by more than this share is not named.
 _NAMED = 1e-4
