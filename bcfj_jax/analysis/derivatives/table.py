@@ -216,14 +216,16 @@ def tornado(ranked: Ranking, path: Path) -> Picture:
             order = np.argsort(np.abs(line), kind="stable")
             colours = [COLOURS[0] if line[k] >= 0 else COLOURS[1] for k in order]
             bars = axis.barh([ranked.parameters[k] for k in order], line[order], color=colours)
-            axis.bar_label(bars, [rounded(line[k], 2, "+") for k in order], padding=3, fontsize=8)
+            axis.bar_label(bars, [rounded(float(line[k]), 2, "+") for k in order], padding=3, fontsize=8)
             axis.set_axisbelow(True)
             axis.margins(x=0.16)
             axis.axvline(0.0, color=COLOURS[5], linewidth=0.8)
             axis.set_title(ranked.features[row])
             axis.set_xlabel("change [% per % of the parameter]")
             strongest = ranked.parameters[order[-1]]
-            said.append(f"{ranked.features[row]} most by {strongest} ({rounded(line[order[-1]], 2, '+')} % per %)")
+            said.append(
+                f"{ranked.features[row]} most by {strongest} ({rounded(float(line[order[-1]]), 2, '+')} % per %)"
+            )
     if not said:
         return Picture(path.name, title, "No feature has a derivative that is known within 10 %.")
     return Picture(path.name, title, f"Change of each feature per 1 % of each parameter: {'; '.join(said)}.")
