@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from numbers import Real
 from typing import Any
 
 import equinox as eqx
@@ -123,7 +124,7 @@ _FIELDS: dict[Any, tuple[Callable[[Any], bool], str]] = {
     ),
     str: (lambda x: isinstance(x, str), "give a text"),
     bool: (lambda x: isinstance(x, _BOOL), "give True or False"),
-    float | None: (lambda x: x is None or (isinstance(x, (int, float)) and not isinstance(x, bool)), "give a number, or None"),
+    float | None: (lambda x: x is None or (isinstance(x, Real) and not isinstance(x, bool)), "give a number, or None"),
     bool | None: (lambda x: x is None or isinstance(x, _BOOL), "give True, False or None"),
 }  # fmt: skip
 _NAMED = {"Size": Size, "Place": Place, "tuple[Place, Place]": tuple[Place, Place], "tuple[str, str]": tuple[str, str]}

@@ -309,7 +309,9 @@ class StringModel(AbstractModel):
             grows = self.greatest({**params, "bit_torque": jnp.asarray(given + 1.0)})[0] - top
             found = f"{given:g} N m at the bit{f', {top:g} N m at its greatest,' if top != given else ''} takes "
             found += f"{needed:.5g} N m at the drive, which has {has:g} N m"
-            most = given - (needed - has) / grows if grows > 0.0 else 0.0  # A torque so large that one more is rounding.
+            most = (
+                given - (needed - has) / grows if grows > 0.0 else 0.0
+            )  # A torque so large that one more is rounding.
             # What the wall takes may be more than the drive has; of it what follows the weight, and what bends segments.
             idle = loads({**greatest, "weight_on_bit": jnp.zeros(())}, self.count, self.bending).drive_torque
             lighter = weight * (has - float(idle)) / (needed - float(idle)) if needed > float(idle) else 0.0
