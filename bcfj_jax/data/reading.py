@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
+from bcfj_jax.core.quantities import rounded
 from bcfj_jax.data import clock, isolated, numbers, preamble, textfile
 from bcfj_jax.data.columns import Column, Columns, Content, Tables, vector
 from bcfj_jax.data.decoding import BINARY
@@ -73,8 +74,8 @@ def _turned(table: Record) -> Record:
             return table
         order, way = orders[int(np.argmin(odd))]
         turned, said = Rotation.from_euler(order, turns[:, ::way]), ", ".join(order.lower())
-        note = f"angles turn about the body's {said}: its spin is then {max(odd) / min(odd):.2g} times steadier"
-        table = replace(table, found=f"{table.found}; {note}")
+        note = f"angles turn about the body's {said}: its spin is then {rounded(max(odd) / max(min(odd), 1e-6))} times steadier"
+        table = replace(table, found="; ".join(filter(None, (table.found, note))))
     parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
         table = table.beside(f"q{k}", np.where(seen, parts[:, k], np.nan))
