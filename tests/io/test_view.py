@@ -497,18 +497,3 @@ def test_the_command_writes_what_was_asked_for(tmp_path, monkeypatch):
     assert done.exit_code == 0
     chunks((tmp_path / "out" / "animation.glb").read_bytes())
     assert "<canvas" in (tmp_path / "out" / "animation.html").read_text()
-
-
-def test_rotations_are_those_of_scipy():
-    draw = np.random.default_rng(0)
-    way = draw.normal(size=(900, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    near = 10.0 ** draw.uniform(-12.0, -1.0, 300)
-    angle = np.concatenate([draw.uniform(0.0, np.pi, 299), near, np.pi - near, [0.0]])[:, None]
-    matrices = Rotation.from_rotvec(angle * way).as_matrix()
-    np.testing.assert_allclose(animation._axes(animation._of_vector(angle * way)), matrices, atol=2e-15)
-    turned = animation._quaternion(matrices)
-    np.testing.assert_allclose(animation._axes(turned), matrices, atol=2e-15)
-    vector = animation._vector(turned)
-    np.testing.assert_allclose(Rotation.from_rotvec(vector).as_matrix(), matrices, atol=2e-15)
-    assert np.all(np.linalg.norm(vector, axis=1) <= np.pi + 1e-15)

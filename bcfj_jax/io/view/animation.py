@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from bcfj_jax.core.shapes import Drawing, Mesh, joined
 from bcfj_jax.mechanism.model import AbstractModel, Params, Scenery
@@ -150,7 +151,7 @@ def _tracks(model: AbstractModel, found: Any) -> tuple[list[Track], dict[str, li
         index[name] = list(range(len(tracks), len(tracks) + (members or 1)))
         for k in range(members or 1):
             place, axes, at, to = (x[:, k] if members else x for x in (true.place, true.axes, ideal.place, ideal.axes))
-            turn = _vector(_quaternion(np.einsum("fij,fkj->fik", axes, to)))
+            turn = Rotation.from_matrix(np.einsum("fij,fkj->fik", axes, to)).as_rotvec()
             tracks.append(Track(f"{name} {k + 1}" if members else name, at, quaternion(to), place - at, turn))
     return tracks, index
 
@@ -212,8 +213,9 @@ def _bounds(
 
 def posed(track: Track, k: Any, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Place (3,) [m] and axes (3, 3) of a body as it is drawn at a frame; (F, 3) and (F, 3, 3) at a slice of frames."""
-    turn = _axes(_of_vector(exaggeration * track.turn[k]))
-    return track.place[k] + exaggeration * track.shift[k], turn @ _axes(track.quaternion[k])
+    ideal = Rotation.from_quat(track.quaternion[k], scalar_first=True).as_matrix()
+    turn = Rotation.from_rotvec(exaggeration * track.turn[k]).as_matrix()
+    return track.place[k] + exaggeration * track.shift[k], turn @ ideal
 
 
 def poses(
@@ -245,46 +247,6 @@ def steps(most: float) -> list[float]:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """(F, 4) of matrices (F, 3, 3), scalar first; neighbours in one half-space."""
-    q = _quaternion(axes)
+    q = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]
-
-
-# Rotations in NumPy: the import of SciPy's takes a tenth of the time of a short run.
-
-
-def _quaternion(axes: np.ndarray) -> np.ndarray:
-    """(..., 4) of rotation matrices (..., 3, 3), scalar first: the row of 4 q q' whose diagonal is largest, over twice its q."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(axes, (-2, -1), (0, 1))
-    rows = [
-        [1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy], [zy - yz, 1.0 + xx - yy - zz, yx + xy, zx + xz],
-        [xz - zx, yx + xy, 1.0 - xx + yy - zz, zy + yz], [yx - xy, zx + xz, zy + yz, 1.0 - xx - yy + zz],
-    ]  # fmt: skip
-    products = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-    most = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)[..., None, None]
-    row = np.take_along_axis(products, most, axis=-2)[..., 0, :]
-    return row / np.linalg.norm(row, axis=-1, keepdims=True)
-
-
-def _axes(q: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) of unit quaternions (..., 4), scalar first."""
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def _vector(q: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) [rad] of unit quaternions; their length is at most pi."""
-    q = np.where(q[..., :1] < 0.0, -q, q)
-    half = np.arctan2(np.linalg.norm(q[..., 1:], axis=-1, keepdims=True), q[..., :1])
-    return 2.0 * q[..., 1:] / np.sinc(half / np.pi)
-
-
-def _of_vector(turn: np.ndarray) -> np.ndarray:
-    """Unit quaternions of rotation vectors."""
-    half = 0.5 * np.linalg.norm(turn, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * turn], axis=-1)
