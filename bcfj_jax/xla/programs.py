@@ -41,6 +41,7 @@ import numpy as np
 
 from bcfj_jax.core.progress import stage
 from bcfj_jax.xla import host
+from bcfj_jax.xla.threads import ahead, cores
 
 _LOG = logging.getLogger("bcfj_jax.programs")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -72,6 +73,8 @@ _loaded: dict[Any, Callable[..., Any]] = {}
 _locks: dict[Any, threading.Lock] = {}
 # What NumPy has answered: the program, its trace, how often.
 _asked: dict[Any, list[Any]] = {}
+# What begins once XLA works (``beside``).
+_beside: list[Callable[[], object]] = []
 # So many times NumPy answers a question.
 _BY_HAND = 3
 _told: set[str] = set()
@@ -79,6 +82,9 @@ _remembering = threading.Lock()
 # Python traces one program at a time: side by side, each would begin to compile only when all are traced.
 _tracing = threading.RLock()
 _within: contextvars.ContextVar[bool] = contextvars.ContextVar("whether this thread is tracing", default=False)
+_only_made: contextvars.ContextVar[bool] = contextvars.ContextVar(
+    "whether programs are made and not run", default=False
+)
 # Share of Linux's limit of memory maps that programs may take, and after how many compilations that is looked at again.
 _SHARE, _EVERY = 0.5, 16
 _MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
@@ -117,6 +123,8 @@ def program(
     with _making(wanted), jax.disable_jit(False):
         found = _loaded.get(wanted.key) or _fetched(wanted) or _made(wanted)
         _loaded[wanted.key] = found
+    if _only_made.get():
+        raise Made(name)
     return found, time.perf_counter() - begin
 
 
@@ -160,6 +168,27 @@ def keep_asked() -> None:
         for key, (wanted, (jitted, _), _) in list(_asked.items()):
             _loaded[key] = _made(wanted, jitted)
     _asked.clear()
+
+
+class Made(Exception):
+    """A program is made, and is not run (``make``)."""
+
+
+def make(use: Callable[[], object]) -> None:
+    """Make the program that a function asks for first, and go no further. What it raises is raised where it is needed."""
+    token = _only_made.set(True)
+    try:
+        with contextlib.suppress(Exception):
+            use()
+    finally:
+        _only_made.reset(token)
+
+
+def beside(task: Callable[[], object]) -> None:
+    """Begin what will be needed later, such as other programs, once XLA has the next one: then Python is free."""
+    if cores() > 1:
+        # Of a command that was refused before one may be left.
+        _beside[:] = [task]
 
 
 def _compiled_one(event: str, *_: Any, **__: Any) -> None:
@@ -273,6 +302,8 @@ def _lowered(call: Callable[..., Any], wanted: _Wanted) -> Any:
 
 
 def _compiled(lowered: Any, wanted: _Wanted) -> Callable[..., Any]:
+    while _beside:
+        ahead(_beside.pop())
     try:
         compiled = lowered.compile(compiler_options=dict(wanted.options))
     except jax.errors.JaxRuntimeError as error:

@@ -20,6 +20,9 @@ import pytest
 from joints import plain_joint
 
 import bcfj_jax as bj
+from bcfj_jax.analysis.engine import simulated
+from bcfj_jax.analysis.simulation import results
+from bcfj_jax.io.scenefile import load, quickest
 from bcfj_jax.solve.measured_error import Accuracy
 from bcfj_jax.xla import compile_cache, programs
 
@@ -185,6 +188,39 @@ def test_questions_are_answered_without_compiling_and_kept(folder):
     assert programs.traced == ["norm"] and programs.fetched == ["norm"]
 
 
+def test_a_program_is_made_and_not_run(folder):
+    ran = []
+
+    def use():
+        ran.append(programs.program("double", double, (3.0,), (np.array([1.0, 2.0]),)))
+
+    programs.make(use)
+    assert programs.traced == ["double"] and not ran
+    use()
+    assert programs.traced == ["double"] and len(ran) == 1
+    # Who needs it meets what went wrong.
+    programs.make(functools.partial(double, "no", "number"))
+
+
+OF_RESULTS = {"whole", "accounts", "orbits", "scenery"}
+
+
+@pytest.mark.parametrize(
+    ("scene", "own"),
+    [("impact", set()), ("slider_crank", {"orbits"}), pytest.param("joint", {"whole"}, marks=pytest.mark.slow)],
+)
+def test_results_find_their_programs_made(folder, tmp_path, scene, own):
+    given = quickest(load(scene))
+    results.get_ready(given)
+    ready = {"accounts", "scenery"} | own
+    assert set(programs.traced) & OF_RESULTS == ready
+    run = simulated(given)
+    begun = len(programs.traced)
+    written = results.write(tmp_path, given, run, scene)
+    results.draw(tmp_path, given, run, scene, written)
+    assert not OF_RESULTS & set(programs.traced[begun:])
+
+
 # Where they are kept.
 
 
@@ -304,7 +340,6 @@ def told(process):
     return out.splitlines()[-1]
 
 
-@pytest.mark.slow
 def test_two_processes_at_once_and_a_third_that_traces_nothing(tmp_path):
     words = [["simulate", "impact", "--out", str(tmp_path / str(k))] for k in range(3)]
     both = [counted(*words[k], cache=tmp_path / "cache") for k in (0, 1)]

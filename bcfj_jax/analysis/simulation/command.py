@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,8 @@ from bcfj_jax.io.folder import LEAST_FREE
 from bcfj_jax.io.outputs import Claim, open_folder, placed
 from bcfj_jax.io.plots import get_ready
 from bcfj_jax.io.scenefile import load, quickest
-from bcfj_jax.xla.programs import keep_asked
+from bcfj_jax.xla.programs import beside, keep_asked
+from bcfj_jax.xla.threads import begun
 
 # Of a contact's sample in both tables [bytes].
 _BYTES = 100
@@ -77,6 +79,7 @@ def run(what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None],
     folder = open_folder(out, stem, Claim("simulate", (*results.files(given, framed), *animations), size=size))
     say(f"simulating {what}: {len(given.times)} samples to {given.times[-1]:.6g} s")
     get_ready()
+    beside(partial(results.get_ready, given))
     # A large model compiles the looks for seconds, and its contacts carry: samples show them.
     looked = given.resolved_peaks or (not given.scene.traits.large and given.solver != "bdf")
     found = simulated(given, measure_error=wanted.measure_error, read=names, resolved_peaks=looked)
@@ -86,10 +89,11 @@ def run(what: str, wanted: Wanted, out: Path | None, say: Callable[[str], None],
         say(f"warning: {warning}")
     if found.status != "ok":
         say(f"error: {results.verdict(found)}")
+    kept = begun(keep_asked)
     with stage("drawing"):
         results.draw(folder, given, found, stem, written, animations)
     for name in animations:
         if not (folder / name).exists():
             say(f"warning: {name} was not written: this scene, or this run, has nothing to draw")
-    keep_asked()
+    kept()
     return found.status == "ok"

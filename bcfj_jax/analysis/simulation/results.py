@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from bcfj_jax.analysis import balance, envelope, features, life, plausibility
@@ -22,6 +24,7 @@ from bcfj_jax.mechanism.readings import STATES
 from bcfj_jax.solve.measured_error import FACTOR, Accuracy
 from bcfj_jax.solve.plan import force_error
 from bcfj_jax.solve.simulation import Run
+from bcfj_jax.xla.programs import make
 
 # Of peak force times deepest penetration: work that the integral's rounding is.
 _ROUNDING = 1e-6
@@ -235,6 +238,22 @@ def _readings_rows(given: SceneFile, run: Run, digits: int = 6) -> list[list[str
         values = (known.min(), known.max(), column[-1]) if known.size else [float("nan")] * 3
         rows.append([name, *(format_si(float(x), unit, digits) for x in values)])
     return rows
+
+
+def get_ready(given: SceneFile) -> None:
+    """Make the programs that ``write`` and ``draw`` need, before there is a run; of it only the shape matters to them."""
+    from bcfj_jax.io.view.animation import animation
+
+    model, params, times = given.scene, given.params, given.times
+    # Such a model chooses its level by the run.
+    if model.traits.open:
+        return
+    size = jax.eval_shape(model.initial_state, model.completed(params)).size
+    blank = Run(times, {}, {}, {}, {}, "ok", "", float("nan"), {}, trajectory=np.zeros((len(times), size)))
+    make(partial(model.whole, params, blank))
+    make(partial(balance.of_run, model, params, blank, 1.0))
+    make(partial(model.orbits, params, blank))
+    make(partial(animation, model, params, blank))
 
 
 class Written(NamedTuple):
