@@ -67,6 +67,13 @@ class Tried(NamedTuple):
     jacobian: np.ndarray
 
 
+class Read(NamedTuple):
+    """What a point (P,) reads without a filter: readings and their derivatives (E, C, T, 1 + P) at every clock."""
+
+    point: np.ndarray
+    rows: list[np.ndarray]
+
+
 class Ambiguity(NamedTuple):
     """What unstated filters make of a fit: the best fit, and D of that without a filter."""
 
@@ -115,14 +122,14 @@ class _Sampled:
         # Asked some hundred times: which program each needs is found once.
         self.evaluations = [evaluation(model) for model in self.models]
 
-    def read(self, point: np.ndarray) -> list[np.ndarray]:
-        """Readings and their derivatives (E, C, T, 1 + P) at every clock, without a filter."""
+    def read(self, point: np.ndarray) -> Read:
+        """Readings and their derivatives at a point, at every clock, without a filter."""
         size, rows = self.weights.size, []
         for evaluated in self.evaluations:
             found = evaluated(point[None])
             both = np.concatenate([found.residuals[0][:size, None], found.jacobians[0][:size]], axis=1)
             rows.append(both.reshape(*self.weights.shape, point.size + 1))
-        return rows
+        return Read(point, rows)
 
     def passed(self, rows: list[np.ndarray], passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N,) and their Jacobian (N, P) of what was ``read``; not finite where the simulation failed."""
@@ -139,29 +146,30 @@ class _Sampled:
         white = np.stack(each, axis=1)
         return white[:, 0], white[:, 1:]
 
-    def stepped(self, one: Tried, rows: list[np.ndarray], passed: Filter, cutoff: float) -> Tried | None:
-        """The fit with a filter by one step from the fit ``one``, which reads ``rows``; None where a step does not tell it."""
-        residuals, jacobian = self.passed(rows, passed, cutoff)
+    def fitted(self, near: Read, passed: Filter, cutoff: float) -> tuple[Tried, Read]:
+        """The least squares with a filter, and what is read nearby: by one step from ``near`` where that tells it, else by
+        more from where the step ends; the clock is not bound, for its bounds know no filter.
+        """
+        residuals, jacobian = self.passed(near.rows, passed, cutoff)
         step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
-        left = residuals + jacobian @ step
-        point = one.point + step
-        bound = np.array([axis.name != "time_offset" for axis in self.model.coordinates])
-        inside = np.all((point[bound] > 0.0) & (point[bound] < 1.0))
-        # What the step leaves out is of second order in it.
-        little = np.sum((jacobian @ step) ** 2) < _LITTLE
-        return Tried(passed, cutoff, point, float(left @ left), left, jacobian) if inside and little else None
-
-    def fitted(self, point: np.ndarray, passed: Filter, cutoff: float) -> Tried:
-        """The least squares with a filter, from a point on; the clock is not bound, for its bounds know no filter."""
+        left, point = residuals + jacobian @ step, near.point + step
         clock = np.array([axis.name == "time_offset" for axis in self.model.coordinates])
+        # What the step leaves out is of second order in it.
+        if np.all(clock | ((point > 0.0) & (point < 1.0))) and np.sum((jacobian @ step) ** 2) < _LITTLE:
+            return Tried(passed, cutoff, point, float(left @ left), left, jacobian), near
+        read = near
+
+        def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            nonlocal read
+            read = self.read(u)
+            return self.passed(read.rows, passed, cutoff)
+
         found = trust_region(
-            lambda u: self.passed(self.read(u), passed, cutoff),
-            np.where(clock, point, np.clip(point, 1e-9, 1.0 - 1e-9)),
+            evaluate, np.where(clock, point, np.clip(point, 1e-9, 1.0 - 1e-9)),
             (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)), ftol=1e-5, xtol=1e-6, max_nfev=15,
         )  # fmt: skip
-        return Tried(
-            passed, cutoff, found.point, float(found.residuals @ found.residuals), found.residuals, found.jacobian
-        )
+        square = float(found.residuals @ found.residuals)
+        return Tried(passed, cutoff, found.point, square, found.residuals, found.jacobian), read
 
 
 def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Filter, cutoff: float) -> np.ndarray:
@@ -233,12 +241,13 @@ def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
 def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: float) -> list[list[Tried]]:
     """Of each filter the plain fit, and fits at ever lower cut-offs, as far down as they may explain the record."""
     count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO)) + 1
-    chains, best, rows = [], plain, sampled.read(plain.point)
+    chains, best, unfiltered = [], plain, sampled.read(plain.point)
     for passed in sampled.filters:
         chains.append([plain])
+        near = unfiltered
         for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
-            found = sampled.stepped(plain, rows, passed, float(cutoff))
-            chains[-1].append(found or sampled.fitted(chains[-1][-1].point, passed, float(cutoff)))
+            found, near = sampled.fitted(near, passed, float(cutoff))
+            chains[-1].append(found)
             best = min(best, chains[-1][-1], key=lambda one: one.square)
             if _excess(chains[-1][-1], best, series) > _HOPELESS:
                 break

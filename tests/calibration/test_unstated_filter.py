@@ -147,7 +147,7 @@ def test_the_hull_is_over_all_cut_offs_that_are_not_excluded(monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_step_is_the_fit_with_a_filter_that_does_little():
+def test_one_step_is_the_fit_with_a_filter_that_does_little(monkeypatch):
     """Against the search from the same point; a filter that does much is no step away."""
     scene = bj.scenes.impact(smoothing=False)
     params = scene.parameters(stiffness=1e8, exponent=1.5, damping=0.1, mass=0.1, approach_speed=1.0)
@@ -160,14 +160,16 @@ def test_one_step_is_the_fit_with_a_filter_that_does_little():
     contact = 1e-3
     sampled = unstated_filter._Sampled(at.model, at.experiments, contact)
     plain = Tried(None, np.inf, at.end.point, at.end.cost, at.end.residuals, at.end.jacobian)
-    rows, steps = sampled.read(plain.point), 0
+    near, steps = sampled.read(plain.point), 0
     deviations = np.sqrt(np.diag(np.linalg.inv(plain.jacobian.T @ plain.jacobian)))
     for passed in unstated_filter.FILTERS[:6]:
         for cutoff in (45.0 / contact, 15.0 / contact):
-            step = sampled.stepped(plain, rows, passed, cutoff)
-            if step is not None:
-                searched, steps = sampled.fitted(plain.point, passed, cutoff), steps + 1
+            step, read = sampled.fitted(near, passed, cutoff)
+            if read is near:
+                monkeypatch.setattr(unstated_filter, "_LITTLE", 0.0)
+                (searched, _), steps = sampled.fitted(near, passed, cutoff), steps + 1
+                monkeypatch.undo()
                 assert step.square == pytest.approx(searched.square, abs=0.02)
                 assert np.all(np.abs(step.point - searched.point) < 0.1 * deviations)
     assert steps >= 6
-    assert sampled.stepped(plain, rows, unstated_filter.FILTERS[0], 0.7 / contact) is None
+    assert sampled.fitted(near, unstated_filter.FILTERS[0], 0.7 / contact)[1] is not near
