@@ -25,6 +25,7 @@ from bcfj_jax.io.units import format_si
 from bcfj_jax.xla.programs import keep_asked
 from calibration.diagnostics.answers import Answer
 from calibration.fit import COMPLETE, NARROW, UNTESTED, AllStartsFailed, Fit, Parameter
+from calibration.forward.runs import clocks, ran
 from calibration.impacts.preparation import Prepared
 from calibration.problem import NUISANCES, Problem
 from calibration.problemfile import base_of, load, load_with_records, sources
@@ -216,11 +217,9 @@ def _interrupted(told: _Told, path: Path, stop: KeyboardInterrupt) -> int:
 
 def _absurd(outcome: Outcome) -> list[plausibility.Finding]:
     """What is not plausible of the longest record that is fitted, as the fitted values run it."""
-    problem, scene = outcome.problem, outcome.problem.scene
-    longest = max(problem.fitted, key=lambda e: e.times[-1] if e.times.size else 0.0)
-    fitted = {name: p.value for name, p in outcome.fit.parameters.items() if name in scene.quantities}
-    params = {name: x for name, x in {**problem.params, **longest.fixed, **fitted}.items() if name in scene.quantities}
-    return plausibility.at(scene, params, longest.times) if longest.times.size else []
+    at = outcome.fit.optimum
+    params, times = max(clocks(at.model, at.end.point), key=lambda one: one[1][-1])
+    return plausibility.of_run(at.model.scene, params, ran(at.model, params, times))
 
 
 def text(result: Fit) -> str:

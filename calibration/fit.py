@@ -19,6 +19,7 @@ from bcfj_jax.core.settings import taking
 from bcfj_jax.io.journal import Journal
 from bcfj_jax.io.page import brief
 from bcfj_jax.mechanism.channels import unit_of
+from bcfj_jax.xla.programs import beside, make
 from bcfj_jax.xla.threads import ahead
 from calibration.diagnostics import answers, fit_tests, influence, misfit_location
 from calibration.diagnostics.answers import Answer, clearance_tests, contacts_met, whole_contact_test
@@ -184,6 +185,8 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
     for doubt in problem.doubts:
         log.info("before the fit: %s", doubt.text)
     model = build(problem, problem.fitted)
+    # What looks at one run by itself: its program, not the run.
+    beside(partial(make, partial(contacts, model, np.full(len(model.coordinates), 0.5))))
     ahead(partial(evaluation, model))
     given, screened = _given_start(problem, model), screen(model, starts, seed)
     if not np.isfinite(screened.costs).any():
