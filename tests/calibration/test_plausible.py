@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from scipy.integrate import solve_ivp
 import bcfj_jax as bj
 from bcfj_jax import InputError
 from calibration import Channel, Experiment, Free, Problem, fit, load
-from calibration.command import text
+from calibration.command import _absurd, text
 from calibration.diagnostics.signatures import scene_of, weight
-from calibration.forward.model import predictions
+from calibration.forward.model import build, predictions
 from calibration.impacts.events import alone, contacts
 from calibration.impacts.preparation import _first_contact as onset
 from calibration.noise.noise_model import _ratios as ratios
@@ -356,3 +357,20 @@ def test_gravity_of_an_impact_is_a_scene_of_its_own_where_a_file_names_it(tmp_pa
     scene = bj.scenes.impact(gravity=True)
     at = scene.first_touch({"clearance_contact": 0.1, "approach_speed": 0.0, "gravity": 9.81})
     assert at == pytest.approx(np.sqrt(0.2 / 9.81))
+
+
+@pytest.mark.parametrize(("stiffness", "deep"), [(100.0, True), (1000.0, False)])
+def test_a_fit_that_presses_bodies_into_each_other_says_so(stiffness, deep):
+    """A linear spring: d = v sqrt(m/K), 95 mm for 100 N/m, where 0.1 kg of water is a cube of 46 mm."""
+    scene = bj.scenes.impact(smoothing=False)
+    params = scene.parameters(stiffness=stiffness, exponent=1.0, damping=0.0, mass=0.1, approach_speed=3.0)
+    times = np.linspace(0.0, 0.12, 50)
+    record = Experiment("run", times, (Channel("contact.normal", np.zeros(50), 1.0),))
+    model = build(Problem(scene, params, (record,), (Free("stiffness", 10.0, 1e4),)), (record,))
+    middle = np.array([np.log10(stiffness / 10.0) / 3.0])
+    outcome = SimpleNamespace(
+        fit=SimpleNamespace(optimum=SimpleNamespace(model=model, end=SimpleNamespace(point=middle)))
+    )
+    found = _absurd(outcome)
+    assert [one.what for one in found] == (["penetration"] if deep else [])
+    assert not deep or found[0].value == pytest.approx(3.0 * (0.1 / stiffness) ** 0.5, rel=1e-3)
