@@ -35,7 +35,7 @@ from bcfj_jax.mechanism.model import AbstractModel, Params
 from bcfj_jax.mechanism.observed import BEGIN, START, Onward
 from bcfj_jax.solve.plan import Plan, Points, plan
 from bcfj_jax.solve.simulation import readings
-from bcfj_jax.xla.programs import program
+from bcfj_jax.xla.programs import ask, program
 
 # Samples of a pitch, both ends included, and where in it they lie.
 SAMPLES = 101
@@ -272,7 +272,7 @@ def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..
     if time < settled:
         raise Restless(f"the run ends before {settled:.4g} s, when {scene.settled_when}")
     pitches = np.asarray(time / scene.period(params)[1])
-    begin = _begin(state / np.asarray(scene.error_scale(params)), len(problem.names), pitches)
+    begin = _begin(state / ask("scales", _scales, (scene,), (dict(params),)), len(problem.names), pitches)
     for tightened, wrong in ((1.0 / _LOOSER, 1.0), (1.0, _LOOSE)):
         orbit = _orbit(lambda begin, by=tightened: solve(begin, by), begin, wrong)
         if orbit is None:
@@ -282,6 +282,10 @@ def _orbits(problem: Problem, state: np.ndarray, time: float, solve: Callable[..
             raise Restless(f"the motion does not repeat itself: {kept}")
         yield orbit
         begin = orbit.last.end
+
+
+def _scales(scene: AbstractModel, params: Params) -> Array:
+    return scene.error_scale(params)
 
 
 def _begin(state: np.ndarray, parameters: int, pitches: np.ndarray) -> _Start:
