@@ -218,6 +218,7 @@ def _interrupted(told: _Told, path: Path, stop: KeyboardInterrupt) -> int:
 def _absurd(outcome: Outcome) -> list[plausibility.Finding]:
     """What is not plausible of the longest record that is fitted, as the fitted values run it."""
     at = outcome.fit.optimum
+    params: dict[str, Any]
     params, times = max(clocks(at.model, at.end.point), key=lambda one: one[1][-1])
     return plausibility.of_run(at.model.scene, params, ran(at.model, params, times))
 
