@@ -103,14 +103,22 @@ def figure(
     if margins is None:
         drawing = Figure(figsize=(width, tall), layout="constrained")
         drawing.get_layout_engine().set(h_pad=0.1, w_pad=0.08)  # type: ignore[union-attr]
-        return drawing, list(np.ravel(drawing.subplots(rows, columns, squeeze=False)))
+        return drawing, _axes(drawing, rows, columns, {})
     drawing, (left, right, below, above) = Figure(figsize=(width, tall)), margins
     place = {
         "left": left / width, "right": 1.0 - right / width, "bottom": below / tall, "top": 1.0 - above / tall,
         "wspace": (left + right) / (width / columns - left - right),
         "hspace": (below + above) / (height - below - above),
     }  # fmt: skip
-    return drawing, list(np.ravel(drawing.subplots(rows, columns, squeeze=False, gridspec_kw=place)))
+    return drawing, _axes(drawing, rows, columns, place)
+
+
+def _axes(drawing: Figure, rows: int, columns: int, place: dict[str, Any]) -> list[Axes]:
+    axes = list(np.ravel(drawing.subplots(rows, columns, squeeze=False, gridspec_kw=place)))
+    for axis in axes:
+        # Of matplotlib's ten ticks six are enough, and each takes as long to draw as a curve.
+        axis.locator_params(nbins=6)
+    return axes
 
 
 class Look(TypedDict, total=False):
