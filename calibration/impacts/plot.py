@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.page import Picture, counted
-from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, panels, plain
 from bcfj_jax.mechanism.channels import quantity_of
 from calibration.forward.runs import stretches
 from calibration.impacts.inspection import TOUCHING
@@ -23,7 +23,7 @@ def data(records: list[Prepared], path: Path) -> Picture | None:
     shown = [(record, observes) for record in records for observes in record.readings]
     if not shown:
         return None
-    with panels(len(shown), 2, path, 6.3, 2.8) as axes:
+    with panels(len(shown), 2, path, 6.3, 2.8, Margins()) as axes:
         for axis, (record, observes) in zip(axes, shown, strict=True):
             _panel(axis, record, observes)
     kept = sum(int(np.isfinite(record.readings[observes].values).sum()) for record, observes in shown)

@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import Run
 from bcfj_jax.analysis.simulation.pictures import loops, sides
 from bcfj_jax.io.page import Picture, counted
-from bcfj_jax.io.plots import COLOURS, engineering, label, plain, sheet
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, plain, sheet
 from calibration.diagnostics.records import Record
 from calibration.fit import Fit
 from calibration.forward.runs import SAMPLES, ran
@@ -32,7 +32,7 @@ def records(fit: Fit, problem: Problem | None, path: Path) -> Picture | None:
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     runs = {record.name: _run(fit, problem, record) for record in fit.records if record.data}
-    with sheet(path, 2 * rows, columns, width=6.0 * columns + 1.0, height=2.4) as axes:
+    with sheet(path, 2 * rows, columns, width=6.0 * columns + 1.0, height=2.4, margins=Margins(0.9)) as axes:
         grid = np.array(axes).reshape(2 * rows, columns)
         for axis in axes:
             axis.set_visible(False)
@@ -100,11 +100,12 @@ def starts(fit: Fit, path: Path) -> Picture:
     costs = np.array([row["chi2"] for row in fit.starts], dtype=float)
     good = np.isfinite(costs)
     above = costs[good] - costs[good].min()
-    with sheet(path) as (axis,):
+    with sheet(path, margins=Margins(1.05)) as (axis,):
         # Differences below a millionth of a sigma squared are the optimiser's own tolerance.
         axis.semilogy(np.flatnonzero(good) + 1, np.maximum(above, 1e-6), "o")
         for k in np.flatnonzero(~good):
             axis.axvline(float(k + 1), color=COLOURS[1], lw=1, ls=":")
+        axis.yaxis.set_major_formatter("{x:g}")
         axis.set(
             title=f"{int(good.sum())} of {costs.size} starts ended, best first (dotted: failed)", xlabel="start",
             ylabel="cost above the best\n[weighted squares, at least 1e-6]", xlim=(0.5, costs.size + 0.5),

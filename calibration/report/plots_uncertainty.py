@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bcfj_jax.io.page import Picture, counted
-from bcfj_jax.io.plots import COLOURS, engineering, label, panels, plain, sheet
+from bcfj_jax.io.plots import COLOURS, Margins, engineering, label, panels, plain, sheet
 from calibration.fit import Fit
 from calibration.uncertainty.estimates import one_by_one
 from calibration.uncertainty.posterior import Posterior
@@ -163,7 +163,7 @@ def correlation(matrix: np.ndarray, labels: Sequence[str], path: Path) -> None:
 
 def residual_acf(series: Mapping[str, np.ndarray], path: Path) -> None:
     """Autocorrelation of white residuals (n,) by lag in samples, with the bounds that 95 % of white noise keeps."""
-    with panels(len(series), 2, path, 6.0, 2.6) as axes:
+    with panels(len(series), 2, path, 6.0, 2.6, Margins()) as axes:
         for axis, (name, residuals) in zip(axes, series.items(), strict=True):
             lags = min(40, residuals.size // 3)
             bound = 1.96 / np.sqrt(max(residuals.size, 1))
