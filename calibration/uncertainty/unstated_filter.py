@@ -148,7 +148,7 @@ class _Sampled:
 
     def fitted(self, near: Read, passed: Filter, cutoff: float) -> tuple[Tried, Read]:
         """The least squares with a filter, and what is read nearby: by one step from ``near`` where that tells it, else by
-        more from where the step ends; the clock is not bound, for its bounds know no filter.
+        more from there on; the clock is not bound, for its bounds know no filter.
         """
         residuals, jacobian = self.passed(near.rows, passed, cutoff)
         step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
@@ -161,11 +161,11 @@ class _Sampled:
 
         def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             nonlocal read
-            read = self.read(u)
+            read = read if np.array_equal(u, read.point) else self.read(u)
             return self.passed(read.rows, passed, cutoff)
 
         found = trust_region(
-            evaluate, np.where(clock, point, np.clip(point, 1e-9, 1.0 - 1e-9)),
+            evaluate, np.where(clock, near.point, np.clip(near.point, 1e-9, 1.0 - 1e-9)),
             (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)), ftol=1e-5, xtol=1e-6, max_nfev=15,
         )  # fmt: skip
         square = float(found.residuals @ found.residuals)
