@@ -343,7 +343,8 @@ def with_stated(table: Record) -> Record:
     These state one for all rows, or one for each sweep in their order.
     """
     dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *map(" ".join, table.facts)))
-    sweeps = table.columns[table.header.index(SWEEP)] if SWEEP in table.header else np.ones(table.lines.size, dtype=int)
+    numbered = table.columns[table.header.index(SWEEP)] if SWEEP in table.header else np.zeros(0)
+    runs, place = np.unique(numbered if numbered.dtype.kind == "i" else np.zeros(table.lines.size), return_inverse=True)
     for header, pattern in _IN_NAME.items():
         unit = str(column(header)[1])
         keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts if dropped or unit != "m"]
@@ -352,8 +353,8 @@ def with_stated(table: Record) -> Record:
         here = [m for text in (table.inside, table.path.stem) if (dropped or unit != "m") and (m := named.search(text))]
         said = said or [("", f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in here[:1]]
         found = np.array(list(dict.fromkeys(v for f in said if (v := stated(*f, unit)))))
-        if found.size in {1, int(sweeps.max(initial=1))}:
-            cells, marks = np.resize(found, int(sweeps.max(initial=1)))[sweeps - 1], (*table.decimals, ".")
+        if found.size in {1, runs.size}:
+            cells, marks = np.resize(found, runs.size)[place], (*table.decimals, ".")
             made = replace(table, header=(*table.header, STATED + header), columns=(*table.columns, cells))
             return replace(made, decimals=marks if table.decimals else ())
     return table

@@ -27,6 +27,7 @@ _WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|
 _EPOCH = 1e6
 # What --runs-by says where columns that are named alike but for a number are runs.
 COLUMNS = "columns"
+_NUMBER = re.compile(r"\d+(?:[.,]\d+)?")
 _LABEL = re.compile(rf"(?i)\b(?:(?:{_WORDS})[\s#:._-]*\d+|\d+ _ \d+)\s*:?")
 
 
@@ -78,17 +79,15 @@ def joined(each: Sequence[tuple[str, Understood]]) -> Understood:
 
 def _by_columns(table: Record, hints: Hints) -> Understood:
     """Each column that is named as the one to be read is but for a number, or else that is in its unit, as a run."""
-    number = re.compile(r"\d+(?:[.,]\d+)?")
-    pieces = _labelled(table, number)
+    pieces = _labelled(table, _NUMBER)
     if hints.observe is None and len(pieces) > 1:
         return joined([(name, understood(p, hints)) for name, p in pieces])
     named = hints.observe or next((h for h in table.header if headers.read_unit(table, h) in headers.READ), "")
     if not named:
         return understood(table, hints)
     read, unit = table.header[table.index(named, "--observe")], column(named)[1]
-    alike = [h for h in table.header if number.sub("", h) == number.sub("", read)]
-    if len(alike) < 2:
-        alike = [h for h in table.header if h and column(h)[1] == column(read)[1] and not is_time(h)]
+    alike, same = [h for h in table.header if _NUMBER.sub("", h) == _NUMBER.sub("", read)], column(read)[1]
+    alike = alike if len(alike) > 1 else [h for h in table.header if same and column(h)[1] == same and not is_time(h)]
     if len(alike) < 2:
         way = f"take --runs-by {COLUMNS} out, or name a column beside which others stand by --observe"
         raise InputError("--runs-by", f"no other column of {table.name} is as '{read}'", way)

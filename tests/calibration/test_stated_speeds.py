@@ -81,9 +81,10 @@ def test_the_proposed_file_has_the_stated_speeds(tmp_path):
 
 def test_another_sheet_states_mass_and_speed_and_sheets_may_be_runs(tmp_path):
     book = openpyxl.Workbook()
-    book.active.title = "Info"
+    book.remove(book.worksheets[0])
+    info = book.create_sheet("Info")
     for row in (["Impactor mass (kg)", 2.35], ["Impact velocity (m/s)", 1.65]):
-        book.active.append(row)
+        info.append(row)
 
     def add(name, force):
         sheet = book.create_sheet(name)

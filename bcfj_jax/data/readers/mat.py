@@ -30,7 +30,7 @@ def read(file: str, wanted: str) -> Content:
 
 
 def tables_of(content: Mapping[str, Any]) -> Tables:
-    """The tables of structs within structs: vectors, and matrices where they go with these (``columns.group``)."""
+    """Tables of structs in structs: vectors, matrices (``columns.group``); Testlab's "quantity" has a unit, a struct beside the name."""
     tables: Tables = {}
     said: Tables = {}
 
@@ -48,7 +48,6 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
-                # Testlab writes the unit into a struct "quantity", and the name into one beside.
                 held = q if isinstance(q := value.get("quantity"), Mapping) else {}
                 unit = next((value[k] for k in UNIT_NAMES if k in value), held.get("label"))
                 beside = [v["name"] for v in struct.values() if held and isinstance(v, Mapping) and "name" in v]
