@@ -30,7 +30,7 @@ def read(file: str, wanted: str) -> Content:
 
 
 def tables_of(content: Mapping[str, Any]) -> Tables:
-    """Tables of structs in structs: vectors, matrices (``columns.group``); Testlab's "quantity" has a unit, a struct beside the name."""
+    """Tables of structs in structs: vectors, matrices (``columns.group``); Testlab's has a unit in "quantity", a name beside."""
     tables: Tables = {}
     said: Tables = {}
 
