@@ -20,7 +20,7 @@ from bcfj_jax import InputError, nearest
 from bcfj_jax.core.quantities import GRAVITY, rounded
 from bcfj_jax.data.readers import sheets
 from bcfj_jax.data.reading import read, tables
-from bcfj_jax.data.record import RUN_COLUMNS
+from bcfj_jax.data.record import RUN_COLUMNS, STATED
 from bcfj_jax.io.outputs import create, placed
 from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
@@ -39,7 +39,7 @@ _SAID = {
     "bounce": f"a drop under gravity, several contacts; {_FILE}",
     "oblique_impact": f"a sphere with friction and spin; {_FILE}",
 }
-SCENES, _ALIGN = tuple(_SAID), "onset"
+SCENES, _ALIGN, _TABLES = tuple(_SAID), "onset", "tables"
 # Depth of a half sine over speed and duration; a restitution where no reading gives it.
 _DEPTH, _USUAL = 3.2, 0.7
 # Restitution from the impulse above which nothing is lost: no damping is searched where it is above by so many deviations of its
@@ -50,8 +50,8 @@ _UNHEARD = 0.2
 # Below this exponent of the speed the loss of a contact does not grow as that of a damping.
 _GROWS = 0.5
 # Flights over contacts from which on contacts are apart, and of a bounce at most over the one before; share of its speed that a
-# body gains by gravity in contact, to be said.
-_APART, _KEPT, _PULLED = 2.0, 0.995, 0.01
+# body gains by gravity in contact, to be said; peak of a bounce over the one before at most, samples being what they are.
+_APART, _KEPT, _PULLED, _GAINED = 2.0, 0.995, 0.01, 1.2
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
 # Speeds that a mass which is not known yet leaves open [m/s].
@@ -142,9 +142,11 @@ def _paths(record: Path, out: Path | None) -> tuple[Path, str]:
 
 def found_in(record: Path, said: Said) -> Understood:
     """What a record is: a file, the one table of several that holds a contact, or all files of a pattern."""
+    tabled = said.hints.runs_by == _TABLES
+    hints = said.hints._replace(runs_by=None) if tabled else said.hints
 
     def seen(path: Path, table: str | None) -> Understood:
-        return beside.runs(read(path, "record", table, said.stated), said.hints)
+        return beside.runs(read(path, "record", table, said.stated), hints)
 
     if (paths := matching(record)) != [record]:
         if not paths:
@@ -155,7 +157,7 @@ def found_in(record: Path, said: Said) -> Understood:
                 found = f"{one.path} has other columns than {paths[0]}: {', '.join(one.columns.values())}"
                 raise InputError("record", found, "propose a file for each kind")
         records = [r for e in each for r in e.records]
-        speeds = tuple(v for e in each for v in e.speeds)
+        speeds = tuple(v for e in each for v in e.speeds) if all(e.speeds for e in each) else ()
         return replace(each[0], records=records, speeds=speeds, runs=("file", len(records)))
     if said.table is not None or len(names := tables(record, "record", said.stated)) < 2:
         return seen(record, said.table)
@@ -168,11 +170,12 @@ def found_in(record: Path, said: Said) -> Understood:
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
     # Sheets named alike but for a number are runs, as "h = 30 mm"; "plate 1" and "plate 2" of other files are sensors.
     alike = record.suffix in sheets.KINDS and len({re.sub(r"\d+(?:[.,]\d+)?", "#", f.table) for f in found}) == 1
-    if len(found) == 1 or (len(kinds) == 1 and (alike or all(beside.label(f.table) for f in found))):
+    if len(found) == 1 or (len(kinds) == 1 and (tabled or alike or all(beside.label(f.table) for f in found))):
         return beside.joined([(f.table, f) for f in found])
     which = ", ".join(f'--table "{f.table}"' for f in found) or "; ".join(refused)
     many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
-    raise InputError(str(record), f"holds {len(names)} tables, and {many}", f"give {which}" if found else which)
+    ways = f"give {which}" + f"; where each is a run --runs-by {_TABLES}" * (len(kinds) == 1)
+    raise InputError(str(record), f"holds {len(names)} tables, and {many}", ways if found else which)
 
 
 def _each(found: Understood, said: Said) -> Understood:
@@ -201,7 +204,8 @@ def _kind(found: Understood) -> str:
     if "tangential" in found.columns:
         return "oblique_impact"
     s = sizes(found)
-    falling = all(b < _KEPT * a for a, b in pairwise(s.flights))
+    peaks = [e.peak for e in max(found.records, key=lambda r: len(r.events)).events]
+    falling = all(b < _KEPT * a for a, b in pairwise(s.flights)) and all(b < _GAINED * a for a, b in pairwise(peaks))
     return "bounce" if found.falls or (s.flights and falling and min(s.flights) > s.duration) else "impact"
 
 
@@ -374,7 +378,7 @@ def _wider(least: float, most: float) -> tuple[float, float]:
 
 def _known(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of an impact: as given, else as other columns show them, else as the impulse bounds them."""
-    if speed is None and found.speeds:
+    if speed is None and found.speeds and not (s.speed and found.given[0].startswith(STATED)):
         return _with_speeds(mass, found)
     mass_from = speed_from = "as given"
     v: float | tuple[float, float] | None = speed
@@ -419,7 +423,9 @@ def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understoo
     if m is None and "N" in found.columns:
         m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
     origin = "from the flights between contacts" if speed is None else "about the speed given"
-    return _Known(m, v, "as given", origin, speed is None and found.given[1] == "m")
+    return _Known(
+        m, v, "as given", origin, speed is None and found.given[1] == "m" and not found.given[0].startswith(STATED)
+    )
 
 
 def _middle(value: float | tuple[float, float] | None) -> float | None:

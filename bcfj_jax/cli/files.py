@@ -107,7 +107,9 @@ def init(
         str | None, typer.Option(help='Column of times, with a unit where it has none: "column 1 (us)".')
     ] = None,
     observe: Annotated[str | None, typer.Option(help='Column of readings, likewise: "column 2 (N)".')] = None,
-    runs_by: Annotated[str | None, typer.Option(help='Column that numbers runs; "columns": each is a run.')] = None,
+    runs_by: Annotated[
+        str | None, typer.Option(help='Column that numbers runs; "columns" or "tables": each is a run.')
+    ] = None,
     rows: Annotated[str | None, typer.Option(help='Rows to take: "Sensor = A".')] = None,
     code: Code = None,
 ) -> int:

@@ -104,7 +104,7 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
         found = f"has no rows below {file.counted} {plain[-1].line}"
         raise InputError(file.name, found, "give a file with names and data")
     top = {r.line for r in (*names, *units)}
-    facts += preamble.above(r for r in rows if r.line < data[0].line and r.line not in top)
+    facts += preamble.above(r for r in rows if (r.line < data[0].line or r.comment) and r.line not in top)
     data, tail = _table_alone(data, [*names, *units], numeric)
     left = left or tail
     names, units, data, more = _incremented(names, units, data, numeric, wide)

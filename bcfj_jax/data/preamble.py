@@ -116,8 +116,8 @@ def in_words(titles: Sequence[str], rows: Sequence[Any]) -> list[str]:
         said = rf"(?i:(?<![^\W_]){re.escape(title)}(?:e?s)?(?![^\W_])(?:[ -]?axis)?)"
         how = r"\s*(?i:is in|are in|in|units?\s*[:=]?|[:=/]\s*(?:in\b)?|(?=[\[(]))\s*[\[(]?([^\s,;)\]]+)"
         found = [m for text in texts for m in re.finditer(said + how, text)]
-        # "Rate (samples/sec)" says nothing of samples.
-        found = [m for m in found if "/" not in m[0] or m.string[m.start() - 1 : m.start()] not in ("(", "[")]
+        # "Rate (samples/sec)" says nothing of samples, nor does "200 counts/mm" of counts.
+        found = [m for m in found if "/" not in m[0] or not re.search(r"[(\[]$|\d\s*$", m.string[: m.start()])]
         units = {m[1].rstrip(".") for m in found}
         units = {u for u in units if u not in "ABCDEFGHIJKLMPQRTUXYZaef" and known(u) and not is_missing(u)}
         if len(units) == 1:

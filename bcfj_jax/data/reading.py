@@ -9,6 +9,7 @@ A file may hold several tables: groups, structs and clocks, named by their path,
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from bcfj_jax.data.columns import Column, Columns, Content, Tables, vector
 from bcfj_jax.data.decoding import BINARY
 from bcfj_jax.data.layout import File, Row, found
 from bcfj_jax.data.readers import READERS, reader_of, sheets
-from bcfj_jax.data.record import Record, with_sweeps
+from bcfj_jax.data.record import Record, with_stated, with_sweeps
 from bcfj_jax.data.sensitivity import Sensitivities
 from bcfj_jax.data.textfile import Stated
 from bcfj_jax.io import opening
@@ -41,7 +42,7 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         _unknown(path, where, b"")
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
-    found = _turned(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors))
+    found = with_stated(_turned(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)))
     return found if stated.rate is None else _clocked(found, stated.rate, where)
 
 
@@ -111,7 +112,12 @@ def tables(path: Path, where: str, stated: Stated) -> list[str]:
     if reader is None or path.suffix.lower() in _TEXTS:
         return []
     found = isolated.read(path, where, None, reader)
-    return [name for name, held in {**found.tables, **found.sheets}.items() if held]
+    return [name for name, held in found.tables.items() if held] + _filled(found.sheets)
+
+
+def _filled(sheets: Mapping[str, Sequence[Sequence[Any]]]) -> list[str]:
+    """The sheets that hold numbers beside each other, in more than a row; rows are numbers and their cells."""
+    return [n for n, rows in sheets.items() if sum(sum(map(numbers.is_number, cells)) >= 2 for _, cells in rows) > 1]
 
 
 def _unknown(path: Path, where: str, head: bytes) -> None:
@@ -160,19 +166,18 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
     """The table on a sheet: the only one that holds numbers, or the one named ``inside``."""
     if inside is not None and inside not in content.sheets:
         raise InputError(f"{where} table", f"no sheet '{inside}' in {path}", nearest(inside, content.sheets))
-    wanted = content.sheets if inside is None else [inside]
     sheets = {
-        name: [Row(k, cells) for k, cells in content.sheets[name] if not all(map(numbers.is_missing, cells))]
-        for name in wanted
+        name: [Row(k, cells) for k, cells in rows if not all(map(numbers.is_missing, cells))]
+        for name, rows in content.sheets.items()
     }
-    if len(sheets) > 1:
-        filled = [n for n, rows in sheets.items() if sum(sum(map(numbers.is_number, r.cells)) >= 2 for r in rows) > 1]
-        if len(filled) > 1:
-            names = ", ".join(f"'{n}'" for n in filled[:8])
-            said = f"{path} holds {len(filled)} sheets with numbers"
-            raise InputError(where, said, f'choose with table = "...": {names}')
-        sheets = {name: sheets[name] for name in filled} or sheets
-    name = next(iter(sheets))
+    filled = _filled(content.sheets)
+    if inside is None and len(filled) > 1:
+        names = ", ".join(f"'{n}'" for n in filled[:8])
+        raise InputError(
+            where, f"{path} holds {len(filled)} sheets with numbers", f'choose with table = "...": {names}'
+        )
+    name = inside or next(iter(filled or sheets))
+    about = preamble.above(r for other, rows in sheets.items() if other not in (name, *filled) for r in rows)
     file = File(f"{path}: {name}", "row")
     rows = sheets[name]
     if not any(numbers.is_number(cell) for row in rows for cell in row.cells):  # "12.4 ms" is a text of a number.
@@ -182,7 +187,8 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
         rows[at:at] = labels
     layout = found(rows, file, stated.header)
     marks = textfile.decimal_marks(layout, stated, file)
-    return replace(textfile.table(path, layout, marks, file, f"sheet '{name}'", name), reader="sheets")
+    table = textfile.table(path, layout, marks, file, f"sheet '{name}'", name)
+    return replace(table, reader="sheets", facts=(*table.facts, *about))
 
 
 def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Record:

@@ -5,7 +5,9 @@ What the channels mean is stated by the problem file. A file that holds several 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -16,9 +18,9 @@ import numpy as np
 
 from bcfj_jax.core.errors import InputError, clip, nearest
 from bcfj_jax.data.clock import is_of_day, is_time, of_day, since_1970, ticks
-from bcfj_jax.data.numbers import CLIPPED, is_missing, parsed
+from bcfj_jax.data.numbers import CLIPPED, is_missing, is_number, parsed
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED, NONE, Sensitivities
-from bcfj_jax.io.units import WEIGHTS, column, same, scale_of
+from bcfj_jax.io.units import WEIGHTS, column, quantity, same, scale_of
 
 # An unfiltered column of one of these names numbers runs: each of its values is an experiment.
 RUN_COLUMNS = (
@@ -28,6 +30,25 @@ RUN_COLUMNS = (
 )  # fmt: skip
 # What numbers the runs of a clock that begins anew, where no column does.
 SWEEP = "sweep"
+# What is one number in each run, how high a body fell or how fast it struck: columns, or lines beside a table.
+_FELL, _HIGH = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda)", "(?:height|h(?:ö|oe)he)"
+_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
+GIVEN = {
+    "m/s": re.compile(
+        rf"v[ _]?(?:0|i|impact)?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)"
+        rf"|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
+    ),
+    "m": re.compile(
+        rf"h|(?:{_FELL} ?)?{_HIGH}|(?:hauteur|altura|altezza|výška|wysokość|高さ|高度)(?: de (?:la )?{_FELL})?"
+    ),
+}  # fmt: skip
+DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
+# Before the name of a column that lines beside a table or its name give, in SI. A line "speed" may be a machine's.
+STATED, _BARE = "stated ", re.compile("speed|velocity|geschwindigkeit|vitesse|velocidad")
+_IN_NAME = {
+    "approach speed [m/s]": r"(?:^|[\W_]|v)NUMBER(m/s|mps|mm/s)(?:$|[\W_])",
+    "drop height [m]": rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
+}  # fmt: skip
 # Rows of a run at least, and of all times the share within which the clocks of runs begin.
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
@@ -35,7 +56,7 @@ _QUOTED = 5
 # A number that oscilloscopes write for such a sample: 9.9e37 is infinity of SCPI, 9.91e37 no number.
 _OVERLOAD = 9.8e37
 # Numbers that loggers write where they have none, and how far beyond the others they are.
-_SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37), 3.0
+_SENTINELS, _FAR = (999.0, 9999.0, 99999.0, 999999.0, 9999999.0, 999.99, 9999.99, 1e20, 1e30, 1e37, 3.697314e28), 3.0
 
 
 class Channel(NamedTuple):
@@ -305,6 +326,38 @@ def with_sweeps(table: Record) -> Record:
     return replace(table, found="; ".join(filter(None, (table.found, said)))).beside(
         SWEEP, np.repeat(np.arange(1, begins.size + 1), lengths)
     )
+
+
+def stated(key: str, value: str, si_unit: str) -> float:
+    """What a line beside a table states with a unit, behind its number or in its name, SI; 0 of anything else."""
+    text = value if "." in value else value.replace(",", ".")
+    unit = column(key)[1] if is_number(text) else ""
+    with contextlib.suppress(InputError):
+        return max(quantity(f"{text} {unit}".strip(), si_unit, key), 0.0) if unit is not None else 0.0
+    return 0.0
+
+
+def with_stated(table: Record) -> Record:
+    """The table with a column of the speed or else the height of its runs, where lines beside it or its name state it.
+
+    These state one for all rows, or one for each sweep in their order.
+    """
+    dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *map(" ".join, table.facts)))
+    numbered = table.columns[table.header.index(SWEEP)] if SWEEP in table.header else np.zeros(0)
+    runs, place = np.unique(numbered if numbered.dtype.kind == "i" else np.zeros(table.lines.size), return_inverse=True)
+    for header, pattern in _IN_NAME.items():
+        unit = str(column(header)[1])
+        keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts if dropped or unit != "m"]
+        said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
+        named = re.compile(pattern.replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
+        here = [m for text in (table.inside, table.path.stem) if (dropped or unit != "m") and (m := named.search(text))]
+        said = said or [("", f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in here[:1]]
+        found = np.array(list(dict.fromkeys(v for f in said if (v := stated(*f, unit)))))
+        if found.size in {1, runs.size}:
+            cells, marks = np.resize(found, runs.size)[place], (*table.decimals, ".")
+            made = replace(table, header=(*table.header, STATED + header), columns=(*table.columns, cells))
+            return replace(made, decimals=marks if table.decimals else ())
+    return table
 
 
 def split(

@@ -19,7 +19,7 @@ _FULL = 'say what full scale is: --full-scale "500 N" of init calibration, or fu
 NEEDED = {
     "": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N")),
     "mV/V": _GIVE.replace("10 mV/N", "2 mV/V/kN"), **dict.fromkeys(("mA", "A"), _GIVE.replace("10 mV/N", "16 mA/kN")),
-    **{unit: _GIVE.replace("10 mV/N", "20 px/mm" if base == "px" else "85 counts/N") for unit, base in COUNTS.items()},
+    **{u: _GIVE.replace("10 mV/N", {"px": "20 px/mm", "ue": "0.5 ue/N"}.get(b, "85 counts/N")) for u, b in COUNTS.items()},
 }  # fmt: skip
 # Units of columns that are no quantity of a scene, and in which a sensitivity is written.
 _BRIDGE = "mV/V"
@@ -28,7 +28,7 @@ ELECTRICAL = {
     **dict.fromkeys(_VOLTS, "mV"), **dict.fromkeys(("pC", "nC", "C"), "pC"), **dict.fromkeys(("mA", "A"), "mA"),
     FULL_SCALE: FULL_SCALE, **COUNTS,
 }  # fmt: skip
-_BASES = {"mV": "V", "pC": "C", "mA": "A", "px": "px", "counts": "counts"}
+_BASES = {"mV": "V", "pC": "C", "mA": "A", "px": "px", "counts": "counts", "ue": "ue"}
 _ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt": "V", "mVolt": "mV"}
 # What a sensor may read, in SI.
 _READ = ("N", "m/s^2", "m/s", "m", "N m")
@@ -105,7 +105,7 @@ def _factor(number: float, text: str, unit: str, where: str, named: bool) -> Fac
     said = text
     if unit == _BRIDGE:
         unit, text = "mV", text.replace(f"({_BRIDGE})", "mV").replace(_BRIDGE, "mV")
-    above, _, below = text.partition("/")
+    above, _, below = re.sub(r"\(?[µμu]m/m\)?", "ue", text).partition("/")
     unit = "counts" if COUNTS.get(above.strip()) == "counts" else unit  # Whoever says so knows better than the file.
     base = _BASES.get(ELECTRICAL[unit], "V")
     for electric, other, inverse in ((above, below, True), (below, above, False)):

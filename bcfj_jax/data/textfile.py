@@ -39,7 +39,9 @@ _POINTED = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
 # The name before a number, and the unit behind one.
 _BEFORE = re.compile(r"([^\W\d][\w ./()²^-]*?)[\"'\s\]]*[:=][\"'\s\[(]*$")
 _BEHIND = re.compile(r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])")
-_SENSOR = re.compile(r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA)/(?:kN|N|g|lbf|\(?m/s[\^]?[2²]\)?)(?!\w)")
+_SENSOR = re.compile(
+    r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA|counts?|px)/(?:kN|N|g|lbf|[mu]?m|\(?m/s[\^]?[2²]\)?)(?!\w)"
+)
 _ALONE = re.compile(r"\s*[-+]?\d+,(\d+)\s*")
 # Numbers of fixed width without a blank between, "1.0E-04-2.0E+01"; and cells that a spreadsheet marked as texts.
 _JOINED = re.compile(r"(\d[eEdD][-+]\d\d\d?)(?=[-+][\d.])")
@@ -375,7 +377,8 @@ def _glued(lines: Sequence[str], rows: list[Row], separator: str) -> list[Row]:
     fitted = []
     for row in rows:
         other = len(row.cells) > wide if separator == "blank" else len(row.cells) == 1 < wide
-        if other and not any(map(numbers.is_number, row.cells)):
+        # "v0: 0,93 m/s" is no two names.
+        if other and not any(numbers.is_number(c) or re.search(r"[:=] *[-+]?\d", str(c)) for c in row.cells):
             line = lines[row.line - 1].strip().lstrip("#%/!; ")
             runs = (re.split(r"\s{2,}|\t+", line), _BESIDE_A_UNIT.sub(_join, line).split())
             for cells in (*runs, *(_cells(line, s) for s in ("comma", "semicolon", "tab"))):

@@ -54,6 +54,7 @@ _CASED = (
 # What a header in capitals means; elsewhere case matters.
 _CAPITALS = {
     "KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz", "mS": "ms", "SEC": "sec", "MSEC": "msec", "LBF": "lbf",
+    "lbF": "lbf", "Lbf": "lbf", "kgF": "kgf", "gF": "gf",
 }  # fmt: skip
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
@@ -75,10 +76,11 @@ _IN_GRAVITIES = re.compile(
 _ACCELERATION = re.compile(
     r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
-# Numbers of a picture and of a converter, which a sensitivity makes a quantity.
+# Numbers of a picture and of a converter, and strains, which a sensitivity makes a quantity.
 COUNTS = {
     **dict.fromkeys(("px", "pixel", "pixels"), "px"),
     **dict.fromkeys(("count", "counts", "digits", "LSB"), "counts"),
+    **dict.fromkeys(("µm/m", "μm/m", "um/m", "µε", "με", "ue", "µstrain", "ustrain", "microstrain"), "ue"),
 }
 # Masses in which forces are stated by their weight, and its unit.
 WEIGHTS = {"kg": "kgf", "g": "gf", "lb": "lbf", "lbs": "lbf"}

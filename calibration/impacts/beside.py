@@ -19,6 +19,7 @@ from bcfj_jax import InputError
 from bcfj_jax.data.clock import is_of_day, is_time, ticks
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
+from calibration.impacts import headers
 from calibration.impacts.proposal import Hints, Part, Understood, understood
 
 _WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
@@ -26,6 +27,7 @@ _WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|
 _EPOCH = 1e6
 # What --runs-by says where columns that are named alike but for a number are runs.
 COLUMNS = "columns"
+_NUMBER = re.compile(r"\d+(?:[.,]\d+)?")
 _LABEL = re.compile(rf"(?i)\b(?:(?:{_WORDS})[\s#:._-]*\d+|\d+ _ \d+)\s*:?")
 
 
@@ -37,9 +39,9 @@ def label(name: str, number: re.Pattern[str] = _LABEL) -> str:
 
 def runs(table: Record, hints: Hints) -> Understood:
     """What a table is (``understood``), of all runs that stand beside each other in it, or the one that ``hints`` name."""
-    columns = hints.runs_by == COLUMNS and COLUMNS not in table.header
-    pieces, parts = _labelled(table, re.compile(r"\d+(?:[.,]\d+)?") if columns else _LABEL), True
-    hints = hints._replace(runs_by=None) if columns else hints
+    if hints.runs_by == COLUMNS and COLUMNS not in table.header:
+        return _by_columns(table, hints._replace(runs_by=None))
+    pieces, parts = _labelled(table, _LABEL), True
     if len(pieces) < 2:
         pieces, parts = [("", piece) for piece in _clocked(table)], False
     named = [h for h in (hints.time, hints.observe) if h is not None]
@@ -69,10 +71,33 @@ def joined(each: Sequence[tuple[str, Understood]]) -> Understood:
     return replace(
         each[0][1],
         records=[replace(run, name=name) for name, one in each for run in one.records],
-        speeds=tuple(v for _, one in each for v in one.speeds),
+        speeds=tuple(v for _, one in each for v in one.speeds) if all(one.speeds for _, one in each) else (),
         runs=("beside", len(each)),
         parts=tuple(Part(name, one.table, one.time, one.columns) for name, one in each),
     )
+
+
+def _by_columns(table: Record, hints: Hints) -> Understood:
+    """Each column that is named as the one to be read is but for a number, or else that is in its unit, as a run."""
+    pieces = _labelled(table, _NUMBER)
+    if hints.observe is None and len(pieces) > 1:
+        return joined([(name, understood(p, hints)) for name, p in pieces])
+    named = hints.observe or next((h for h in table.header if headers.read_unit(table, h) in headers.READ), "")
+    if not named:
+        return understood(table, hints)
+    read, unit = table.header[table.index(named, "--observe")], column(named)[1]
+    alike, same = [h for h in table.header if _NUMBER.sub("", h) == _NUMBER.sub("", read)], column(read)[1]
+    alike = alike if len(alike) > 1 else [h for h in table.header if same and column(h)[1] == same and not is_time(h)]
+    if len(alike) < 2:
+        way = f"take --runs-by {COLUMNS} out, or name a column beside which others stand by --observe"
+        raise InputError("--runs-by", f"no other column of {table.name} is as '{read}'", way)
+    each = []
+    for h in alike:
+        label, piece = next((p for p in pieces if h in p[1].header), (column(h)[0], table))
+        time = hints.time if hints.time and _holds(piece, hints.time) else None
+        said = h if column(h)[1] or not unit else f"{h} [{unit}]"
+        each.append((label, understood(piece, hints._replace(observe=said, time=time))))
+    return joined(each)
 
 
 def _holds(piece: Record, header: str) -> bool:

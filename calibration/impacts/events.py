@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from bcfj_jax.core.quantities import GRAVITY
 from calibration.forward.runs import stretches
@@ -135,7 +135,10 @@ def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | Non
     even, step = np.linspace(times[0], times[-1], round(min(whole, 4.0 * times.size)) + 1, retstep=True)
     count = min(max(5, round(_PUSHED / step) // 2 * 2 + 1), (even.size - 1) // 2 * 2 + 1)
     bends = np.asarray(savgol_filter(np.interp(even, times, places), count, 2, 2, float(step)))
-    return np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
+    thrown = np.maximum(up * np.interp(times, even, bends) - GRAVITY, 0.0)
+    # What the noise of places alone bends is no push.
+    noise = scatter(places) * float(np.linalg.norm(savgol_coeffs(count, 2, 2, float(step))))
+    return np.where(thrown > min(_SIGMAS * noise, 0.5 * float(thrown.max())), thrown, 0.0)
 
 
 def turning(times: np.ndarray, values: np.ndarray) -> int:

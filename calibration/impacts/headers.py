@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 
 import numpy as np
@@ -10,9 +9,9 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.data.clock import TIMES, plain
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.data.record import SWEEP, Record
+from bcfj_jax.data.record import SWEEP, Record, stated
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, known, quantity, same, scale_of
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, known, same, scale_of
 from calibration.impacts.events import contacts
 from calibration.noise.scatter import scatter
 
@@ -43,6 +42,10 @@ _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
     r"|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro)?"
 )
+# A sensitivity's column and electric unit, or that of counts, whichever side it is on.
+_STATED = re.compile(
+    rf"(?:(.+?)\s*=)?\s*[-+\d.eE]+\s*(?:({'|'.join(map(re.escape, sorted(ELECTRICAL, reverse=True)))})/|[^/]+/(\w*V|\w*C))"
+)
 # So many whole numbers without a unit, or in volts, may be counts.
 _COUNTED, _VOLTS = 20, ("V", "Volt", "Volts", "volt", "volts", "Vdc", "VDC")
 
@@ -64,14 +67,8 @@ def named(header: str, unit: str) -> bool:
 
 def stated_mass(table: Record) -> float | None:
     """The mass of what strikes [kg], where lines beside the table state one with its unit; None where they do not."""
-    found = set()
-    for key, value in table.facts:
-        unit = column(key)[1] or ""
-        with contextlib.suppress(InputError):
-            text = value if "." in value else value.replace(",", ".")
-            if _MASS.fullmatch(plain(key)):
-                found.add(quantity(text if not is_number(text) else f"{text} {unit}", "kg", key))
-    return found.pop() if len(found) == 1 and min(found) > 0.0 else None
+    found = {stated(*fact, "kg") for fact in table.facts if _MASS.fullmatch(plain(fact[0]))} - {0.0}
+    return found.pop() if len(found) == 1 else None
 
 
 def values_of(table: Record, header: str, unit: str) -> np.ndarray:
@@ -183,6 +180,10 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
         way = "write a scene file whose body is on a hinge, and observe its angle"
         return f"'{h}' is an angle: {way}: docs/howto/problem_file.md"
     other = pulsing(table, found.get("s", ""))
+    if said := _STATED.match(given := table.sensitivities.stated or table.sensor):
+        here, unit = next((h for h in table.header if h == said[1]), other), said[3] or said[2]
+        ways = f'"{here} [V]" or "{here} [mV]"' if unit.endswith("V") else f'"{here} [{unit}]"'
+        return f'say what its numbers are: --observe {ways} --sensitivity "{given}" of init calibration'
     heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
     # A letter alone may be of anything.
     kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
@@ -217,13 +218,13 @@ def pulsing(table: Record, clock: str) -> str:
 
 
 def one_of(table: Record, header: str, unit: str) -> None:
-    """Refuse a force or acceleration beside which others, named as it is but for a number, show hits of another course.
+    """Refuse a reading beside which others, named as it is but for a number or letter, show hits of another course.
 
-    Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read. Of
-    motions those that differ by a number or letter but x, y, z, too: two bodies, whose way to each other is what counts.
+    Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read. Axes
+    x, y, z are of one body; of motions two bodies are meant, whose way to each other is what counts.
     """
     moves = unit in ("m/s", "m")
-    one = re.compile(r"(?i)\d+|\b[a-w]\b" if moves else r"\d+")
+    one = re.compile(r"(?i)\d+|\b[a-w]\b")
     alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}

@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import Faults, clip
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
-from bcfj_jax.data.record import RUN_COLUMNS, SWEEP, Record, run_column, split
+from bcfj_jax.data.record import DROPPED, GIVEN, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
@@ -28,18 +28,6 @@ from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
-# Columns that are one number in each run: how high a body fell, or how fast it struck.
-_FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda)"
-_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
-_GIVEN = {
-    "m": re.compile(
-        rf"h|(?:{_FELL} ?)?(?:height|h(?:ö|oe)he)|(?:hauteur|altura|altezza|výška|wysokość|高さ|高度)(?: de (?:la )?{_FELL})?"
-    ),
-    "m/s": re.compile(
-        rf"v0?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
-    ),
-}  # fmt: skip
-_DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
 _TANGENTIAL = {
     "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
 }  # fmt: skip
@@ -218,7 +206,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
-        dropped=any(_DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
+        dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
@@ -325,7 +313,7 @@ def _speeds(table: Record, parts: list[Record], run: str = "") -> tuple[tuple[st
 
 def _is_given(header: str, unit: str) -> bool:
     """Whether a name is that of a height or speed of runs."""
-    return _GIVEN[unit].fullmatch(headers.name_of(header).replace("_", " ")) is not None
+    return GIVEN[unit].fullmatch(headers.name_of(header).removeprefix(STATED).replace("_", " ")) is not None
 
 
 def _filtered(table: Record, time: str) -> tuple[dict[str, str], Record]:
@@ -411,7 +399,7 @@ def _is_fixed(table: Record, header: str, run: str = "") -> bool:
     seen: dict[str, set[str]] = {}
     for label, cell in zip(labels, column_of[header].tolist(), strict=True):
         seen.setdefault(str(label), set()).add(str(cell))
-    named = any(_is_given(header, unit) for unit in _GIVEN)
+    named = any(_is_given(header, unit) for unit in GIVEN)
     return (len(seen) > 1 or named) and all(len(cells) == 1 for cells in seen.values())
 
 

@@ -30,7 +30,7 @@ def read(file: str, wanted: str) -> Content:
 
 
 def tables_of(content: Mapping[str, Any]) -> Tables:
-    """The tables of structs within structs: vectors, and matrices where they go with these (``columns.group``)."""
+    """Tables of structs in structs: vectors, matrices (``columns.group``); Testlab's has a unit in "quantity", a name beside."""
     tables: Tables = {}
     said: Tables = {}
 
@@ -48,9 +48,11 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
-                unit = next((value[k] for k in UNIT_NAMES if k in value), None)
+                held = q if isinstance(q := value.get("quantity"), Mapping) else {}
+                unit = next((value[k] for k in UNIT_NAMES if k in value), held.get("label"))
+                beside = [v["name"] for v in struct.values() if held and isinstance(v, Mapping) and "name" in v]
                 columns.update(_rates(value))
-                name, value = str(text(value.get("label", value.get("name"))) or name), value[own]
+                name, value = str(text(value.get("label", value.get("name", *beside))) or name), value[own]
             else:
                 unit = None
             if not name.startswith("__"):

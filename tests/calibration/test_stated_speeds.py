@@ -1,0 +1,181 @@
+"""Runs whose speed or height is stated beside a table, by its name or on another sheet; columns and tables as runs; strains."""
+
+from __future__ import annotations
+
+import numpy as np
+import openpyxl
+import pytest
+from scipy.io import savemat
+
+from bcfj_jax import InputError
+from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.data.reading import read
+from bcfj_jax.data.textfile import Stated
+from benchmarks.calibration import instruments
+from calibration import init
+from calibration.impacts.events import contacts
+from calibration.impacts.proposal import Hints
+
+STEP = 5e-5
+FORCE = instruments.FORCE[60:260]
+TIMES = STEP * np.arange(FORCE.size)
+
+
+def rows(*columns, sep=","):
+    return "".join(sep.join(f"{c:.5f}" for c in row) + "\n" for row in zip(*columns, strict=True))
+
+
+def bounce(height=1.0, kept=0.8, rate=240.0):
+    """Times (N,) and places (N,) of a ball that bounces once."""
+    times = np.arange(0.0, 1.5, 1.0 / rate)
+    falls, speed = np.sqrt(2.0 * height / GRAVITY), np.sqrt(2.0 * GRAVITY * height)
+    later = times - falls
+    after = np.abs(kept * speed * later - 0.5 * GRAVITY * later**2)
+    return times, np.where(later < 0.0, height - 0.5 * GRAVITY * times**2, after)
+
+
+def of(path, content="", stated=Stated(), **hints):  # noqa: B008
+    """What is understood of a file, or of all of a pattern."""
+    if content:
+        path.write_text(content)
+    return init.found_in(path, init.Said("", "0.8 kg", stated=stated, hints=Hints(**hints)))
+
+
+@pytest.mark.parametrize(
+    ("head", "speed"),
+    [
+        ("v0: 0,93 m/s", 0.93),
+        ("Impact velocity (m/s): 3.1", 3.1),
+        ("Drop height: 30 cm", np.sqrt(2.0 * GRAVITY * 0.3)),
+        ("Speed: 5 mm/min", None),
+        ("Height: 20 mm", None),
+        ("v0: 0.93", None),
+    ],
+)
+def test_a_line_beside_the_table_states_the_speed(head, speed, tmp_path):
+    found = of(tmp_path / "a.txt", f"{head}\n\nt [s]\tF [N]\n{rows(TIMES, FORCE, sep=chr(9))}")
+    assert found.speeds == ((pytest.approx(speed),) if speed else ())
+
+
+def test_names_of_files_and_lines_of_blocks_state_each_runs(tmp_path):
+    for name, scale in (("hit_0p5mps.csv", 1.0), ("hit_1p5mps.csv", 3.0)):
+        of(tmp_path / name, "t [s],F [N]\n" + rows(TIMES, scale * FORCE))
+    found = of(tmp_path / "hit_*.csv")
+    assert found.speeds == (0.5, 1.5) and found.given[1] == "m/s"
+    blocks = "\n".join(f"# v = {v} m/s\n# t/s F/N\n{rows(TIMES, v * FORCE, sep=' ')}" for v in (0.8, 1.2, 1.2, 1.6))
+    assert of(tmp_path / "four.dat", blocks).speeds == ()  # Two are alike, and which run has which is not said.
+    assert of(tmp_path / "two.dat", "\n".join(blocks.split("\n# v")[0::1][:2]).replace("\n =", "\n# v =")).speeds == (
+        0.8,
+        1.2,
+    )
+
+
+def test_the_proposed_file_has_the_stated_speeds(tmp_path):
+    path = tmp_path / "drop_300mm.csv"
+    path.write_text("t [s],F [N]\n" + rows(TIMES, FORCE))
+    assert init.run(path, tmp_path, init.Said(), lambda _: None) == 0
+    text = (tmp_path / "drop_300mm.toml").read_text()
+    assert 'columns = { drop_height = "stated drop height [m]" }' in text
+    assert "gravity" in text and "mass = { lower" in text and "?" not in text
+
+
+def test_another_sheet_states_mass_and_speed_and_sheets_may_be_runs(tmp_path):
+    book = openpyxl.Workbook()
+    book.remove(book.worksheets[0])
+    info = book.create_sheet("Info")
+    for row in (["Impactor mass (kg)", 2.35], ["Impact velocity (m/s)", 1.65]):
+        info.append(row)
+
+    def add(name, force):
+        sheet = book.create_sheet(name)
+        for row in (["t [s]", "F [N]"], *zip(TIMES.tolist(), force.tolist(), strict=True)):
+            sheet.append(row)
+
+    add("links", FORCE)
+    book.save(tmp_path / "a.xlsx")
+    found = of(tmp_path / "a.xlsx")
+    assert (found.mass, found.speeds) == (2.35, (1.65,))
+    assert read(tmp_path / "a.xlsx", "", "links").header[-1] == "stated approach speed [m/s]"
+    add("rechts", 2.0 * FORCE)
+    book.save(tmp_path / "b.xlsx")
+    with pytest.raises(InputError, match="--runs-by tables"):
+        of(tmp_path / "b.xlsx")
+    assert [p.name for p in of(tmp_path / "b.xlsx", runs_by="tables").parts] == ["links", "rechts"]
+
+
+@pytest.mark.parametrize(
+    "names", [("F1 [N]", "F2 [N]"), ("links [N]", "rechts [N]"), ("Force (N) A", "Force (N) B"), ("20 mm", "40 mm")]
+)
+def test_all_columns_are_runs_whichever_is_named(names, tmp_path):
+    late = np.roll(FORCE, 20)
+    text = f"t [s],{','.join(names)}\n{rows(TIMES, FORCE, late)}"
+    observe = names[1] if "[" in names[1] or "(" in names[1] else f"{names[1]} [N]"
+    found = of(tmp_path / "a.csv", text, runs_by="columns", observe=observe)
+    assert len(found.records) == len(found.parts) == 2
+    for run, force in zip(found.records, (FORCE, late), strict=True):
+        np.testing.assert_allclose(run.readings["N"], force, atol=1e-4)
+
+
+def test_columns_as_runs_need_two(tmp_path):
+    with pytest.raises(InputError, match="no other column"):
+        of(tmp_path / "a.csv", f"t [s],F [N]\n{rows(TIMES, FORCE)}", runs_by="columns", observe="F [N]")
+
+
+def test_columns_that_differ_by_a_letter_are_asked_for(tmp_path):
+    with pytest.raises(InputError, match="--runs-by columns"):
+        of(tmp_path / "a.csv", f"t [s],Force (N) A,Force (N) B\n{rows(TIMES, FORCE, np.roll(FORCE, 20))}")
+
+
+def test_counts_per_millimetre_are_no_millimetres_and_are_asked_for(tmp_path):
+    times, places = bounce()
+    text = "# encoder, 200 counts/mm\ntime_ms,count\n" + rows(1e3 * times, np.round(2e5 * places))
+    with pytest.raises(InputError, match=r'--observe "count \[counts\]" --sensitivity "200 counts/mm"'):
+        of(tmp_path / "a.csv", text)
+    found = of(tmp_path / "a.csv", text, Stated(sensitivity="200 counts/mm"), observe="count [counts]")
+    assert found.falls
+    np.testing.assert_allclose(np.abs(found.records[0].readings["m"]), places, atol=3e-6)
+
+
+def test_a_strain_is_a_force_by_its_sensitivity_and_the_message_says_how(tmp_path):
+    text = "t [s];DMS [µm/m]\n" + rows(TIMES, -0.4 * FORCE, sep=";")
+    with pytest.raises(InputError, match=r"0\.5 ue/N"):
+        of(tmp_path / "a.csv", text)
+    for said in ("0.4 ue/N", "0.4 um/m/N", "DMS = 0.4 (µm/m)/N"):
+        found = of(tmp_path / "a.csv", text, Stated(sensitivity=said))
+        np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=1e-4)
+
+
+def test_a_bare_column_and_a_sensitivity_lead_on(tmp_path):
+    text = f"t [s],A,B\n{rows(TIMES, 1e-3 * FORCE, 0.0 * FORCE)}"
+    with pytest.raises(InputError, match=r'--observe "A \[V\]" or "A \[mV\]" --sensitivity "A = 2 mV/N"'):
+        of(tmp_path / "a.csv", text, Stated(sensitivity="A = 2 mV/N"))
+
+
+def test_a_struct_of_a_quantity_has_its_unit_and_the_name_beside(tmp_path):
+    def signal(name, unit, values):
+        x = {"start_value": 0.0, "increment": STEP, "number_of_values": values.size}
+        y = {"values": values[:, None], "quantity": {"label": unit}}
+        return {"x_values": x, "y_values": y, "function_record": {"name": name}}
+
+    savemat(
+        tmp_path / "a.mat", {"Signal_0": signal("Hammer", "N", FORCE), "Signal_1": signal("Plate", "g", 0.0 * FORCE)}
+    )
+    assert of(tmp_path / "a.mat").columns == {"N": "Hammer [N]"}
+
+
+def test_noise_of_places_is_no_contact():
+    times, places = bounce()
+    places = places + 8e-4 * np.random.default_rng(1).normal(size=times.size)
+    assert [round(e.begin, 1) for e in contacts("body.place.y", times, places)] == [0.4, 1.2]
+
+
+def test_a_harder_second_hit_is_no_bounce_and_a_number_for_none_is_none(tmp_path):
+    quiet = np.zeros(1500)
+    force = np.r_[quiet, FORCE, quiet, 1.8 * FORCE, quiet]
+    found = of(tmp_path / "a.csv", "t [s],F [N]\n" + rows(STEP * np.arange(force.size), force))
+    assert init._kind(found) == "impact"
+    lines = ("t [s],F [lbF]\n" + rows(TIMES, FORCE)).splitlines()
+    lines[5] = lines[5].split(",")[0] + ",-3.697314e+28"
+    lines[9] = lines[9].split(",")[0] + ",-3.697314e+28"
+    readings = of(tmp_path / "b.csv", "\n".join(lines)).records[0].readings["N"]
+    assert np.isnan(readings[[4, 8]]).all() and np.nanmax(readings) == pytest.approx(4.4482216 * FORCE.max(), rel=1e-4)
