@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.core.quantities import percent, rounded
+from calibration.diagnostics.fit_tests import WORST_CONDITION
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
@@ -197,7 +198,8 @@ def _leading(
 def _following(
     here: _Around, i: int, begin: _Around, free: np.ndarray, anew: Anew, variance: float | None
 ) -> _Around | None:
-    """The fit about the point where a set leads; None where the model does not run there or knows other errors.
+    """The fit about the point where a set leads; None where the model does not run there, knows other errors, or loses a
+    direction, as of a stop that the motion no longer reaches.
 
     The motion of the point does not know the error, that of the optimum follows the record and does. What an error of the law
     changes between the two is its slope midway, to third order.
@@ -208,6 +210,8 @@ def _following(
     one = evaluation(here.at.model)(point[None])
     residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+        return None
+    if np.linalg.cond(jacobian[:, free]) >= WORST_CONDITION:
         return None
     there = replace(here.at, end=replace(here.at.end, point=point, residuals=residuals, jacobian=jacobian))
     errors = list(anew(there, 0.5 * (point + begin.at.end.point)))
