@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import Motion, Scene, apart, of_force, of_readings, shared_and_own
+from calibration.forward.runs import stretches
 
 LOSS = "loss depends on speed otherwise"
 # Speeds of approach in a ratio below this are one speed.
@@ -134,14 +135,15 @@ def _filtered(scene: Scene, rate: complex, weight: complex) -> np.ndarray:
         keep = np.exp(-angle)
         mean = -np.expm1(-angle) / angle
         push = (mean - keep) * x[:-1] + (1.0 - mean) * x[1:]
-        out = list(accumulate(zip(keep.tolist(), push.tolist(), strict=True), _step, initial=complex(x[0])))
-        read = weight * np.array(out)
+        read = weight * _followed(keep, push, complex(x[0]))
         errors.append((read.imag if isinstance(rate, complex) else read.real) - x)
     return of_readings(scene, errors)
 
 
-def _step(last: complex, move: tuple[complex, complex]) -> complex:
-    return move[0] * last + move[1]
+def _followed(keep: np.ndarray, push: np.ndarray, first: complex) -> np.ndarray:
+    """(N + 1,) of u_n+1 = keep_n u_n + push_n from the first on."""
+    moves = zip(keep.tolist(), push.tolist(), strict=True)
+    return np.array(list(accumulate(moves, lambda last, move: move[0] * last + move[1], initial=first)))
 
 
 def _smoothed(scene: Scene, time: float) -> np.ndarray:
@@ -178,10 +180,8 @@ def _relaxation(scene: Scene, relaxation_time: float) -> np.ndarray:
 def _branch(motion: Motion, time: float) -> np.ndarray:
     kept = np.exp(-np.diff(motion.times) / time)
     grown = np.diff(motion.elastic) * np.exp(-0.5 * np.diff(motion.times) / time)
-    touching, stress = motion.depth > 0.0, np.zeros(motion.times.size)
-    for n in range(kept.size):
-        stress[n + 1] = touching[n + 1] * (kept[n] * stress[n] + grown[n])
-    return stress
+    touching = motion.depth[1:] > 0.0
+    return _followed(touching * kept, touching * grown, 0.0)
 
 
 def _loss(scene: Scene, loss_exponent: float) -> np.ndarray:
@@ -244,8 +244,8 @@ def _hums(scene: Scene) -> dict[str, np.ndarray]:
 
 def _powers(scene: Scene) -> dict[str, np.ndarray]:
     """Of the rate in the force of a loss; none where contacts begin at one speed, which shows no dependence on it."""
-    begins = [held.motion.rate[held.motion.begins] for held in scene.motions if held]
-    speeds = np.abs(np.concatenate([np.zeros(0), *begins]))
+    motions = [held.motion for held in scene.motions if held]
+    speeds = np.array([abs(m.rate[first]) for m in motions for first, _ in stretches(m.depth > 0.0)])
     speeds = speeds[speeds > 0.0]
     differ = speeds.size > 1 and speeds.max() > _SPEEDS * speeds.min()
     return {"loss_exponent": np.geomspace(0.05, 3.0, 12) if differ else np.zeros(0)}
