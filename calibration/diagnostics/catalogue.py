@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from calibration.diagnostics.residual_tests import Series
 from calibration.diagnostics.signatures import Motion, Scene, apart, of_force, of_readings, shared_and_own
+from calibration.forward.runs import stretches
 
 LOSS = "loss depends on speed otherwise"
 # Speeds of approach in a ratio below this are one speed.
@@ -33,7 +34,8 @@ _BY_SIZE = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)] + [
 ]
 # A share of the peak that is called a large error of the law; of itself, of a gain.
 _LAW, GAIN = 0.05, 0.01
-# Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another.
+# Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another and
+# of what nobody listed.
 ACTS, EVERYWHERE, SELDOM = 0.6, 0.97, 0.4
 # Normal quantile that sizes of errors are stated with.
 QUANTILE = 1.959964
@@ -134,14 +136,15 @@ def _filtered(scene: Scene, rate: complex, weight: complex) -> np.ndarray:
         keep = np.exp(-angle)
         mean = -np.expm1(-angle) / angle
         push = (mean - keep) * x[:-1] + (1.0 - mean) * x[1:]
-        out = list(accumulate(zip(keep.tolist(), push.tolist(), strict=True), _step, initial=complex(x[0])))
-        read = weight * np.array(out)
+        read = weight * _followed(keep, push, complex(x[0]))
         errors.append((read.imag if isinstance(rate, complex) else read.real) - x)
     return of_readings(scene, errors)
 
 
-def _step(last: complex, move: tuple[complex, complex]) -> complex:
-    return move[0] * last + move[1]
+def _followed(keep: np.ndarray, push: np.ndarray, first: complex) -> np.ndarray:
+    """(N + 1,) of u_n+1 = keep_n u_n + push_n from the first on."""
+    moves = zip(keep.tolist(), push.tolist(), strict=True)
+    return np.array(list(accumulate(moves, lambda last, move: move[0] * last + move[1], initial=first)))
 
 
 def _smoothed(scene: Scene, time: float) -> np.ndarray:
@@ -178,10 +181,8 @@ def _relaxation(scene: Scene, relaxation_time: float) -> np.ndarray:
 def _branch(motion: Motion, time: float) -> np.ndarray:
     kept = np.exp(-np.diff(motion.times) / time)
     grown = np.diff(motion.elastic) * np.exp(-0.5 * np.diff(motion.times) / time)
-    touching, stress = motion.depth > 0.0, np.zeros(motion.times.size)
-    for n in range(kept.size):
-        stress[n + 1] = touching[n + 1] * (kept[n] * stress[n] + grown[n])
-    return stress
+    touching = motion.depth[1:] > 0.0
+    return _followed(touching * kept, touching * grown, 0.0)
 
 
 def _loss(scene: Scene, loss_exponent: float) -> np.ndarray:
@@ -189,14 +190,15 @@ def _loss(scene: Scene, loss_exponent: float) -> np.ndarray:
     return of_force(scene, lambda m: m.elastic * np.sign(m.rate) * np.abs(m.rate) ** loss_exponent)
 
 
-# Of what nobody listed.
+# Of what nobody listed: K waves of independent amplitudes whose sum varies at any place as one amplitude does, since of a
+# sine and a cosine each the squares add up to K/2.
 
 
 def _waves(scene: Scene, count: int, of: list[np.ndarray], own: bool) -> np.ndarray:
     """Waves over each record of what readings are multiplied by; records share them, or have their ``own`` beside."""
     phases = [(s.clock - s.clock[0]) / max(float(np.ptp(s.clock)), 1e-300) for s in scene.series]
     every = [[f(k * x) * y for x, y in zip(phases, of, strict=True)] for f, k in _WAVES[: 2 * count]]
-    shared = np.hstack([of_readings(scene, one) for one in every])
+    shared = np.hstack([of_readings(scene, one) for one in every]) / np.sqrt(count)
     return shared_and_own(shared, scene.series) if own else shared
 
 
@@ -212,13 +214,14 @@ def _of_records(scene: Scene, name: str) -> dict[str, Numbers]:
 
 
 def _factor_by_size(scene: Scene) -> np.ndarray:
-    return np.hstack([of_readings(scene, [x * f(k * x / scene.peak) for x in scene.read]) for f, k in _BY_SIZE])
+    each = [of_readings(scene, [x * f(k * x / scene.peak) for x in scene.read]) for f, k in _BY_SIZE]
+    return np.hstack(each) * np.sqrt(2.0 / len(each))
 
 
 def _factor_by_depth(scene: Scene) -> np.ndarray:
     deepest = scene.deepest
     shapes = [lambda m, f=f, k=k: m.elastic * f(k * m.depth.clip(0.0) / deepest) for f, k in _BY_SIZE]
-    return np.hstack([of_force(scene, shape) for shape in shapes])
+    return np.hstack([of_force(scene, shape) for shape in shapes]) * np.sqrt(2.0 / len(shapes))
 
 
 # Numbers on a grid.
@@ -244,8 +247,8 @@ def _hums(scene: Scene) -> dict[str, np.ndarray]:
 
 def _powers(scene: Scene) -> dict[str, np.ndarray]:
     """Of the rate in the force of a loss; none where contacts begin at one speed, which shows no dependence on it."""
-    begins = [held.motion.rate[held.motion.begins] for held in scene.motions if held]
-    speeds = np.abs(np.concatenate([np.zeros(0), *begins]))
+    motions = [held.motion for held in scene.motions if held]
+    speeds = np.array([abs(m.rate[first]) for m in motions for first, _ in stretches(m.depth > 0.0)])
     speeds = speeds[speeds > 0.0]
     differ = speeds.size > 1 and speeds.max() > _SPEEDS * speeds.min()
     return {"loss_exponent": np.geomspace(0.05, 3.0, 12) if differ else np.zeros(0)}
@@ -297,15 +300,18 @@ SHAPES = (
     ),
     Shape(
         lambda x, own: _waves(x, 4, [np.full(r.size, x.peak) for r in x.read], own), "of the peak", 0.01,
-        kind="disturbance", listed=lambda x: _of_records(x, "a smooth disturbance in time"),
+        kind="disturbance", chance=SELDOM, listed=lambda x: _of_records(x, "a smooth disturbance in time"),
     ),
     Shape(
         _bent_clock, "of a contact's duration", 0.01,
-        kind="bent clock", listed=lambda x: _of_records(x, "a clock that bends"),
+        kind="bent clock", chance=SELDOM, listed=lambda x: _of_records(x, "a clock that bends"),
     ),
-    Shape(_factor_by_size, "of itself", 0.02, listed=lambda x: {"a smooth factor of the force by its size": {}}),
     Shape(
-        _factor_by_depth, "of itself", 0.02,
+        _factor_by_size, "of itself", 0.02, chance=SELDOM,
+        listed=lambda x: {"a smooth factor of the force by its size": {}},
+    ),
+    Shape(
+        _factor_by_depth, "of itself", 0.02, chance=SELDOM,
         listed=lambda x: {"a smooth factor of the force by depth": {}} if x.deepest > 0.0 else {},
     ),
 )  # fmt: skip

@@ -41,12 +41,6 @@ class Motion(NamedTuple):
     tangent: np.ndarray  # (T, 2) k [N/m] and c [N s/m]
     mass: float
 
-    @property
-    def begins(self) -> np.ndarray:
-        """Where contacts begin: (T,)."""
-        touching = self.depth > 0.0
-        return touching & ~np.r_[False, touching[:-1]]
-
     def reply(self, force: np.ndarray) -> np.ndarray:
         """Changes (T, 3) of force, depth and its rate for a force (T,) beside it [N]."""
         if self.moves is None:
@@ -221,15 +215,13 @@ def weight(scene: Scene, gravity: float) -> np.ndarray:
     In contact the force beside is the weight: the contact force changes by k x + c x', an acceleration that a sensor on the
     body reads (free of gravity itself) by that over the mass. Before touch it is in the speed of approach.
     """
-    errors = []
-    for s, held in zip(scene.series, scene.motions, strict=True):
-        error = np.zeros(s.rows.size)
-        if held and held.motion.moves is not None:
-            push = np.full(held.motion.times.size, -held.motion.mass * gravity)
-            change = np.where(held.motion.depth > 0.0, held.motion.reply(push)[:, 0] - push, 0.0)
-            error = np.interp(s.clock - held.offset, held.motion.times, change * held.follows[0], left=0.0)
-        errors.append(error)
-    return of_readings(scene, errors)[:, 0]
+
+    def change(motion: Motion) -> np.ndarray:
+        push = np.full(motion.times.size, -motion.mass * gravity)
+        acting = (motion.depth > 0.0) & (motion.moves is not None)
+        return np.outer(np.where(acting, motion.reply(push)[:, 0] - push, 0.0), [1.0, 0.0, 0.0])
+
+    return _of_motion(scene, change)[:, 0]
 
 
 def of_readings(scene: Scene, errors: list[np.ndarray]) -> np.ndarray:
@@ -242,10 +234,15 @@ def of_readings(scene: Scene, errors: list[np.ndarray]) -> np.ndarray:
 
 def of_force(scene: Scene, force: Callable[[Motion], np.ndarray]) -> np.ndarray:
     """A force (T,) of each motion beside the predicted one, as a column (N, 1)."""
+    return _of_motion(scene, lambda motion: motion.reply(force(motion)))
+
+
+def _of_motion(scene: Scene, change: Callable[[Motion], np.ndarray]) -> np.ndarray:
+    """Changes (T, 3) of each motion's force, depth and rate, as a column (N, 1) of readings."""
     errors = []
     for s, held in zip(scene.series, scene.motions, strict=True):
-        change = held.motion.reply(force(held.motion)) @ held.follows if held else np.zeros(0)
-        known = np.interp(s.clock - held.offset, held.motion.times, change, left=0.0) if held else np.zeros(s.rows.size)
+        moved = change(held.motion) @ held.follows if held else np.zeros(0)
+        known = np.interp(s.clock - held.offset, held.motion.times, moved, left=0.0) if held else np.zeros(s.rows.size)
         errors.append(known)
     return of_readings(scene, errors)
 

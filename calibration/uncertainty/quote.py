@@ -13,21 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from bcfj_jax.core.quantities import percent, rounded
+from calibration.diagnostics.fit_tests import WORST_CONDITION
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
 from calibration.forward.model import evaluation
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
-from calibration.uncertainty.sets import (
-    QUANTILE,
-    Error,
-    Linear,
-    Mixture,
-    evaluated,
-    merged,
-    nearest,
-)
+from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, evaluated, merged, nearest
 
 # Kind of interval.
 KIND = "errors"
@@ -197,7 +190,8 @@ def _leading(
 def _following(
     here: _Around, i: int, begin: _Around, free: np.ndarray, anew: Anew, variance: float | None
 ) -> _Around | None:
-    """The fit about the point where a set leads; None where the model does not run there or knows other errors.
+    """The fit about the point where a set leads; None where the model does not run there, knows other errors, or loses a
+    direction, as of a stop that the motion no longer reaches.
 
     The motion of the point does not know the error, that of the optimum follows the record and does. What an error of the law
     changes between the two is its slope midway, to third order.
@@ -208,6 +202,8 @@ def _following(
     one = evaluation(here.at.model)(point[None])
     residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
+        return None
+    if np.linalg.cond(jacobian[:, free]) >= WORST_CONDITION:
         return None
     there = replace(here.at, end=replace(here.at.end, point=point, residuals=residuals, jacobian=jacobian))
     errors = list(anew(there, 0.5 * (point + begin.at.end.point)))
@@ -228,15 +224,12 @@ def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.nd
     large = bool(at.series) and all(overstated(s, best.residuals) for s in at.series)
     share = float(data @ data) / max(spread.freedom, 1) if large else 1.0
     floor = 0.0 if large or (loss == "linear" and not any(stated)) else 1.0
-    alone = np.linalg.norm(np.linalg.solve(np.linalg.qr(jacobian)[1].T, rows.T), axis=0)
-    halves = np.array([spread.half_width(slope) for slope in slopes])
+    series, ceiling = ([s.rows for s in at.series], np.inf) if loss == "linear" else ([], 1.0)
+    lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, ceiling=ceiling)
+    alone, halves = (np.array(x) for x in (np.linalg.norm(_rows(lin), axis=1), [spread.half_width(s) for s in slopes]))
     moved = (alone > 0.0) & np.isfinite(halves) & (halves > 0.0)
-    student = (
-        float(np.max(halves[moved] / alone[moved])) / QUANTILE / np.sqrt(share) if moved.any() and free.all() else 1.0
-    )
-    series = [s.rows for s in at.series] if loss == "linear" else []
-    ceiling = np.inf if loss == "linear" else 1.0
-    lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, student, ceiling)
+    if moved.any() and free.all():
+        lin = lin._replace(student=float(np.max(halves[moved] / alone[moved])) / QUANTILE / np.sqrt(share))
     return lin, [e._replace(columns=root[:, None] * e.columns) for e in errors]
 
 

@@ -36,7 +36,9 @@ def every(problem: Problem, at: Optimum, moved: np.ndarray | None = None) -> lis
     model, best, rough = at.model, at.end, budget(at.model).rough
     free = {axis.name for axis in model.coordinates}
     stated = frozenset(n for n in model.data.chain if all(n in e.fixed for e in at.experiments))
-    taken, known = free | stated, _instruments(at)
+    places = [np.unravel_index(s.rows[0], model.data.values.shape)[:2] for s in at.series]
+    said = [{c.observes: c.instrument for c in e.channels} for e in at.experiments]
+    taken, known = free | stated, [said[i].get(model.channels[j], {}) for i, j in places]
     taken |= {"force_offset"} if taken & set(OFFSETS.values()) else set()
     # Of a rough cost a motion costs seconds, and it has no linear answer that many waves would leave standing.
     motion = None if rough else best.point if moved is None else moved
@@ -73,12 +75,6 @@ def _tolerances(problem: Problem, at: Optimum) -> dict[str, np.ndarray]:
 
 # Of each series what is stated of its instrument.
 _Known = Sequence[Mapping[str, Limit]]
-
-
-def _instruments(at: Optimum) -> _Known:
-    places = [np.unravel_index(s.rows[0], at.model.data.values.shape)[:2] for s in at.series]
-    every = [{c.observes: c.instrument for c in e.channels} for e in at.experiments]
-    return [every[i].get(at.model.channels[j], {}) for i, j in places]
 
 
 def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[Error]:

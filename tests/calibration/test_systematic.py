@@ -159,9 +159,9 @@ def test_a_stated_sensor_has_a_line_of_its_own():
 class Model:
     """Of coordinates that are the quantities themselves."""
 
-    loss, referenced, box, channels = "linear", False, (np.full(2, -5.0), np.full(2, 10.0)), ()
+    loss, referenced, box, channels, unknowns = "linear", False, (np.full(2, -5.0), np.full(2, 10.0)), (), 2
     coordinates = tuple(Coordinate(name, None, False, -5.0, 5.0) for name in ("one", "two"))
-    scene = SimpleNamespace(traits=SimpleNamespace(rough=False))
+    scene = SimpleNamespace(traits=SimpleNamespace(large=False, rough=False))
 
     def values(self, point: np.ndarray) -> np.ndarray:
         return -5.0 + 10.0 * np.asarray(point)
@@ -194,6 +194,26 @@ def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass():
         low, high = found.ends[found.names.index(name)]
         assert u.combined == pytest.approx(np.hypot(u.type_a, u.type_b))
         assert 0.5 * (high - low) == pytest.approx(u.coverage_factor * u.combined)
+
+
+def test_a_set_that_leads_where_a_direction_is_lost_is_not_followed(monkeypatch):
+    """As to where a motion no longer reaches a stop: intervals are then those about the optimum."""
+    rng = np.random.default_rng(2)
+    jacobian, signature = rng.standard_normal((60, 2)), rng.standard_normal((60, 1)) + 2.0
+    readings = 3.0 * signature[:, 0] + rng.standard_normal(60)
+    left = jacobian @ np.linalg.lstsq(jacobian, readings)[0] - readings
+    end = End(np.full(2, 0.5), np.full(2, 0.5), float(left @ left), left, jacobian, True)
+    spread = Spread(np.linalg.inv(jacobian.T @ jacobian), 1.96, 58, np.zeros(2), 1.0)
+    at, errors, asked = Optimum(Model(), (), end, Estimate({}, {}, []), spread), [Error("a", "", 2.0, signature)], []
+
+    def evaluation(model):
+        there = SimpleNamespace(residuals=left[None], jacobians=(jacobian * [1.0, 0.0])[None])
+        return lambda points: asked.append(points) or there
+
+    monkeypatch.setattr(quote, "evaluation", evaluation)
+    led = quote.quoted(at, errors, anew=lambda at, moved: errors)
+    assert asked
+    np.testing.assert_array_equal(led.ends, quote.quoted(at, errors).ends)
 
 
 def test_errors_of_a_sensor_are_what_they_do_to_a_smooth_reading():
@@ -292,7 +312,18 @@ def test_what_is_listed_with_several_numbers_acts_with_one_chance():
     )
     scene = signatures.Scene(80, [own], [0], [read], [None], 1e-3, 1.0)
     found = {e.name: e for e in systematic.of_shape(scene, ())}
-    assert {e.chance for e in found.values()} == {ACTS} and found["lag of 3% of a contact"].kind == "lag"
+    sizes = {
+        "a smooth disturbance in time": np.ones(80),
+        "a clock that bends": np.gradient(read, own.clock) * 1e-3,
+        "a smooth factor of the force by its size": read,
+    }
+    assert {e.chance for name, e in found.items() if name not in sizes} == {ACTS}
+    assert found["lag of 3% of a contact"].kind == "lag"
+    for name, size in sizes.items():
+        # Waves together vary at any place as one amplitude of that size does: by its size an odd one stands alone.
+        assert found[name].chance == SELDOM
+        together = np.sum(found[name].columns ** 2, axis=1)
+        np.testing.assert_allclose(together, size**2, rtol=0.12 if "size" in name else 1e-9, atol=1e-12)
     two = Shape(
         lambda x, time: x.read[0][:, None] * time, "", 1.0, listed=lambda x: {"a": {"time": 1.0}, "b": {"time": 2.0}}
     )
