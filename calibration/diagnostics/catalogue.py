@@ -34,8 +34,7 @@ _BY_SIZE = [(np.cos, np.pi * k) for k in (0.5, 1.0, 1.5, 2.0, 3.0)] + [
 ]
 # A share of the peak that is called a large error of the law; of itself, of a gain.
 _LAW, GAIN = 0.05, 0.01
-# Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another and
-# of what nobody listed.
+# Chance that an error acts, before the record is looked at; of a lag, which every sensor has; of a loss that is another.
 ACTS, EVERYWHERE, SELDOM = 0.6, 0.97, 0.4
 # Normal quantile that sizes of errors are stated with.
 QUANTILE = 1.959964
@@ -190,15 +189,14 @@ def _loss(scene: Scene, loss_exponent: float) -> np.ndarray:
     return of_force(scene, lambda m: m.elastic * np.sign(m.rate) * np.abs(m.rate) ** loss_exponent)
 
 
-# Of what nobody listed: K waves of independent amplitudes whose sum varies at any place as one amplitude does, since of a
-# sine and a cosine each the squares add up to K/2.
+# Of what nobody listed.
 
 
 def _waves(scene: Scene, count: int, of: list[np.ndarray], own: bool) -> np.ndarray:
     """Waves over each record of what readings are multiplied by; records share them, or have their ``own`` beside."""
     phases = [(s.clock - s.clock[0]) / max(float(np.ptp(s.clock)), 1e-300) for s in scene.series]
     every = [[f(k * x) * y for x, y in zip(phases, of, strict=True)] for f, k in _WAVES[: 2 * count]]
-    shared = np.hstack([of_readings(scene, one) for one in every]) / np.sqrt(count)
+    shared = np.hstack([of_readings(scene, one) for one in every])
     return shared_and_own(shared, scene.series) if own else shared
 
 
@@ -214,14 +212,13 @@ def _of_records(scene: Scene, name: str) -> dict[str, Numbers]:
 
 
 def _factor_by_size(scene: Scene) -> np.ndarray:
-    each = [of_readings(scene, [x * f(k * x / scene.peak) for x in scene.read]) for f, k in _BY_SIZE]
-    return np.hstack(each) * np.sqrt(2.0 / len(each))
+    return np.hstack([of_readings(scene, [x * f(k * x / scene.peak) for x in scene.read]) for f, k in _BY_SIZE])
 
 
 def _factor_by_depth(scene: Scene) -> np.ndarray:
     deepest = scene.deepest
     shapes = [lambda m, f=f, k=k: m.elastic * f(k * m.depth.clip(0.0) / deepest) for f, k in _BY_SIZE]
-    return np.hstack([of_force(scene, shape) for shape in shapes]) * np.sqrt(2.0 / len(shapes))
+    return np.hstack([of_force(scene, shape) for shape in shapes])
 
 
 # Numbers on a grid.
@@ -300,18 +297,15 @@ SHAPES = (
     ),
     Shape(
         lambda x, own: _waves(x, 4, [np.full(r.size, x.peak) for r in x.read], own), "of the peak", 0.01,
-        kind="disturbance", chance=SELDOM, listed=lambda x: _of_records(x, "a smooth disturbance in time"),
+        kind="disturbance", listed=lambda x: _of_records(x, "a smooth disturbance in time"),
     ),
     Shape(
         _bent_clock, "of a contact's duration", 0.01,
-        kind="bent clock", chance=SELDOM, listed=lambda x: _of_records(x, "a clock that bends"),
+        kind="bent clock", listed=lambda x: _of_records(x, "a clock that bends"),
     ),
+    Shape(_factor_by_size, "of itself", 0.02, listed=lambda x: {"a smooth factor of the force by its size": {}}),
     Shape(
-        _factor_by_size, "of itself", 0.02, chance=SELDOM,
-        listed=lambda x: {"a smooth factor of the force by its size": {}},
-    ),
-    Shape(
-        _factor_by_depth, "of itself", 0.02, chance=SELDOM,
+        _factor_by_depth, "of itself", 0.02,
         listed=lambda x: {"a smooth factor of the force by depth": {}} if x.deepest > 0.0 else {},
     ),
 )  # fmt: skip

@@ -312,18 +312,7 @@ def test_what_is_listed_with_several_numbers_acts_with_one_chance():
     )
     scene = signatures.Scene(80, [own], [0], [read], [None], 1e-3, 1.0)
     found = {e.name: e for e in systematic.of_shape(scene, ())}
-    sizes = {
-        "a smooth disturbance in time": np.ones(80),
-        "a clock that bends": np.gradient(read, own.clock) * 1e-3,
-        "a smooth factor of the force by its size": read,
-    }
-    assert {e.chance for name, e in found.items() if name not in sizes} == {ACTS}
-    assert found["lag of 3% of a contact"].kind == "lag"
-    for name, size in sizes.items():
-        # Waves together vary at any place as one amplitude of that size does: by its size an odd one stands alone.
-        assert found[name].chance == SELDOM
-        together = np.sum(found[name].columns ** 2, axis=1)
-        np.testing.assert_allclose(together, size**2, rtol=0.12 if "size" in name else 1e-9, atol=1e-12)
+    assert {e.chance for e in found.values()} == {ACTS} and found["lag of 3% of a contact"].kind == "lag"
     two = Shape(
         lambda x, time: x.read[0][:, None] * time, "", 1.0, listed=lambda x: {"a": {"time": 1.0}, "b": {"time": 2.0}}
     )
