@@ -116,7 +116,7 @@ def figure(
 def _axes(drawing: Figure, rows: int, columns: int, place: dict[str, Any]) -> list[Axes]:
     axes = list(np.ravel(drawing.subplots(rows, columns, squeeze=False, gridspec_kw=place)))
     for axis in axes:
-        # Of matplotlib's ten ticks six are enough, and each takes as long to draw as a curve.
+        # Of matplotlib's ten ticks six are enough; each is five artists to make and draw.
         axis.locator_params(nbins=6)
     return axes
 

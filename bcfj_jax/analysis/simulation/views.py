@@ -250,7 +250,7 @@ def orders(run: Run, path: Path, turning: Turning) -> Picture | None:
             yscale="log", ylim=(max(_RANGE * highest, 1e-300), 2.0 * highest or 1.0), xlim=(0.0, most),
             xlabel="order of the shaft [1/turn]", ylabel=label("amplitude", "N", prefix),
         )  # fmt: skip
-        # Powers of ten as formulas take longer to set than all else here.
+        # By default powers of ten are formulas, which take some 10 ms each.
         axis.yaxis.set_major_formatter("{x:g}")
         axis.legend(fontsize=8, ncols=min(len(said), 5), loc="lower left", bbox_to_anchor=(0.0, 1.05), borderpad=0.0)
     passing = f"members pass at orders {turning.passes:g}, {2 * turning.passes:g} and so on; " if several else ""
