@@ -15,14 +15,17 @@ import resource
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from bcfj_jax.data.readers import named
 from benchmarks.calibration import instruments
 from benchmarks.common import options
 from benchmarks.robustness import records
+from benchmarks.robustness.forked_reading import imported
 from benchmarks.robustness.fuzz import Case, run_case
 from benchmarks.robustness.mutations import CELLS, Rng
 
@@ -170,12 +173,15 @@ def cases(reader: str, count: int, folder: Path, seed: int) -> Iterator[tuple[st
     """Damaged files of a reader, each with its file's name and its seed."""
     files = [source(name, folder) for name in FILES[reader]]
     damage = of_lines if reader in LINES else of_blocks
-    for k in range(count):
-        good = files[k % len(files)]
-        made = damage(np.random.default_rng([seed, k]), good.content, good.encoding)
-        made = made._replace(rows=None) if reader in UNSEEN else made
-        check = lambda found, good=good, made=made: wrong(good, made, found)  # noqa: E731
-        yield good.name, k, run_case(good.read, check, folder / good.name, made.content)
+    # A text is read by this process.
+    forks = nullcontext() if reader == "text" else imported(named(reader), folder / files[0].name)
+    with forks:
+        for k in range(count):
+            good = files[k % len(files)]
+            made = damage(np.random.default_rng([seed, k]), good.content, good.encoding)
+            made = made._replace(rows=None) if reader in UNSEEN else made
+            check = lambda found, good=good, made=made: wrong(good, made, found)  # noqa: E731
+            yield good.name, k, run_case(good.read, check, folder / good.name, made.content)
 
 
 def largest() -> int:
