@@ -50,17 +50,18 @@ def imported(reader: ModuleType, good: Path) -> Iterator[None]:
     server = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=quiet, start_new_session=True
     )
-    assert server.stdin and server.stdout
+    asked, answers = server.stdin, server.stdout
+    assert asked and answers
     with tempfile.TemporaryDirectory() as folder:
         out, errors = Path(folder) / "out", Path(folder) / "errors"
 
         def run(given: Sequence[str], *, timeout: float, **_: Any) -> Any:
             # Of the whole command, "python -P -W ignore child.py", the arguments.
-            print(json.dumps([list(given[5:]), str(out), str(errors)]), file=server.stdin, flush=True)
-            if not select.select([server.stdout], [], [], timeout)[0]:
+            print(json.dumps([list(given[5:]), str(out), str(errors)]), file=asked, flush=True)
+            if not select.select([answers], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired(given, timeout)
             return SimpleNamespace(
-                returncode=int(server.stdout.readline()), stdout=out.read_bytes(), stderr=errors.read_bytes()
+                returncode=int(answers.readline()), stdout=out.read_bytes(), stderr=errors.read_bytes()
             )
 
         before = isolated.subprocess
