@@ -18,19 +18,26 @@ from bcfj_jax.xla import programs
 
 
 def ended(command: str, scene: str, begin: float, good: bool) -> int:
-    """The exit code of a command that began at a ``time.perf_counter()``; how long it took is kept if it went well."""
+    """The exit code of a command that began at a ``time.perf_counter()``; how long it took is kept if it went well.
+
+    The user has his answer: nothing is computed here, which would wait for runs that a budget has left behind.
+    """
     if not good:
         return SIMULATION_FAILED
     with contextlib.suppress(InputError):
-        name = f"bcfj {command} {scenefile.load(scene).scene.kind}"
-        programs.remember(name, time.perf_counter() - begin)
+        programs.remember(_such(command, scene), time.perf_counter() - begin)
     return DONE
+
+
+def _such(command: str, scene: str) -> str:
+    """A command with a scene of this kind: the name by which its time is kept."""
+    return f"bcfj {command} {scenefile.kind(scenefile.content(scene))}"
 
 
 def of_scene(command: str, scene: str, out: Path | None, rows: Sequence[Sequence[str]]) -> int:
     """Show what a verb would do with a scene, in rows of which some are the verb's own; the exit code."""
     given = scenefile.load(scene)
-    took = programs.seconds(f"bcfj {command} {given.scene.kind}")
+    took = programs.seconds(_such(command, scene))
     unknown = "unknown: no such run was timed on this machine; the first compiles its programs, which are then kept"
     known = f"about {took:.0f} s, as the last time with such a scene" if took else unknown
     first = [

@@ -185,10 +185,14 @@ def content(what: str | Path) -> dict[str, Any]:
     return tables.read(path)
 
 
+def kind(table: Mapping[str, Any]) -> Any:
+    """The kind that a scene file's unchecked content states; "" without."""
+    return table["scene"].get("kind", "") if isinstance(table.get("scene"), Mapping) else ""
+
+
 def from_table(table: Mapping[str, Any], source: Path | None) -> SceneFile:
     """The scene that a file's content describes; errors as ``load``."""
-    kind = table["scene"].get("kind", "") if isinstance(table.get("scene"), Mapping) else ""
-    where = str(source) if source else f"scene '{clip(kind)}'"
+    where = str(source) if source else f"scene '{clip(kind(table))}'"
     table = programmes.resolved(_plain(table), source.parent if source else None, where)
     file = tables.validated(_File, table, where)
     scene, made_of, spheres = _scene(file, where)
