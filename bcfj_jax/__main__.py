@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bcfj_jax.cli import main
+from bcfj_jax.cli import command
 
 if __name__ == "__main__":
-    main()
+    command()

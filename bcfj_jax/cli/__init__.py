@@ -12,10 +12,10 @@ import signal
 import sys
 
 from bcfj_jax.cli.base import BAD_INPUT, DONE, INTERRUPTED, SIMULATION_FAILED, app
-from bcfj_jax.io.stop import SIGNALLED, ended, heeded, last, leave
+from bcfj_jax.io.stop import SIGNALLED, end_process, ended, heeded, last, leave
 from bcfj_jax.io.streams import be_patient
 
-__all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "main"]
+__all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "command", "main"]
 
 # Of Python's collector: objects made between two rounds, and rounds of one generation to one of the next. By default it
 # goes 1400 times through what tracing makes, nearly all of which stays: a tenth of a first command's time.
@@ -26,8 +26,18 @@ for _module in ("running", "fitting", "study", "files"):
     importlib.import_module(f"bcfj_jax.cli.{_module}")
 
 
+def command() -> None:
+    """Entry point of the command ``bcfj``, whose process ends with it: ``main`` for who has nothing else to do."""
+    try:
+        main()
+    except SystemExit as end:
+        if end.code is None or isinstance(end.code, int):
+            end_process(end.code or DONE)
+        raise
+
+
 def main() -> None:
-    """Entry point of the command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
+    """The command ``bcfj``. Ctrl-C is heeded from here on: modules that load may swallow it."""
     be_patient()
     gc.set_threshold(*_COLLECTED)
     try:

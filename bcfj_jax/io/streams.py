@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from typing import TextIO
 
@@ -28,10 +29,11 @@ class _Patient(io.FileIO):
             return len(content)
 
 
-def _patient(stream: TextIO | None, name: str) -> TextIO | None:
+def _patient(stream: TextIO | None, name: str) -> TextIO:
+    if stream is None:  # It was closed before the process began.
+        return open(os.devnull, "w", encoding="utf-8")
     try:
-        number = stream.fileno() if stream is not None else -1
-        encoding = stream.encoding if stream is not None else None
+        number, encoding = stream.fileno(), stream.encoding
     except (OSError, ValueError):
         return stream
     if number < 0:

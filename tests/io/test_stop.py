@@ -172,3 +172,22 @@ assert "matplotlib.figure" in sys.modules
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="asks the system for the libraries of a process")
 def test_the_library_of_fonts_is_loaded_before_there_are_threads():
     subprocess.run([sys.executable, "-c", FONTS], check=True, timeout=120.0)
+
+
+@pytest.mark.parametrize(("watched", "apart"), [("", False), ("sys.setprofile(lambda *_: None)", True)])
+@pytest.mark.parametrize(("words", "code"), [(["--help"], 0), (["simulate", "missing.toml"], 2)])
+def test_a_process_of_the_command_does_what_is_registered_and_takes_nothing_apart(watched, apart, words, code):
+    probe = f"""
+import atexit, os, sys
+from bcfj_jax.cli import command
+class Last:
+    def __del__(self, write=os.write):
+        write(1, b"taken apart")
+sys.argv, kept = ["bcfj", *{words}], Last()
+atexit.register(print, "registered")
+{watched}
+command()
+"""
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    assert ("taken apart" in done.stdout, "registered" in done.stdout) == (apart, True)

@@ -70,6 +70,15 @@ def test_what_is_only_printed_is_an_error_where_it_cannot_be(tmp_path, words, co
     assert ("error: stdout cannot be written (No space left on device)" in done.stderr) == (code == 2)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a shell closes streams")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_streams_that_are_closed_change_no_exit_code(closed, tmp_path):
+    """As of a service: Python has no stream then."""
+    words = [sys.executable, "-m", "bcfj_jax", "init", "impact", "--out", tmp_path / "s.toml"]
+    done = subprocess.run(["sh", "-c", f'exec "$0" "$@" {closed}', *words], check=False)
+    assert done.returncode == 0 and (tmp_path / "s.toml").exists()
+
+
 def test_a_full_disk_is_said_with_the_file(tmp_path):
     out = []
     held = tmp_path / "forces.csv"
