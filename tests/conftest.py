@@ -43,7 +43,7 @@ def _opened(open_cache=surroundings.open_cache):
 surroundings.open_cache = _opened
 
 # As the command has it (bcfj_jax/cli): nearly all that tracing makes stays, and need not be looked through again and again.
-gc.set_threshold(100_000, 20, 20)
+gc.set_threshold(1_000_000, 20, 20)
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_compilation_cache_dir", str(BUILD / "jax-cache"))

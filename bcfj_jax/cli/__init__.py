@@ -19,7 +19,7 @@ __all__ = ["BAD_INPUT", "DONE", "INTERRUPTED", "SIMULATION_FAILED", "app", "comm
 
 # Of Python's collector: objects made between two rounds, and rounds of one generation to one of the next. By default it
 # goes 1400 times through what tracing makes, nearly all of which stays: a tenth of a first command's time.
-_COLLECTED = (100_000, 20, 20)
+_COLLECTED = (1_000_000, 20, 20)
 
 # A module with verbs has a line here; help lists them in this order.
 for _module in ("running", "fitting", "study", "files"):
