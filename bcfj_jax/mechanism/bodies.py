@@ -22,6 +22,7 @@ from jax.typing import ArrayLike
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, one_of, quoted
 from bcfj_jax.core.quantities import whole
+from bcfj_jax.core.rotations import attitude
 from bcfj_jax.core.vectors import WORLD, ZERO, Axes, Number, Vector, add, cross, minus, plus, scale, times, turned
 from bcfj_jax.mechanism import sizes
 from bcfj_jax.mechanism.programmes import (
@@ -436,7 +437,7 @@ def carried(body: Body, at: Vector, parent: Part, own: Own, t: Array, p: Params)
             swirl = add(part.swirl, cross(part.spin, spun))
             axes = part.axes
             if kind == "ball":
-                axes = tuple(turned(part.axes, column) for column in _attitude(q[:4]))
+                axes = tuple(turned(part.axes, column) for column in attitude(q[:4]))
                 q = q[4:]
             part = part._replace(axes=axes, spin=add(part.spin, spun), partials=partials, swirl=swirl)
             j += 3
@@ -475,18 +476,6 @@ def rotated(axes: Axes, k: Vector, angle: Number) -> Axes:
     columns = ((entry(0, j), entry(1, j), entry(2, j)) for j in range(3))
     first, second, third = (turned(axes, column) for column in columns)
     return first, second, third
-
-
-def _attitude(q: list[Number]) -> Axes:
-    """Axes of a quaternion (any length but 0), scalar first, as columns."""
-    w, x, y, z = q
-    size = w * w + x * x + y * y + z * z
-    two = 2.0 / size
-    return (
-        (1.0 - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)),
-        (two * (x * y - w * z), 1.0 - two * (x * x + z * z), two * (y * z + w * x)),
-        (two * (x * z + w * y), two * (y * z - w * x), 1.0 - two * (x * x + y * y)),
-    )
 
 
 def quaternion_rate(q: list[Number], u: list[Number]) -> list[Number]:

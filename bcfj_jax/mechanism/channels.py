@@ -36,6 +36,7 @@ from jax import Array
 
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.core.numerics import power
+from bcfj_jax.core.rotations import quaternion
 from bcfj_jax.mechanism import materials
 from bcfj_jax.mechanism.bodies import QUATERNION, RATES, SPINS
 from bcfj_jax.mechanism.bodies import unit_of as unit_of_start
@@ -244,31 +245,6 @@ def _axes(name: str, motion: BodyMotion) -> Array:
 
 def _relative(c: Channel, axes: Array, bodies: Mapping[str, BodyMotion]) -> Array:
     return jnp.swapaxes(_axes(c.frame, bodies[c.frame]), -1, -2) @ axes if c.frame else axes
-
-
-def quaternion(axes: Array) -> Array:
-    """Unit quaternion (..., 4), scalar first and not negative, of axes (..., 3, 3) as columns.
-
-    From the largest of its four components (Shepperd, J. Guidance and Control 1, 1978), so that none is a difference of
-    equal numbers.
-    """
-    a = axes
-    x, y, z = a[..., 0, 0], a[..., 1, 1], a[..., 2, 2]
-    one = jnp.ones_like(x)
-    wx, wy, wz = (a[..., i, j] - a[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, yz, zx = (a[..., i, j] + a[..., j, i] for i, j in ((1, 0), (2, 1), (0, 2)))
-    # Four times q_i q_j, row by row.
-    rows = (
-        (one + x + y + z, wx, wy, wz),
-        (wx, one + x - y - z, xy, zx),
-        (wy, xy, one - x + y - z, yz),
-        (wz, zx, yz, one - x - y + z),
-    )
-    table = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
-    best = jnp.argmax(jnp.diagonal(table, axis1=-2, axis2=-1), -1)
-    row = jnp.take_along_axis(table, best[..., None, None], -2)[..., 0, :]
-    q = row / jnp.linalg.norm(row, axis=-1, keepdims=True)
-    return jnp.where(q[..., :1] < 0.0, -q, q)
 
 
 def _component(c: Channel, vector: Any, bodies: Mapping[str, BodyMotion]) -> Array:

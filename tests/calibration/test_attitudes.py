@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bcfj_jax as bj
-from bcfj_jax.mechanism.channels import quaternion
+from bcfj_jax.core.rotations import quaternion
 from calibration import Channel, Experiment, Free, Problem, attitudes, fit
 
 QUATERNION = [f"body.attitude.q{k}" for k in range(4)]

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax import Array
-from scipy.spatial.transform import Rotation
 
+from bcfj_jax.core import rotations
 from bcfj_jax.core.shapes import Drawing, Mesh, joined
 from bcfj_jax.mechanism.model import AbstractModel, Params, Scenery
 from bcfj_jax.solve.simulation import Run
@@ -151,7 +151,7 @@ def _tracks(model: AbstractModel, found: Any) -> tuple[list[Track], dict[str, li
         index[name] = list(range(len(tracks), len(tracks) + (members or 1)))
         for k in range(members or 1):
             place, axes, at, to = (x[:, k] if members else x for x in (true.place, true.axes, ideal.place, ideal.axes))
-            turn = Rotation.from_matrix(np.einsum("fij,fkj->fik", axes, to)).as_rotvec()
+            turn = rotations.vector(np.einsum("fij,fkj->fik", axes, to))
             tracks.append(Track(f"{name} {k + 1}" if members else name, at, quaternion(to), place - at, turn))
     return tracks, index
 
@@ -213,8 +213,8 @@ def _bounds(
 
 def posed(track: Track, k: Any, exaggeration: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Place (3,) [m] and axes (3, 3) of a body as it is drawn at a frame; (F, 3) and (F, 3, 3) at a slice of frames."""
-    ideal = Rotation.from_quat(track.quaternion[k], scalar_first=True).as_matrix()
-    turn = Rotation.from_rotvec(exaggeration * track.turn[k]).as_matrix()
+    ideal = rotations.matrix(track.quaternion[k])
+    turn = rotations.turned_by(exaggeration * track.turn[k])
     return track.place[k] + exaggeration * track.shift[k], turn @ ideal
 
 
@@ -247,6 +247,6 @@ def steps(most: float) -> list[float]:
 
 def quaternion(axes: np.ndarray) -> np.ndarray:
     """(F, 4) of matrices (F, 3, 3), scalar first; neighbours in one half-space."""
-    q = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    q = rotations.quaternion(axes, np)
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     return q * np.cumprod(np.concatenate([[1.0], flips]))[:, None]

@@ -13,8 +13,8 @@ from joints import GROOVES, QUICK, constants, noisy, plain_joint, view
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from bcfj_jax.core.rotations import attitude
 from bcfj_jax.core.vectors import array
-from bcfj_jax.mechanism.bodies import _attitude
 from bcfj_jax.mechanism.model import Flows
 from bcfj_jax.models.joint.geometry import cage_axes
 from bcfj_jax.models.joint.scene import PILOTS, split
@@ -221,7 +221,7 @@ def test_the_cages_attitude_turns_with_its_spin():
     _, found = compared("default")
     for pair in found:
         at, rate = ([jnp.asarray(x["cage", f"q{k}"]) for k in range(4)] for x in (pair.state, pair.rates))
-        axis, moving = jax.jvp(lambda q: array(_attitude(q)[2]), (at,), (rate,))
+        axis, moving = jax.jvp(lambda q: array(attitude(q)[2]), (at,), (rate,))
         spin = np.array([pair.state["cage", key] for key in ("wx", "wy", "wz")])
         np.testing.assert_allclose(moving, np.cross(spin, axis), rtol=0, atol=1e-14 * float(np.linalg.norm(spin)))
 
