@@ -14,7 +14,7 @@ import numpy as np
 from bcfj_jax.core.vectors import Axes, Number
 
 
-def attitude(q: Sequence[Number]) -> Axes:
+def attitude(q: Sequence[Number] | np.ndarray) -> Axes:
     """Axes of a quaternion (any length but 0), scalar first, as columns."""
     w, x, y, z = q
     size = w * w + x * x + y * y + z * z
