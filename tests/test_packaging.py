@@ -57,7 +57,7 @@ def test_the_wheel_holds_every_file_of_both_packages_and_nothing_else(built):
     for path in ("bcfj_jax/py.typed", "calibration/py.typed", "bcfj_jax/io/templates/report.html"):
         assert path in names
     assert {"bcfj_jax/io/templates/mechanism.toml", "bcfj_jax/analysis/studies/built_in/clearance.toml"} <= names
-    assert f"\nVersion: {__version__}\n" in metadata and "bcfj = bcfj_jax.cli:main" in scripts
+    assert f"\nVersion: {__version__}\n" in metadata and "bcfj = bcfj_jax.cli:command" in scripts
     assert all(f"Provides-Extra: {extra}\n" in metadata for extra in EXTRAS)
 
 

@@ -1,7 +1,7 @@
 """The commented scene file that ``bcfj init`` writes; it loads back to the scene's defaults.
 
 Options are those of the scene's function, each with what its docstring says of it; where default numbers are from is in
-``scenes.SOURCES``.
+``scenes.sources``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def template(kind: str) -> str:
     if kind == MECHANISM:
         return _OF_A_MECHANISM.read_text(encoding="utf-8")
     one_of("scene", "scene", kind, (*scenes.SCENES, MECHANISM))
-    scene, sources = scenes.make(kind), scenes.SOURCES.get(kind, scenes.Sources())
+    scene, sources = scenes.make(kind), scenes.sources(kind)
     defaults = dict(scene.defaults)
     given = [(quantity, defaults[name]) for name, quantity in scene.quantities.items() if name in defaults]
     shared = [(q, name.rpartition(".")[2]) for name, q in scene.quantities.items() if name not in defaults]

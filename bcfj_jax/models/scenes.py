@@ -2,41 +2,78 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bcfj_jax.core.errors import InputError, nearest
 from bcfj_jax.mechanism.contacts import raised
 from bcfj_jax.mechanism.model import AbstractModel
-from bcfj_jax.models import steel_ball
-from bcfj_jax.models.backlash import backlash
-from bcfj_jax.models.chain import chain
-from bcfj_jax.models.four_bar import four_bar
-from bcfj_jax.models.hooke import SOURCES as HOOKE_SOURCES
-from bcfj_jax.models.hooke import hooke
-from bcfj_jax.models.impact import bounce, impact
-from bcfj_jax.models.joint import defaults as joint_numbers
-from bcfj_jax.models.joint.model import joint as joint
-from bcfj_jax.models.joint.model import joint_of_keys
-from bcfj_jax.models.joint.options import JointCage as JointCage
-from bcfj_jax.models.joint.options import JointDrive as JointDrive
-from bcfj_jax.models.joint.options import JointGeometry as JointGeometry
-from bcfj_jax.models.joint.options import JointLoads as JointLoads
-from bcfj_jax.models.joint.options import JointMaterials as JointMaterials
-from bcfj_jax.models.oblique_impact import oblique_impact
-from bcfj_jax.models.slider_crank import slider_crank
-from bcfj_jax.models.slider_guide import slider_guide
-from bcfj_jax.models.string import DEFAULTS as STRING_NUMBERS
-from bcfj_jax.models.string_bending import BENDING
-from bcfj_jax.models.string_motion import LUGRE
-from bcfj_jax.models.string_motion import NUMBERS as STRING_IN_MOTION
-from bcfj_jax.models.string_options import string as string
-from bcfj_jax.models.string_options import string_of_keys
 
-_MECHANISMS = impact, bounce, oblique_impact, backlash, chain, slider_crank, slider_guide, four_bar, hooke
-SCENES: dict[str, Callable[..., AbstractModel]] = {scene.__name__: scene for scene in _MECHANISMS}
-SCENES |= {"joint": joint_of_keys, "string": string_of_keys}
+if TYPE_CHECKING:
+    from bcfj_jax.models.backlash import backlash as backlash
+    from bcfj_jax.models.chain import chain as chain
+    from bcfj_jax.models.four_bar import four_bar as four_bar
+    from bcfj_jax.models.hooke import hooke as hooke
+    from bcfj_jax.models.impact import bounce as bounce
+    from bcfj_jax.models.impact import impact as impact
+    from bcfj_jax.models.joint.model import joint as joint
+    from bcfj_jax.models.joint.model import joint_of_keys as joint_of_keys
+    from bcfj_jax.models.joint.options import JointCage as JointCage
+    from bcfj_jax.models.joint.options import JointDrive as JointDrive
+    from bcfj_jax.models.joint.options import JointGeometry as JointGeometry
+    from bcfj_jax.models.joint.options import JointLoads as JointLoads
+    from bcfj_jax.models.joint.options import JointMaterials as JointMaterials
+    from bcfj_jax.models.oblique_impact import oblique_impact as oblique_impact
+    from bcfj_jax.models.slider_crank import slider_crank as slider_crank
+    from bcfj_jax.models.slider_guide import slider_guide as slider_guide
+    from bcfj_jax.models.string_options import string as string
+    from bcfj_jax.models.string_options import string_of_keys as string_of_keys
+
+# Built-in scenes by the function that makes each of the keys of a file.
+_MECHANISMS = (
+    "impact",
+    "bounce",
+    "oblique_impact",
+    "backlash",
+    "chain",
+    "slider_crank",
+    "slider_guide",
+    "four_bar",
+    "hooke",
+)
+_BUILT_IN = {name: name for name in _MECHANISMS} | {"joint": "joint_of_keys", "string": "string_of_keys"}
+# Public names by the module that holds them. It is imported when it is asked for: of a short command's time all of them
+# would take a twelfth.
+_PUBLIC = {
+    **{name: name for name in _MECHANISMS}, "bounce": "impact",
+    **dict.fromkeys(("joint", "joint_of_keys"), "joint.model"), **dict.fromkeys(("string", "string_of_keys"), "string_options"),
+    **{f"Joint{part}": "joint.options" for part in ("Cage", "Drive", "Geometry", "Loads", "Materials")},
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"{__package__}.{_PUBLIC[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})
+
+
+class _Scenes(dict[str, Any]):
+    """By kind of scene the function that makes it, or the name of a built-in one's that was not asked for yet."""
+
+    def __getitem__(self, kind: str) -> Callable[..., AbstractModel]:
+        found = super().__getitem__(kind)
+        return __getattr__(found) if isinstance(found, str) else found
+
+
+SCENES = _Scenes(_BUILT_IN)
 
 # Scenes of two free bodies: [scene.spheres] in a scene file may give their stiffness, exponent and mass.
 OF_SPHERES = ("impact",)
@@ -49,18 +86,22 @@ class Sources(NamedTuple):
     legend: str = ""
 
 
-def _told(numbers: Mapping[str, tuple[float, str]]) -> Sources:
-    return Sources({name: source for name, (_, source) in numbers.items()}, joint_numbers.LEGEND)
+def sources(kind: str) -> Sources:
+    """Those of a built-in scene whose file to start from says it number by number; of another, none."""
+    from bcfj_jax.models import hooke, steel_ball, string, string_bending, string_motion
+    from bcfj_jax.models.joint import defaults
 
+    def told(*numbers: Mapping[str, tuple[float, str]]) -> Sources:
+        return Sources({name: source for each in numbers for name, (_, source) in each.items()}, defaults.LEGEND)
 
-# Of scenes whose files to start from say it number by number.
-SOURCES: dict[str, Sources] = {
-    "impact": Sources(steel_ball.SOURCES),
-    "bounce": Sources(steel_ball.SOURCES),
-    "joint": _told(joint_numbers.DEFAULTS),
-    "hooke": Sources(HOOKE_SOURCES, joint_numbers.LEGEND),
-    "string": _told(joint_numbers.DEFAULTS | STRING_NUMBERS | BENDING | STRING_IN_MOTION | LUGRE),
-}
+    known = {
+        "impact": Sources(steel_ball.SOURCES), "bounce": Sources(steel_ball.SOURCES), "joint": told(defaults.DEFAULTS),
+        "hooke": Sources(hooke.SOURCES, defaults.LEGEND),
+        "string": told(
+            defaults.DEFAULTS, string.DEFAULTS, string_bending.BENDING, string_motion.NUMBERS, string_motion.LUGRE
+        ),
+    }  # fmt: skip
+    return known.get(kind, Sources())
 
 
 def make(kind: str, **options: object) -> AbstractModel:

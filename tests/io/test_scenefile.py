@@ -40,7 +40,7 @@ def test_template_loads_back_to_the_defaults(tmp_path, kind):
     assert filed.resolved == named.resolved
     assert filed.scene == named.scene
     assert named.source is None
-    if kind in scenes.SOURCES and "damping" in named.params:
+    if scenes.sources(kind).by_name and "damping" in named.params:
         assert "GUESS" in next(line for line in template(kind).splitlines() if line.startswith("damping"))
 
 
