@@ -12,6 +12,7 @@ from bcfj_jax.io.units import column
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
 from calibration.impacts.proposal import Run, Understood
+from calibration.noise.scatter import scatter
 
 # A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
 _LONG, _LOST = 1.0, 0.1
@@ -48,6 +49,10 @@ def pulls(run: Run, where: str) -> bool:
     high, low = float(middle.max()), float(middle.min())
     shares = np.mean(middle > 0.5 * high), np.mean(middle < 0.5 * low)
     found = high > 0.0 > low and abs(high + low) < _ALIKE * (high - low) and min(shares) > _PULLS
+    # A slow test's force that falls below 0, and below its rest, is no ringing.
+    beyond = middle - min(run.rest("N"), 0.0)
+    beyond = beyond[np.abs(beyond) > 6.0 * scatter(force)]
+    found = found or (is_slow(run) and -beyond.clip(max=0.0).sum() > 2.0 * _PULLS * beyond.clip(min=0.0).sum())
     if found and not abs(_taken(run)) > _RUBS:
         found = "the force pulls as it pushes, as friction and joints with two sides do, and a contact only pushes"
         raise InputError(where, found, f"{_DRIVEN}; to take it as impacts all the same give --scene impact")
