@@ -54,17 +54,15 @@ class Steady(InputError):
         self.table, self.columns = table, columns
 
 
-def refuse_results(table: Record) -> None:
-    """Refuse a table whose rows are impacts, by a column of what came of them; a duration is no clock."""
-    for h in table.header:
-        if table.clock in ("", h) and _RESULTS.search(column(h)[0].replace("_", " ")):
-            raise InputError(table.name, f"'{h}' is a result of each impact, and no column is a time", _EACH)
-
-
 def refuse_motion(table: Record) -> None:
-    """Refuse a record of places and attitudes, scalar first, whatever else it holds: "pose.orientation.x", "Position X"."""
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds: "pose.orientation.x", "Position X".
+
+    So is a table whose rows are impacts, by a column of what came of them; a duration is no clock.
+    """
     found: dict[str, str] = {}
     for header in table.header:
+        if table.clock in ("", header) and _RESULTS.search(column(header)[0].replace("_", " ")):
+            raise InputError(table.name, f"'{header}' is a result of each impact, and no column is a time", _EACH)
         *about, last = re.findall(r"[^\W_]+", column(header)[0].lower()) or [""]
         key = f"q{last}" if _TURNED & {*about} and len(last) == 1 else last
         key, unit = _NAMED.get(key, key), column(header)[1]

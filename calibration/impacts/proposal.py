@@ -25,7 +25,7 @@ from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
-from calibration.impacts.otherwise import in_metres, refuse_motion, refuse_results, without_time
+from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
 _TANGENTIAL = {
@@ -139,7 +139,6 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     where, faults = table.name, Faults(table.faults)
     if hints.observe is None:
         refuse_motion(table)
-        refuse_results(table)
     run = _run_column(table) if hints.runs_by is None else hints.runs_by
     if run:
         run = table.header[table.index(run, "--runs-by")]

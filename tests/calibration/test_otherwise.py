@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -87,6 +88,19 @@ def test_a_brake_is_proposed_as_friction_of_a_driven_body(sign, by, tmp_path):
     run = simulate(scene, scene.parameters(), one.times, read=["friction.drive"])
     assert np.corrcoef(channel.values, run.readings["friction.drive"])[0, 1] > 0.99
     assert [f.name for f in found.free] == ["friction.sliding", "friction.speed"]
+
+
+@pytest.mark.parametrize("turns", [6.0, 400.0])
+def test_a_driven_body_follows_the_places_between_the_rows_of_its_table(turns, tmp_path):
+    """Of 60 cycles 300 rows are five a cycle, which would be another motion."""
+    clock = np.linspace(0.0, 1.0, 6001)
+    place, speed = 5.0 * np.sin(turns * clock), np.cos(turns * clock)
+    columns = {"time [s]": clock, "displacement [mm]": place, "force [N]": 20.0 * speed / np.hypot(speed, 0.1)}
+    init.run(write(tmp_path / "a.csv", columns), tmp_path / "a.toml", init.Said(), lambda line: None)
+    text = re.search(r"table = (\[\[.*?\]\])", (tmp_path / "a_scene.toml").read_text())
+    times, places = np.array(json.loads(text[1])) if text else np.zeros((2, 2))
+    assert np.abs(1e3 * np.interp(clock, times, places) - place + place[0]).max() < 0.03
+    assert times.size == 300 if turns == 6.0 else times.size > 300
 
 
 @pytest.mark.parametrize(
