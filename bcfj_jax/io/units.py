@@ -74,7 +74,7 @@ _IN_GRAVITIES = re.compile(
 )
 # An axis is that of an accelerometer's logger, "Ch1 X".
 _ACCELERATION = re.compile(
-    r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:.*[\W_])?(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
+    r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:.*[ _])?(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
 # Numbers of a picture and of a converter, and strains, which a sensitivity makes a quantity.
 COUNTS = {
