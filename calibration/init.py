@@ -223,7 +223,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
     # What a contact feels of two free bodies is their effective mass.
     felt = None if mass is None else effective(mass, other)
-    if mass is not None and other is not None and next(iter(found.columns)) == "m/s^2":
+    if mass is not None and other is not None and "N" not in found.columns and "m/s^2" in found.columns:
         found, s = one_of_two(found, s, (mass, other), speed)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     # 1 + e from the impulse, where mass and speed are both known.
@@ -254,7 +254,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     if kind == "impact" and not falls and pull > _PULLED and known.speed != _ANY_SPEED:
         way = f'add gravity = "9.80665 m/s^2" to parameters: it is {pull:.1g} of the speed'
         said_of.append(f"CHECK: no gravity acts; where the body falls, {way}")
-    if said.struck is None and TARGET.search(str(found.columns)):
+    if said.struck is None and "N" not in found.columns and TARGET.search(str(found.columns)):
         said_of.append("CHECK: it seems to be read on the body that is struck: give --mass and --struck-mass")
     if s.mass and not s.speed and mass is None:
         said_of.append(_BODY.format(format_si(s.mass, "kg", 3)))
