@@ -30,7 +30,7 @@ from calibration.impacts.inspection import clock_note, plateau
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
 from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
-from calibration.impacts.plausible import effective
+from calibration.impacts.plausible import TARGET, effective, one_of_two
 from calibration.impacts.proposal import Run, Sizes, Understood, sizes
 
 _FILE = "or a scene file: another law, two stages"
@@ -161,12 +161,16 @@ def found_in(record: Path, said: Said) -> Understood:
         return replace(each[0], records=records, speeds=speeds, runs=("file", len(records)))
     if said.table is not None or len(names := tables(record, "record", said.stated)) < 2:
         return seen(record, said.table)
-    found, refused = [], []
+    found, refused, moved = [], [], []
     for name in names:
         try:
             found.append(seen(record, name))
         except InputError as error:
+            moved += [error] if isinstance(error, InMotion) else []
             refused.append(f"'{name}': {error.found}; {error.remedy}")
+    if moved and not found and all(m.columns == moved[0].columns for m in moved):
+        moved[0].tables = [m.table.inside for m in moved]
+        raise moved[0]
     kinds = {(f.time, tuple(f.columns.items())) for f in found}
     # Sheets named alike but for a number are runs, as "h = 30 mm"; "plate 1" and "plate 2" of other files are sensors.
     alike = record.suffix in sheets.KINDS and len({re.sub(r"\d+(?:[.,]\d+)?", "#", f.table) for f in found}) == 1
@@ -219,6 +223,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
     # What a contact feels of two free bodies is their effective mass.
     felt = None if mass is None else effective(mass, other)
+    if mass is not None and other is not None and "N" not in found.columns and "m/s^2" in found.columns:
+        found, s = one_of_two(found, s, (mass, other), speed)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     # 1 + e from the impulse, where mass and speed are both known.
     ratio = float("nan")
@@ -248,6 +254,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     if kind == "impact" and not falls and pull > _PULLED and known.speed != _ANY_SPEED:
         way = f'add gravity = "9.80665 m/s^2" to parameters: it is {pull:.1g} of the speed'
         said_of.append(f"CHECK: no gravity acts; where the body falls, {way}")
+    if said.struck is None and "N" not in found.columns and TARGET.search(str(found.columns)):
+        said_of.append("CHECK: it seems to be read on the body that is struck: give --mass and --struck-mass")
     if s.mass and not s.speed and mass is None:
         said_of.append(_BODY.format(format_si(s.mass, "kg", 3)))
     name = f"{found.path.stem}.toml"
@@ -439,11 +447,12 @@ def _columns(found: Understood, kind: str) -> tuple[dict[str, str], list[str]]:
     """
     axis, sign = ("x", 1.0) if kind == "impact" else ("y", -1.0)
     names = {"N": "contact.normal", "tangential": "contact.tangential" if kind == "oblique_impact" else ""}
-    names |= {u: f"body.{what}.{axis}" for u, what in (("m/s^2", "acceleration"), ("m/s", "velocity"), ("m", "place"))}
+    moved = {"m/s^2": "acceleration", "m/s": "velocity", "m": "place"}
+    names |= {unit: f"{found.body}.{what}.{axis}" for unit, what in moved.items()}
     signed = {}
     for unit, header in found.columns.items():
         if names[unit]:
-            minus = header.startswith("-") != (sign < 0 and unit.startswith("m"))
+            minus = header.startswith("-") != ((sign < 0 and unit.startswith("m")) or found.body == "struck")
             signed[names[unit]] = f"{'-' if minus else ''}{header.removeprefix('-')}"
     return signed, [name for name in signed if name.startswith("contact.")] or telling(signed)[:1]
 

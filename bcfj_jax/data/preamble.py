@@ -37,7 +37,7 @@ _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? (
 _AMOUNT = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?([^\W\d_]{2}[^\s\d]*)")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
-_SECTIONS = ("devices", "trajectories", "model outputs")
+_SECTIONS = ("devices", "trajectories", "model outputs", "segments", "joints")
 _VALUE = re.compile(r"\s*(.*?[^\s:=\d])\s*[:=]?\s+([-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*[\w/%]*)\s*")
 
 

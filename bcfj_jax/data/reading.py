@@ -53,7 +53,8 @@ def _turned(table: Record) -> Record:
     """
     named = [h for k in range(9) for h in table.header if h.lower().endswith(f"rot[{k}]")]
     turned = [h for h in table.header if column(h)[1] in (None, "deg", "°", "rad")]
-    angles = [h for a in ("roll", "pitch", "yaw") for h in turned if column(h)[0].lower().endswith(a)]
+    each = ([h for a in names for h in turned if column(h)[0].lower().endswith(a)] for names in _ANGLES)
+    angles = next((found for found in each if len(found) == 3), [])
     if any(h.startswith("q0") for h in table.header) or not (len(named) == 9 or (len(angles) == 3 and table.clock)):
         return table
     from scipy.spatial.transform import Rotation
@@ -69,13 +70,18 @@ def _turned(table: Record) -> Record:
         seen = np.isfinite(cells).all(axis=0)
         # Angles without a unit are degrees if they are larger than a turn; else nothing says.
         wide, scale = np.abs(cells[:, seen]).max(initial=0.0) > 2.0 * np.pi, np.pi / 180.0 if bare else 1.0
-        turns, orders = scale * np.nan_to_num(cells.T), (("XYZ", 1), ("ZYX", -1))
-        odd = [_unsteady(Rotation.from_euler(order, turns[seen][:, ::way])) for order, way in orders]
-        if (bare and not wide) or not _STEADIER * min(odd) < min(max(odd), 1.0):
+        turns = scale * np.nan_to_num(cells.T)
+        ways: dict[str, Any] = {
+            "turn about the body's x, y, z": Rotation.from_euler("XYZ", turns),
+            "turn about the body's z, y, x": Rotation.from_euler("ZYX", turns[:, ::-1]),
+            "are a rotation vector": Rotation.from_rotvec(turns),
+        }
+        odd = {said: _unsteady(way[seen]) for said, way in ways.items()}
+        said, other = sorted(ways, key=lambda w: odd[w])[:2]
+        if (bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0):
             return table
-        order, way = orders[int(np.argmin(odd))]
-        turned, said = Rotation.from_euler(order, turns[:, ::way]), ", ".join(order.lower())
-        note = f"angles turn about the body's {said}: its spin is then {rounded(max(odd) / max(min(odd), 1e-6))} times steadier"
+        turned = ways[said]
+        note = f"angles {said}: its spin is then {rounded(odd[other] / max(odd[said], 1e-6))} times steadier"
         table = replace(table, found="; ".join(filter(None, (table.found, note))))
     parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
@@ -255,8 +261,8 @@ def _header(name: str, column: Column) -> str:
 
 # How far the determinant of a rotation matrix that is rounded may be from 1.
 _TURNS = 0.05
-# How much steadier one order of angles makes the spin than another; changes of spin that tell it.
-_STEADIER, _FEW_TURNS = 3.0, 8
+# Names of angles about x, y, z; how much steadier one order makes the spin than another; changes of spin that tell it.
+_ANGLES, _STEADIER, _FEW_TURNS = (("roll", "pitch", "yaw"), ("rx", "ry", "rz")), 3.0, 8
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

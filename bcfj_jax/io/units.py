@@ -72,9 +72,9 @@ GRAVITIES = {"g": 9.80665, "G": 9.80665, "gn": 9.80665, "g_n": 9.80665, "g's": 9
 _IN_GRAVITIES = re.compile(
     rf"(.*?[^\s,_/(])(?:\s*\(\s*|\s*,\s*|\s+in\s+|[\s_]+)({'|'.join(sorted(GRAVITIES, reverse=True))})\s*\)?"
 )
-# An axis alone is that of an accelerometer's logger.
+# An axis is that of an accelerometer's logger, "Ch1 X".
 _ACCELERATION = re.compile(
-    r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
+    r"(?i).*(?:acc(?:$|[^a-z]|el)|beschl|(?:^|[^a-z])a[xyz]?$)|(?:.*[ _])?(?:axis[ _-]?)?[xyz](?:[ _-]?axis)?$"
 )
 # Numbers of a picture and of a converter, and strains, which a sensitivity makes a quantity.
 COUNTS = {

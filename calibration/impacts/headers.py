@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 
 import numpy as np
@@ -11,7 +12,7 @@ from bcfj_jax.data.clock import TIMES, plain
 from bcfj_jax.data.numbers import is_missing, is_number
 from bcfj_jax.data.record import SWEEP, Record, stated
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
-from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, known, same, scale_of
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
 from calibration.impacts.events import contacts
 from calibration.noise.scatter import scatter
 
@@ -45,6 +46,13 @@ _MASS = re.compile(
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
 _STATED = re.compile(
     rf"(?:(.+?)\s*=)?\s*[-+\d.eE]+\s*(?:({'|'.join(map(re.escape, sorted(ELECTRICAL, reverse=True)))})/|[^/]+/(\w*V|\w*C))"
+)
+_HINGED = "write a scene file with a hinge, and observe its angle or torque: docs/howto/force_displacement.md#bodies-that-turn"
+_ROTATES = re.compile(r"(?i)(?:deg|°)(?! ?[CFK]\b)|rad|rpm|rev|\b(?:[1U]|tr|giri|ob)/min|min-1")
+# What stands beside a reading: its scatter over several tests, or what was asked of a machine.
+BESIDE = re.compile(
+    r"\b(?:std\w*|sd|sigma|deviation|uncertainty|streuung|\w*abweichung|écart|incert\w*|desviación|scarto"
+    r"|soll\w*|set ?point|command\w*|demand\w*|consigne|consigna)\b"
 )
 # So many whole numbers without a unit, or in volts, may be counts.
 _COUNTED, _VOLTS = 20, ("V", "Volt", "Volts", "volt", "volts", "Vdc", "VDC")
@@ -111,11 +119,8 @@ def read_unit(table: Record, header: str) -> str | None:
         # G is no mass, and no record of an impact is in gauss.
         if text in GRAVITIES and not (unit == "m/s^2" and (accelerates(name) or text == "G")):
             continue
-        try:
-            scale_of(str(text), unit, header)
-        except InputError:
-            continue
-        return unit
+        if _is_of(header, unit, str(text)):
+            return unit
     return None
 
 
@@ -176,15 +181,15 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
             return f"'{h}' is in {unit}: {needed.replace('10 mV/N', table.sensor) if table.sensor else needed}"
     if turns := torque(table):
         return turns
-    if h := next((h for h in table.header if column(h)[1] in ("deg", "°", "rad")), ""):
-        way = "write a scene file whose body is on a hinge, and observe its angle"
-        return f"'{h}' is an angle: {way}: docs/howto/problem_file.md"
+    if h := next((h for h in table.header if _ROTATES.search(column(h)[1] or "")), ""):
+        return f"'{h}' is of a body that turns: {_HINGED}"
     other = pulsing(table, found.get("s", ""))
     if said := _STATED.match(given := table.sensitivities.stated or table.sensor):
         here, unit = next((h for h in table.header if h == said[1]), other), said[3] or said[2]
         ways = f'"{here} [V]" or "{here} [mV]"' if unit.endswith("V") else f'"{here} [{unit}]"'
         return f'say what its numbers are: --observe {ways} --sensitivity "{given}" of init calibration'
-    heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
+    heavies = [h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}]
+    heavy = max(heavies, key=lambda h: np.ptp(np.r_[0.0, values_of(table, h, "m/s^2")]), default="")
     # A letter alone may be of anything.
     kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
     kind = "mm" if {"x", "y", "z"} <= {h.lower() for h in table.header} and other.lower() in ("x", "y", "z") else kind
@@ -199,9 +204,16 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
 
 def torque(table: Record) -> str:
     """What is to be done with a torque; "" of a table without one."""
-    found = next((h for h in table.header if known(unit := column(h)[1] or "") and same(unit, "N m")), "")
-    way = "write a scene file whose joint follows the measured angle, and observe its torque"
-    return f"'{found}' is a torque: {way}: docs/howto/problem_file.md" if found else ""
+    found = next((h for h in table.header if _is_of(h, "N m")), "")
+    return f"'{found}' is a torque: {_HINGED}" if found else ""
+
+
+def _is_of(header: str, si_unit: str, unit: str | None = None) -> bool:
+    """Whether a column's unit, or another, is one of a quantity in SI; joules are of no torque."""
+    unit = unit or column(header)[1] or ""
+    with contextlib.suppress(InputError):
+        return "J" not in unit and scale_of(unit, si_unit, header) != 0.0
+    return False
 
 
 def pulsing(table: Record, clock: str) -> str:

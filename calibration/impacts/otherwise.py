@@ -14,16 +14,23 @@ from calibration.impacts.events import falls
 
 PLACES, ATTITUDE = ("x", "y", "z"), ("q0", "q1", "q2", "q3")
 _METRES = {1.0: "m", 1e-2: "cm", 1e-3: "mm"}  # Units of places by their size.
-_NAMED, _ANGLES = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3"}, ("roll", "pitch", "yaw")
+_ANGLES = ("roll", "pitch", "yaw")
+_NAMED = {"qw": "q0", "qx": "q1", "qy": "q2", "qz": "q3", **dict(zip(("rx", "ry", "rz"), _ANGLES, strict=True))}
+_NAMED |= {f"{a}{k}": k for a in "pt" for k in PLACES}
 # Words before x, y, z by which they are an attitude's, and by which they are no place's.
 _TURNED = {"rot", "rotation", "quat", "quaternion", "orientation", "attitude", "q"}
 _MOVED = {"linear", "angular", "spin", "omega", "w", "moment"}.union(*(headers.NAMES[u] for u in ("N", "m/s^2", "m/s")))
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
-    "rebound": re.compile(r"(?i)rebound|r[üu]ck(?:prall|sprung)|restitution"),
     "speed": re.compile(r"(?i)speed|velocity|slip|geschw"),
 }
-_EACH = "give each row as an [[experiment]] with {} and features = {{ {} }}: docs/howto/problem_file.md"
+# What came of an impact: a rebound, a restitution, a duration.
+_RESULTS = re.compile(
+    r"(?i)rebound|r[üu]ck(?:prall|sprung)|restitu[tcz]i|\bcor\b|sto(?:ss|ß)zahl|reb(?:ote|ond)|rimbalz"
+    r"|\b(?:contact|impact|collision|kontakt|sto(?:ss|ß))[ -]?(?:time|duration|dauer|zeit)"
+    r"|(?:dur[ée]e|temps|duraci[óo]n|tiempo|durata|tempo) d\S* ?(?:contat?to|contact|impact|choque?)"
+)
+_EACH = 'give each row as an [[experiment]] with features = { "contact.impulse" = "0.9 N s" }: docs/howto/problem_file.md#results'
 
 
 class InMotion(InputError):
@@ -34,7 +41,7 @@ class InMotion(InputError):
             "propose a scene of a tossed body with bcfj init calibration, as examples/tossed_cube.toml, without --scene"
         )
         super().__init__(table.name, "it holds places and attitudes of a body in motion", way)
-        self.table, self.columns = table, columns
+        self.table, self.columns, self.tables = table, columns, [table.inside or None]
 
 
 class Steady(InputError):
@@ -48,13 +55,21 @@ class Steady(InputError):
 
 
 def refuse_motion(table: Record) -> None:
-    """Refuse a record of places and attitudes, scalar first, whatever else it holds: "pose.orientation.x", "Position X"."""
+    """Refuse a record of places and attitudes, scalar first, whatever else it holds: "pose.orientation.x", "Position X".
+
+    So is a table whose rows are impacts, by a column of what came of them; a duration is no clock.
+    """
     found: dict[str, str] = {}
     for header in table.header:
+        if table.clock in ("", header) and _RESULTS.search(column(header)[0].replace("_", " ")):
+            raise InputError(table.name, f"'{header}' is a result of each impact, and no column is a time", _EACH)
         *about, last = re.findall(r"[^\W_]+", column(header)[0].lower()) or [""]
         key = f"q{last}" if _TURNED & {*about} and len(last) == 1 else last
-        key = _NAMED.get(key, key)
-        if key in ATTITUDE or last in _ANGLES or (key in PLACES and not _MOVED & {*about}):
+        key, unit = _NAMED.get(key, key), column(header)[1]
+        turns = key in _ANGLES and unit in (None, "deg", "°", "rad")
+        # "tx" may be a torque.
+        moves = key in PLACES and (last in PLACES or unit is None or headers.read_unit(table, header) == "m")
+        if key in ATTITUDE or turns or (moves and not _MOVED & {*about}):
             found.setdefault(key, header)
     if {*PLACES, *ATTITUDE} <= found.keys():
         places = {k: in_metres(table, found[k]) for k in PLACES}
@@ -87,10 +102,6 @@ def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputEr
     header, where = table.header, table.name
     names = {h: column(h)[0].replace("_", " ") for h in header}
     named = {key: next((h for h, name in names.items() if w.search(name)), "") for key, w in _WORDS.items()}
-    if h := named["rebound"]:
-        e = 'of heights e = sqrt(rebound/drop); "contact.impulse" is m v (1 + e)'
-        remedy = _EACH.format('parameters = { drop_height = "100 mm" }', '"contact.impulse" = "0.9 N s"')
-        return InputError(where, f"'{h}' is a result of each impact, and no column is a time", f"{remedy} ({e})")
     # A ratio named as one goes before forces, of which the second is friction.
     force = kinds.get("tangential", kinds.get("N", ""))
     ratio = "" if named["friction"] in kinds.values() else named["friction"]

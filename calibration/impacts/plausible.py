@@ -6,7 +6,9 @@ law: J/(m v) lies between 1 and 2. Where both bodies are free, m is their effect
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from bcfj_jax.io.units import format_si
 from calibration.impacts.events import contacts, quantity, rest, told
 from calibration.impacts.headers import read_unit
 from calibration.impacts.preparation import Prepared
+from calibration.impacts.proposal import Sizes, Understood
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.
@@ -29,11 +32,27 @@ _FAINT = 1e-3
 _ONE_SPEED = 1.1
 # Deviations of the noise below which the sum of a contact's readings may be noise alone: of many places the highest.
 _HEARD = 5.0
+# Names of a reading on what is struck.
+TARGET = re.compile(r"(?i)\b(?:anvil|amboss|enclume|incudine|yunque|target|cible|ziel|block|blo[cq]\w*|struck)")
 
 
 def effective(mass: float, struck: float | None) -> float:
     """Mass [kg] that a contact feels: m, or m M/(m + M) where a free body of mass M is struck."""
     return mass if struck is None else mass * struck / (mass + struck)
+
+
+def one_of_two(
+    found: Understood, s: Sizes, masses: tuple[float, float], speed: float | None
+) -> tuple[Understood, Sizes]:
+    """What was understood of one body's acceleration, of two free ones m, M [kg]: which one's, and sizes of their approach.
+
+    Of that the striking body has M/(m + M), the struck one m/(m + M). An approach at v changes by v to 2 v; else a name says.
+    """
+    ways = {"body": sum(masses) / masses[1], "struck": sum(masses) / masses[0]}
+    fits = [b for b, x in ways.items() if speed and 0.95 <= x * s.impulse / speed <= 2.05]
+    which = fits[0] if len(fits) == 1 else "struck" if TARGET.search(str(found.columns)) else "body"
+    peak, impulse, *ends = ways[which] * np.array([s.peak, s.impulse, *s.impulses])
+    return replace(found, body=which), s._replace(peak=peak, impulse=impulse, impulses=tuple(ends))
 
 
 def pushed(record: Prepared) -> tuple[float, float] | None:

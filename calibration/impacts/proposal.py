@@ -112,6 +112,7 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
+    body: str = "body"  # whose acceleration is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
 
 
@@ -343,6 +344,8 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     numeric = [h for h, c in zip(table.header, table.columns, strict=True) if h and headers.is_numeric(c)]
     numeric = [h for h in numeric if h != run and h.strip().lower() not in RUN_COLUMNS and not _is_fixed(table, h, run)]
     numeric = [h for h in numeric if not plates.is_pressure(table, h)]
+    own = {column(h)[1] for h in numeric if not headers.BESIDE.search(h.lower())}
+    numeric = [h for h in numeric if not headers.BESIDE.search(h.lower()) or column(h)[1] not in own]
     stated = {h: u for h in numeric if (u := headers.read_unit(table, h))}
 
     def later(header: str) -> tuple[bool, bool, float]:

@@ -12,6 +12,7 @@ from bcfj_jax.io.units import column
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
 from calibration.impacts.proposal import Run, Understood
+from calibration.noise.scatter import scatter
 
 # A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
 _LONG, _LOST = 1.0, 0.1
@@ -27,8 +28,9 @@ _ELASTIC = 0.96
 _RISES = 1.05
 # A curve falls from its slowest row on if it begins at this share of its greatest.
 _EARLY = 0.8
-# Rows of a table of places, samples up to a peak by which a speed is told, rows of a curve of steady states.
-_ROWS, _FEW, _STEADY = 300, 4, 8
+# Of a table of places the least rows, and the share of its range to which it follows them; samples up to a peak by which a
+# speed is told, rows of a curve of steady states.
+_FINE, _ROWS, _FEW, _STEADY = 1e-3, 300, 4, 8
 _DRIVEN = (
     'write a scene file whose body follows the measured displacement, drive = { kind = "table", table = [[times], [places]] }, '
     "and a calibration file that observes its force: docs/howto/problem_file.md"
@@ -48,6 +50,9 @@ def pulls(run: Run, where: str) -> bool:
     high, low = float(middle.max()), float(middle.min())
     shares = np.mean(middle > 0.5 * high), np.mean(middle < 0.5 * low)
     found = high > 0.0 > low and abs(high + low) < _ALIKE * (high - low) and min(shares) > _PULLS
+    # A slow test's force that falls below 0, and below its rest, is no ringing.
+    beyond = np.where(np.abs(x := middle - min(run.rest("N"), 0.0)) > 6.0 * scatter(force), x, 0.0)
+    found = found or (is_slow(run) and -beyond.clip(max=0.0).sum() > 2.0 * _PULLS * beyond.clip(min=0.0).sum())
     if found and not abs(_taken(run)) > _RUBS:
         found = "the force pulls as it pushes, as friction and joints with two sides do, and a contact only pushes"
         raise InputError(where, found, f"{_DRIVEN}; to take it as impacts all the same give --scene impact")
@@ -131,8 +136,13 @@ def _motion(run: Run) -> str:
     """The drive that follows the measured places, or else speeds."""
     unit = "m" if "m" in run.readings else "m/s"
     seen = np.flatnonzero(np.isfinite(run.readings[unit]))
-    rows = seen[np.unique(np.linspace(0, seen.size - 1, min(_ROWS, seen.size)).astype(int))]
-    clock, values = run.clock[rows], run.readings[unit][rows]
+    whole = run.readings[unit][seen]
+    noise = max(2.0 * scatter(whole), _FINE * float(np.ptp(whole)))
+    for count in _ROWS * 2 ** np.arange(16):  # Until what lies between the rows is noise.
+        rows = seen[np.unique(np.linspace(0, seen.size - 1, min(count, seen.size)).astype(int))]
+        clock, values = run.clock[rows], run.readings[unit][rows]
+        if np.std(whole - np.interp(run.clock[seen], clock, values)) <= noise:
+            break
     values = values - values[0] if unit == "m" else values
     if clock[0] > 0.0:  # Steady states, the first of which is reached from time 0 on.
         clock, values = np.r_[0.0, clock], np.r_[values[0], values]

@@ -17,6 +17,7 @@ from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.reading import read
 from bcfj_jax.data.record import Record
 from calibration.attitudes import rotation
+from calibration.impacts.headers import stated_mass
 from calibration.impacts.lines import Draft, Line, Said, box, scene_of, toml, with_scene
 from calibration.impacts.otherwise import ATTITUDE, PLACES, InMotion
 from calibration.impacts.parting import matching
@@ -117,9 +118,9 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
     ``file``: the record as the problem file names it.
     """
     headers, time, runs, axes = moved.columns, moved.table.clock, [], set[int]()
-    paths = matching(record)
-    for one in paths:
-        clock, places, attitudes = _read(read(one, "record", said.table, said.stated), time, headers)
+    paths = [(one, table) for one in matching(record) for table in moved.tables]
+    for one, inside in paths:
+        clock, places, attitudes = _read(read(one, "record", inside, said.stated), time, headers)
         begin, axis = _flight(clock, places)
         axes.add(axis)
         if len(axes) > 1:
@@ -127,7 +128,7 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
         begins, places, attitudes = float(clock[begin]), places[:, begin:], attitudes[:, begin:]
         clock = clock[begin:] - begins
         runs.append(Toss(clock, places, first(clock, places, attitudes, axis), begins))
-    half, mass = _resting(runs, max(axes)), said.number("mass", "kg")
+    half, mass = _resting(runs, max(axes)), said.number("mass", "kg") or stated_mass(moved.table)
     # The component of the attitudes that stays in every run: the length of a quaternion says nothing.
     fixed = max(ATTITUDE, key=lambda n: min(abs(t.state.values[n]) for t in runs))
     names = {"place": PLACES, "attitude": ATTITUDE}
@@ -138,15 +139,15 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
         Line(f"scene = {toml(scene_of(path).name)}", "a box on a plane: CHECK its size and inertia there"),
         Line('sensor = "exact"', "each run has its own first state in place of a clock and zero"),
     ]
-    for one, toss in zip(paths, runs, strict=True):
-        place = file if len(paths) == 1 else (Path(file).parent / one.name).as_posix()
+    for (one, inside), toss in zip(paths, runs, strict=True):
+        place = (Path(file).parent / one.name).as_posix()
         bounds = ", ".join(
             f'"body.{n}" = [{low:.6g}, {high:.6g}]' for n, (low, high) in toss.bounds.items() if n != fixed
         )
         lines += [
             "[[experiment]]",
             f"file = {toml(place)}",
-            *([f"table = {toml(said.table)}"] if said.table else []),
+            *([f"table = {toml(inside)}"] if inside else []),
             f"time = {toml(time)}",
             f"observe = {{ {observed} }}",
             'noise = "estimate"',
@@ -173,7 +174,7 @@ def _scene(tosses: list[Toss], axis: int, half: float | None, mass: float | None
     m, up = mass or 1.0, PLACES[axis]
     size, inertia = (f'"{1e3 * half:.4g} mm"', f"{_full(half, m):.3g}") if half else ('"? mm"', '"? kg m^2"')
     start = ", ".join(f"{n} = {v:.6g}" for n, v in tosses[0].state.values.items())
-    known = "as given" if mass else "unknown from places: stiffness is for a mass of 1 kg"
+    known = "as given, or as the file states" if mass else "unknown from places: stiffness is for a mass of 1 kg"
     gap = '"box_on_plane"' if up == "z" else f'{{ kind = "box_on_plane", axis = "{up}" }}'
     return f"""# A body tossed on a plane; written by bcfj init calibration.
 [scene]

@@ -257,12 +257,15 @@ def test_a_german_lab_file_goes_to_a_verdict_in_two_commands(here):
         assert low < true < high, name
 
 
-@pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_of_three_axes_the_one_that_is_hit_is_taken(axis, here):
+@pytest.mark.parametrize(
+    ("axis", "header"),
+    [(a, "Acceleration {} (m/s^2)") for a in "xyz"] + [("z", "Ch{} (g)"), ("y", "Accel {} [g]")],
+)
+def test_of_three_axes_the_one_that_is_hit_is_taken(axis, header, here):
     clock = np.arange(200) * 1e-4
     hit = np.where((clock > 5e-3) & (clock < 1e-2), -250.0 * np.sin(np.pi * (clock - 5e-3) / 5e-3), 0.0)
     rng = np.random.default_rng(4)
-    names = [f"Acceleration {a} (m/s^2)" for a in "xyz"]
+    names = [header.format(f"1 {a}" if header[:2] == "Ch" else a) for a in "xyz"]
     columns = [rng.normal(scale=0.5, size=clock.size) + (hit if a == axis else 0.0) for a in "xyz"]
     np.savetxt(
         "axes.csv",
@@ -272,7 +275,7 @@ def test_of_three_axes_the_one_that_is_hit_is_taken(axis, here):
         comments="",
     )
     (experiment,) = written("axes.csv")["experiment"]
-    assert f"Acceleration {axis}" in experiment["observe"]["body.acceleration.x"]
+    assert names["xyz".index(axis)] in experiment["observe"]["body.acceleration.x"]
 
 
 @pytest.mark.parametrize("name", ["Drop", "hit", "Test"])

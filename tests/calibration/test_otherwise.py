@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -87,6 +90,19 @@ def test_a_brake_is_proposed_as_friction_of_a_driven_body(sign, by, tmp_path):
     assert [f.name for f in found.free] == ["friction.sliding", "friction.speed"]
 
 
+@pytest.mark.parametrize("turns", [6.0, 400.0])
+def test_a_driven_body_follows_the_places_between_the_rows_of_its_table(turns, tmp_path):
+    """Of 60 cycles 300 rows are five a cycle, which would be another motion."""
+    clock = np.linspace(0.0, 1.0, 6001)
+    place, speed = 5.0 * np.sin(turns * clock), np.cos(turns * clock)
+    columns = {"time [s]": clock, "displacement [mm]": place, "force [N]": 20.0 * speed / np.hypot(speed, 0.1)}
+    init.run(write(tmp_path / "a.csv", columns), tmp_path / "a.toml", init.Said(), lambda line: None)
+    text = re.search(r"table = (\[\[.*?\]\])", (tmp_path / "a_scene.toml").read_text())
+    times, places = np.array(json.loads(text[1])) if text else np.zeros((2, 2))
+    assert np.abs(1e3 * np.interp(clock, times, places) - place + place[0]).max() < 0.03
+    assert times.size == 300 if turns == 6.0 else times.size > 300
+
+
 @pytest.mark.parametrize(
     ("force", "rubs"),
     [
@@ -153,7 +169,28 @@ OTHERS = {
     ),
     "rebound": (
         {"drop height [mm]": 10 + TIMES, "rebound height [mm]": 6 + TIMES},
-        r"'rebound height \[mm\]' is a result of each impact.*drop_height.*features = .*contact\.impulse",
+        r"'rebound height \[mm\]' is a result of each impact.*features = .*contact\.impulse.*problem_file.md#results",
+    ),
+    "restitution": (
+        {"impact speed [m/s]": TIMES, "COR (-)": 0.9 - 0.05 * TIMES, "std COR": 0.01 + 0.0 * TIMES},
+        r"'COR \(-\)' is a result of each impact.*features = ",
+    ),
+    "duration": (  # Its unit is that of a clock.
+        {"Auftreffgeschwindigkeit [m/s]": TIMES, "Kontaktdauer [us]": 200.0 - TIMES},
+        r"'Kontaktdauer \[us\]' is a result of each impact.*features = ",
+    ),
+    "pendulum": (
+        {"time [s]": TIMES, "angle [mdeg]": 5e3 * np.abs(np.cos(6 * TIMES)), "rate [deg/s]": np.sin(6 * TIMES)},
+        r"'angle \[mdeg\]' is of a body that turns.*hinge.*bodies-that-turn",
+    ),
+    "gear": ({"time [s]": TIMES, "shaft [rpm]": np.sin(6 * TIMES)}, r"'shaft \[rpm\]' is of a body that turns"),
+    "torque": ({"time [s]": TIMES, "T [lbf-in]": np.sin(6 * TIMES)}, r"'T \[lbf-in\]' is a torque.*bodies-that-turn"),
+    "table": (  # A slide with backlash, of which one side rings: no press.
+        {
+            "time [s]": TIMES, "set [mm]": 5 * np.sin(2 * TIMES),
+            "force [N]": 20 * np.maximum(np.sin(2 * TIMES), 0) + 20 * np.minimum(np.sin(2 * TIMES) + 0.2, 0),
+        },
+        r"the force pulls as it pushes",
     ),
 }  # fmt: skip
 
@@ -184,6 +221,13 @@ def test_friction_against_speed_is_proposed_without_a_clock(tmp_path):
         InputError, match=r"'friction force \[N\]' against 'speed \[mm/s\]' is a curve of steady states"
     ):
         init.run(tmp_path / "a.csv", tmp_path / "d.toml", init.Said("impact"), said.append)
+    spread = {"speed [m/s]": TIMES, "Reibkraft [N]": 20.0 - TIMES, "Streuung [N]": 0.2 + 0.1 * TIMES}
+    init.run(write(tmp_path / "f.csv", spread), tmp_path / "f.toml", init.Said(), said.append)
+    assert load(tmp_path / "f.toml").experiments[0].channels[0].values[0] == pytest.approx(20.0 - TIMES[1], rel=1e-3)
+    set_ = {"time [s]": TIMES, "Sollweg [mm]": 9.0 * np.sin(6 * TIMES), "Istweg [mm]": 5.0 * np.sin(6 * TIMES)}
+    init.run(write(tmp_path / "g.csv", {**set_, "Kraft [N]": BRAKE}), tmp_path / "g.toml", init.Said(), said.append)
+    drive = re.search(r"\], \[(.*?)\]\]", (tmp_path / "g_scene.toml").read_text())
+    assert drive and np.ptp([float(x) for x in drive[1].split(",")]) == pytest.approx(0.01, rel=1e-2)
     few = {"speed [m/s]": TIMES[:4], "friction coefficient": TIMES[:4]}
     with pytest.raises(InputError, match="3 rows hold a speed above 0"):
         init.run(write(tmp_path / "e.csv", few), tmp_path / "e.toml", init.Said(), said.append)

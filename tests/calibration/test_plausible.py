@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import bcfj_jax as bj
 from bcfj_jax import InputError
 from bcfj_jax.core.quantities import GRAVITY
-from calibration import Channel, Experiment, Free, Problem, fit, load
+from calibration import Channel, Experiment, Free, Problem, fit, init, load
 from calibration.command import _absurd, text
 from calibration.diagnostics.signatures import scene_of, weight
 from calibration.forward.model import build, predictions
@@ -377,3 +377,29 @@ def test_a_fit_that_presses_bodies_into_each_other_says_so(stiffness, deep):
     found = _absurd(outcome)
     assert [one.what for one in found] == (["penetration"] if deep else [])
     assert not deep or found[0].value == pytest.approx(3.0 * (0.1 / stiffness) ** 0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("header", "on", "speed"),
+    [("a [m/s^2]", "struck", "0.8 m/s"), ("a [m/s^2]", "body", "0.8 m/s"), ("a of the block [m/s^2]", "struck", None)],
+)
+def test_whose_acceleration_is_read_is_told_by_the_speed_or_by_its_name(header, on, speed, tmp_path):
+    """Of two free bodies: m a_1 = -M a_2, their approach changes by v (1 + e); what is proposed is that body's motion."""
+    clock = np.arange(0.0, 0.05, 2e-5)
+    read = pair(clock, 0.3, 4.0, 0.8)[0] / (4.0 if on == "struck" else -0.3)
+    rows = "".join(f"{t:.6f},{a + 1e-3 * np.sin(1e3 * t):.6f}\n" for t, a in zip(clock, read, strict=True))
+    (tmp_path / "hit.csv").write_text(f"time [s],{header}\n{rows}")
+    said = init.Said(mass="0.3 kg", speed=speed, struck="4 kg")
+    init.run(tmp_path / "hit.csv", tmp_path / "hit.toml", said, lambda line: None)
+    problem = load(tmp_path / "hit.toml")
+    (experiment,) = problem.experiments
+    assert [c.observes for c in experiment.channels] == [f"{on}.acceleration.x"]
+    assert "is wrong" not in (tmp_path / "hit.toml").read_text()
+    truth = {**problem.params, **experiment.fixed, **TRUTH, "approach_speed": 0.8}
+    times = np.arange(0.0, 0.01, 1e-5)
+    seen = bj.reading_history(problem.scene, truth, times, [f"{on}.acceleration.x"])[f"{on}.acceleration.x"]
+    largest = max(experiment.channels[0].values, key=abs)
+    assert float(seen[np.argmax(np.abs(seen))]) == pytest.approx(largest, rel=1e-2)
+    if speed is None:
+        (own,) = (f for f in problem.free if f.name == "approach_speed")
+        assert own.lower < 0.8 < own.upper

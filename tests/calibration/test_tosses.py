@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import equinox as eqx
 import numpy as np
+import openpyxl
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -123,6 +124,23 @@ def test_many_tosses_have_a_first_state_each_and_other_words_for_columns(tmp_pat
     assert "stiffness is for a mass of 1 kg" in (tmp_path / "all_scene.toml").read_text()
 
 
+@pytest.mark.parametrize("names", ["px [mm],py [mm],pz [mm]", "TX [mm],TY [mm],TZ [mm]"])
+def test_sheets_of_tosses_are_runs_and_a_sheet_beside_them_states_the_mass(names, tmp_path):
+    book = openpyxl.Workbook()
+    book.worksheets[0].append(["Mass [g]", 400])
+    for k in range(2):
+        places, attitudes = toss(k, x=0.1 * k)
+        sheet = book.create_sheet(f"Toss {k + 1}")
+        sheet.append(["time [s]", *names.split(","), "qw", "qx", "qy", "qz"])
+        for row in zip(TIMES, *(1e3 * places), *attitudes, strict=True):
+            sheet.append([float(x) for x in row])
+    book.save(tmp_path / "tosses.xlsx")
+    init.run(tmp_path / "tosses.xlsx", tmp_path / "all.toml", init.Said(), lambda line: None)
+    found = load(tmp_path / "all.toml")
+    one, two = found.experiments
+    assert one.bounds["body.x"][1] < 0.05 < two.bounds["body.x"][0] and found.params["mass"] == 0.4
+
+
 def test_what_is_no_flight_and_what_is_an_impact_all_the_same(tmp_path):
     places, attitudes = toss()
     rests = write(tmp_path / "rests.csv", places[:, -60:], attitudes[:, -60:], time=TIMES[:60])
@@ -220,24 +238,34 @@ def test_a_body_that_is_held_at_first_falls_later_and_a_matrix_is_an_attitude(tm
     assert np.isnan(seen["body.attitude.q1"][~whole]).all()
 
 
-@pytest.mark.parametrize(("order", "said"), [("XYZ", "x, y, z"), ("ZYX", "z, y, x")])
-def test_angles_are_an_attitude_in_the_order_in_which_nothing_turns_a_body_in_flight(order, said, tmp_path):
+@pytest.mark.parametrize(
+    ("order", "said", "names"),
+    [
+        ("XYZ", "turn about the body's x, y, z", ["Roll", "Pitch", "Yaw"]),
+        ("ZYX", "turn about the body's z, y, x", ["Roll", "Pitch", "Yaw"]),
+        ("vector", "are a rotation vector", ["RX [deg]", "RY [deg]", "RZ [deg]"]),  # Vicon's helical angles.
+    ],
+)
+def test_angles_are_an_attitude_in_the_order_in_which_nothing_turns_a_body_in_flight(order, said, names, tmp_path):
     """Roll, pitch and yaw of a spin that stays; of one about a single axis either order fits, and a ball is not taken for it."""
     clock = np.arange(120) / 200.0
     turned = Rotation.from_rotvec([0.2, 0.1, -0.3]) * Rotation.from_rotvec(np.outer(clock, [5.0, -4.0, 3.0]))
-    angles = turned.as_euler(order, degrees=True) @ (np.eye(3) if order == "XYZ" else np.eye(3)[::-1])
+    if order == "vector":
+        angles = turned.as_rotvec(degrees=True)
+    else:
+        angles = turned.as_euler(order, degrees=True) @ (np.eye(3) if order == "XYZ" else np.eye(3)[::-1])
     places = np.array([0.3 * clock, 0.1 * clock, 1.9 - 0.5 * 9.81 * clock**2])
-    names = ["time [s]", *(f"pose.position.{k} [m]" for k in "xyz")]
+    shared = ["time [s]", *(f"pose.position.{k} [m]" for k in "xyz")]
 
     def write_it(name, cells, more):
         rows = "".join(",".join(f"{v:.6f}" for v in row) + "\n" for row in cells)
-        (tmp_path / name).write_text(",".join([*names, *more]) + "\n" + rows)
+        (tmp_path / name).write_text(",".join([*shared, *more]) + "\n" + rows)
 
-    write_it("box.csv", np.c_[clock, places.T, angles], ["Roll", "Pitch", "Yaw"])
+    write_it("box.csv", np.c_[clock, places.T, angles], names)
     table = read(tmp_path / "box.csv", "record")
     found = np.array([table.numbers(f"q{k}", "1", "box", True) for k in range(4)])
     np.testing.assert_allclose(np.abs(np.sum(found.T * turned.as_quat(scalar_first=True), axis=1)), 1.0, atol=1e-9)
-    assert f"angles turn about the body's {said}" in table.found
+    assert f"angles {said}: its spin" in table.found
     with pytest.raises(InMotion):
         otherwise.refuse_motion(table)
     about = np.c_[clock, places.T, 0.0 * clock, 0.0 * clock, 400.0 * clock]
