@@ -6,8 +6,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
+from bcfj_jax.contact.part import raised
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.mechanism.contacts import raised
 from bcfj_jax.mechanism.model import AbstractModel
 from bcfj_jax.models import steel_ball
 from bcfj_jax.models.backlash import backlash
