@@ -111,6 +111,31 @@ def test_what_a_kind_does_not_read_is_refused(where, make):
     assert caught.value.where == where
 
 
+class Everywhere(bj.laws.AbstractLaw):
+    """A law that pulls where surfaces are apart, as a first one often does."""
+
+    needs = ("stiffness",)
+
+    def force(self, penetration, rate, c):
+        return c["stiffness"] * penetration
+
+
+def test_a_law_that_acts_across_a_gap_is_refused():
+    body = bj.Body("b", "slide", axis="y", mass=1.0, start={"position": 1e-3, "velocity": -1.0})
+    times = np.linspace(0.0, 6e-3, 61)
+    for smoothing in (False, True):
+        pad = bj.Contact("pad", ("ground", "b"), PLANE, Everywhere(), smoothing=smoothing)
+        scene = bj.Mechanism("m", [body], [pad], given={"stiffness": 1e6})
+        if smoothing:  # Asked of the overlap alone, it is a spring that bounces the body back.
+            run = bj.simulate(scene, scene.parameters(), times, read="b.velocity.y", accuracy=1e-5)
+            np.testing.assert_allclose(run.readings["b.velocity.y"][-1], 1.0, rtol=1e-4)
+            assert run.force["pad"].min() >= 0.0
+            continue
+        with pytest.raises(bj.InputError, match=r"bears -1e\+03 N where the surfaces are apart") as caught:
+            bj.simulate(scene, scene.parameters(), times)
+        assert caught.value.where.endswith("contact 'pad' law")
+
+
 def test_code_and_units_of_a_user_are_refused_where_they_stand():
     wrong = {"one argument": lambda t: t, "numpy": lambda t, p: np.sin(t)}
     for function in wrong.values():
