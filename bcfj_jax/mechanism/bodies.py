@@ -97,9 +97,9 @@ class Drive(eqx.Module):
         where = "drive"
         one_of(where, "kind of drive", self.kind, DRIVES)
         sizes.check_fields(where, self)
-        reads = ("kind", *DRIVES[self.kind])
-        others = [one.name for one in dataclasses.fields(self) if one.name not in reads]
-        sizes.check_read(where, self, f"a drive of kind '{self.kind}'", others, f"it reads {', '.join(reads[1:])}")
+        reads = DRIVES[self.kind]
+        others = {one.name for one in dataclasses.fields(self)} - {"kind", *reads}
+        sizes.check_read(where, self, f"a drive of kind '{self.kind}'", others, f"it reads {', '.join(reads)}")
         checked_shape(f"{where} shape", self.shape)
         if self.kind in ("table", "speeds"):
             checked_table(f"{where} table", self.table, 3 if self.kind == "table" else 2)

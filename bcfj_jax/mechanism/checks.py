@@ -27,9 +27,6 @@ from bcfj_jax.xla import programs
 # Bodies that overlap at the start by more than so many times the penetration that is to be expected were not placed
 # there; an overlap below the second [m] is rounding.
 _DEEP, _TOUCH = 20.0, 1e-9
-# Penetrations at which a law bears nothing [m].
-_APART = np.array([-1e-6, -1e-3])
-_PACKAGE = f"{__name__.partition('.')[0]}."
 # Least eigenvalue of a mass matrix whose diagonal is 1.
 _REGULAR = 1e-12
 # What a load acts by, if it has them.
@@ -247,10 +244,10 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
         if wrong is not None:
             raise InputError(f"{where} contact '{c.name}'", *wrong)
         # With a regularisation a law is asked of what overlaps alone; those of the package are 0 apart.
-        if c.smoothing or type(c.law).__module__.startswith(_PACKAGE):
+        if c.smoothing or type(c.law).__module__.startswith("bcfj_jax."):
             continue
-        apart = np.asarray(c.law.force(jnp.asarray(_APART), jnp.zeros(2), known_at(c, jnp.ones(()), params)))
-        if np.any(apart != 0.0):
+        apart = c.law.force(jnp.array([-1e-6, -1e-3]), jnp.zeros(2), known_at(c, jnp.ones(()), params))
+        if np.any(np.asarray(apart) != 0.0):
             found = f"its law {type(c.law).__name__} bears {np.min(apart):.3g} N where the surfaces are apart"
             remedy = "make it 0 there: jnp.maximum(penetration, 0.0) in place of penetration"
             raise InputError(f"{where} contact '{c.name}' law", found, remedy)

@@ -95,7 +95,7 @@ class Contact(eqx.Module):
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
         sizes.check_read(
-            f"contact {quoted(self.name)}", self, "a law that is given as itself", ("elastic",), "give it to the law"
+            f"contact {quoted(self.name)}", self, "a law given as itself", ("elastic",), "give it to the law"
         )
         where = sizes.checked_name("contact", self.name)
         sizes.check_fields(where, self)

@@ -51,9 +51,7 @@ class JointSpring(CoordinateLoad):
         springs.check(f"load '{self.name}'", self.side, self.table, self.stiffness)
         checked_drive(f"load '{self.name}'", self.drive)
         if self.drive is not None:
-            sizes.check_read(
-                f"load '{self.name}'", self, "a joint spring with a drive", ("rest",), "give the drive's start"
-            )
+            sizes.check_read(f"load '{self.name}'", self, "a driven joint spring", ("rest",), "give the drive's start")
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return [] if self.drive is None else self.drive.kinks(self.name, p)
