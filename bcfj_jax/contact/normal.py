@@ -86,6 +86,10 @@ class Linear(bj.laws.AbstractLaw):
         """Elastic energy [J]; what work exceeds its change is lost. Without states: the work of the force at rest."""
         return _work(lambda x, c: self.force(x, jnp.zeros_like(x), c), penetration, c)
 
+    def forgets(self, c: Coefficients) -> ArrayLike:
+        """Gap [m] over which the states are let go."""
+        return GAP
+
 
 def _work(force: Callable[[Array, Coefficients], Array], penetration: Array, c: Coefficients) -> Array:
     """Integral of a force from 0 to the penetration [J]."""
@@ -314,6 +318,10 @@ class AbstractPlastic(AbstractElasticLaw):
         _, width = self.unloading(penetration, c)
         return (_CORNER * width * penetration,)
 
+    def forgets(self, c: Coefficients) -> Array:
+        """The dent's own depth, where that is less than ``GAP``: a flight may be lower than a micrometre."""
+        return jnp.clip(c["unloaded"], 1e-15, GAP)
+
     def stored(self, penetration: Array, c: Coefficients) -> Array:
         """Work of the unloading: h w Phi(m - u/w)."""
         height, width, equivalent = self._unloaded(penetration, c)
@@ -392,14 +400,15 @@ def regularised_rates(
     """Rates of a law's states, along the regularised penetration. Arguments as ``regularised_force``; no width is 0.
 
     Apart, beyond the regularisation, a state s is let go as the bodies part at the speed v, over the gap g:
-    s' = -4 v s/(g + l),  l = ``GAP``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
+    s' = -4 v s/(g + l),  l = ``law.forgets``, which sets in over that gap (C1). s falls as the fourth power of the gap, whatever
     the scale.
     """
     if not law.states:
         return ()
     ramp, slope = smooth_ramp(penetration, width)
     gap = positive(-penetration - width)
-    apart, loss = smooth_step(gap / GAP), 4.0 * positive(-rate) / (gap + GAP)
+    reach = law.forgets(c)
+    apart, loss = smooth_step(gap / reach), 4.0 * positive(-rate) / (gap + reach)
     found = zip(law.states, law.rates(ramp, slope * rate, c), strict=True)
     return tuple((1.0 - apart) * x - apart * loss * c[name] for name, x in found)
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 
-from bcfj_jax.core.errors import InputError, quoted
+from bcfj_jax.core.errors import InputError, origin, quoted
 
 
 def complete(cls: type, missing: Sequence[str], example: str) -> None:
@@ -50,3 +51,19 @@ def checked(where: str, given: Any, kind: type[Any], what: str, by_name: str) ->
     if isinstance(given, type) and issubclass(given, kind):
         remedy = f"give an object of it: {given.__name__}()"
     raise InputError(where, f"{quoted(given)} is no {what}", remedy)
+
+
+def raised(where: str, error: Exception) -> InputError:
+    """What a user's own code raised, as an error that names the place, the file and the line."""
+    if isinstance(error, InputError):
+        return error
+    at, said = origin(error), f"{error}".splitlines()
+    found = f"its code raised {type(error).__name__}{f' in {at}' if at else ''}: {said[0] if said else ''}".rstrip(": ")
+    remedy = "correct that code"
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        remedy = "use jax.numpy in place of numpy: JAX traces the numbers"
+    elif isinstance(error, jax.errors.ConcretizationTypeError):
+        remedy = "use jnp.where in place of 'if', and jnp.maximum in place of 'max': JAX traces the numbers"
+    elif isinstance(error, KeyError):
+        remedy = "list the coefficients that it reads in 'needs'; bodies go by their names"
+    return InputError(where, found, remedy)

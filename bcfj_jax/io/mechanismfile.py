@@ -34,7 +34,7 @@ from bcfj_jax.io import programmes, tables, usercode
 from bcfj_jax.io.units import alike, coherent, quantity
 from bcfj_jax.io.usercode import MECHANISM as KIND
 from bcfj_jax.mechanism import channels, sizes
-from bcfj_jax.mechanism.bodies import GROUND, JOINTS, Body, Drive, unit_of
+from bcfj_jax.mechanism.bodies import DRIVES, GROUND, JOINTS, Body, Drive, unit_of
 from bcfj_jax.mechanism.channels import Channel
 from bcfj_jax.mechanism.checks import names_read
 from bcfj_jax.mechanism.contacts import Approach, Contact
@@ -47,10 +47,7 @@ _NAME = re.compile(r"-?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 _WHERE = re.compile(r"(?:mechanism|scene) '[^']*'\s*(.*)", re.DOTALL)
 _PART = re.compile(r"(body|contact|load) '([^']*)'\s*(.*)", re.DOTALL)
 # What a drive of each kind reads.
-_DRIVES = {
-    "constant": ("speed", "start"), "ramp": ("speed", "over", "first", "shape", "start"), "table": ("table",),
-    "speeds": ("table", "start"),
-}  # fmt: skip
+_DRIVES = {kind: reads for kind, reads in DRIVES.items() if kind != "function"} | {"speeds": ("table", "start")}
 M = TypeVar("M", bound=tables.Table)
 
 

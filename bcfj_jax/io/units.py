@@ -156,7 +156,8 @@ def _by_pint(unit_text: str, si_unit: str, where: str, exponent: float | None, g
     if si_unit == _STIFFNESS:
         return _stiffness_factor(unit_text, where, exponent, given)
     remedy = _remedy(si_unit)
-    unit, target, given = _unit(unit_text, where, given, remedy), parse(si_unit), clip(given)
+    target = _unit(si_unit, f"{where} unit", si_unit, 'its quantity a unit such as "N/m"')
+    unit, given = _unit(unit_text, where, given, remedy), clip(given)
 
     def refused(why: str) -> InputError:
         return InputError(where, f"'{given}' {why}", f"give {remedy}")

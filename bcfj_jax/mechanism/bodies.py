@@ -8,6 +8,7 @@ its partial velocities (Kane and Levinson, Dynamics, 1985). Accelerations are  s
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from bcfj_jax.contact.part import raised
 from bcfj_jax.core import limits
 from bcfj_jax.core.errors import InputError, nearest, one_of, quoted
 from bcfj_jax.core.quantities import whole
@@ -34,6 +36,7 @@ from bcfj_jax.mechanism.programmes import (
     given_breaks,
     given_table,
     looked_up,
+    progress,
     risen,
 )
 from bcfj_jax.mechanism.sizes import GROUND, ORIGIN, Parameters, Params, Place, Size
@@ -58,6 +61,13 @@ RATES |= {key: f"{key}_speed" for key in ("first", "second")}
 # Of a matrix of inertia: about its axes, and its entries beside the diagonal, which are less the integrals of x y dm.
 INERTIAS = ("x", "y", "z", "xy", "yz", "zx")
 QUATERNION, SPINS = ("q0", "q1", "q2", "q3"), ("wx", "wy", "wz")
+
+
+# What a kind of drive reads.
+DRIVES = {
+    "constant": ("speed", "start"), "ramp": ("speed", "over", "first", "shape", "start"), "table": ("table",),
+    "speeds": ("table", "speed", "start"), "function": ("function", "breaks"),
+}  # fmt: skip
 
 
 class Drive(eqx.Module):
@@ -86,9 +96,11 @@ class Drive(eqx.Module):
 
     def __check_init__(self):
         where = "drive"
-        known = ("constant", "ramp", "table", "speeds", "function")
-        one_of(where, "kind of drive", self.kind, known)
+        one_of(where, "kind of drive", self.kind, DRIVES)
         sizes.check_fields(where, self)
+        reads = DRIVES[self.kind]
+        others = {one.name for one in dataclasses.fields(self)} - {"kind", *reads}
+        sizes.check_read(where, self, f"a drive of kind '{self.kind}'", others, f"it reads {', '.join(reads)}")
         checked_shape(f"{where} shape", self.shape)
         if self.kind in ("table", "speeds"):
             checked_table(f"{where} table", self.table, 3 if self.kind == "table" else 2)
@@ -102,6 +114,8 @@ class Drive(eqx.Module):
         found: Parameters = {}
         if self.kind in ("constant", "ramp"):
             found |= sizes.own(self.speed, body, "drive_speed", f"{unit}/s", f"speed of the drive of {body}")
+        if self.kind == "speeds" and self.speed is not None:
+            found |= sizes.own(self.speed, body, "drive_speed", "1", f"what the speeds of {body} are multiplied by")
         if self.kind == "ramp":
             found |= sizes.own(
                 self.over, body, "drive_ramp", "s", f"time over which the drive of {body} reaches its speed"
@@ -124,7 +138,10 @@ class Drive(eqx.Module):
         """Position [m or rad]."""
         if self.kind == "function":
             assert self.function is not None
-            return self.function(t, p)
+            try:
+                return self.function(t, p)
+            except Exception as error:
+                raise raised(f"body '{body}' drive", error) from error
         if self.kind == "table":
             return self._spline(t)
         start = sizes.length(self.start, body, "drive_start", p)
@@ -136,7 +153,7 @@ class Drive(eqx.Module):
             return plus(speed * t, start)
         over, first = sizes.value(self.over, body, "drive_ramp", p), sizes.length(self.first, body, "drive_first", p)
         # The integral of the shape, and full speed from its end on.
-        gone = over * risen(self.shape, t / over) + jnp.maximum(t - over, 0.0)
+        gone = over * risen(self.shape, progress(t, over)) + jnp.maximum(t - over, 0.0)
         return plus(plus(times(minus(speed, first), gone), times(first, t)), start)
 
     def _speed(self, body: str, p: Params) -> Number:
@@ -150,7 +167,7 @@ class Drive(eqx.Module):
         if self.kind == "ramp":
             speed, over = sizes.value(self.speed, body, "drive_speed", p), sizes.value(self.over, body, "drive_ramp", p)
             first = sizes.length(self.first, body, "drive_first", p)
-            step, slope = jax.jvp(lambda t: SHAPES[self.shape](t / over), (t,), (jnp.ones_like(t),))
+            step, slope = jax.jvp(lambda t: SHAPES[self.shape](progress(t, over)), (t,), (jnp.ones_like(t),))
             rise = minus(speed, first)
             return self.position(t, body, p), plus(times(rise, step), first), times(rise, slope)
         if self.kind == "speeds":

@@ -20,7 +20,7 @@ from bcfj_jax.mechanism.arrays import refuse_traced
 from bcfj_jax.mechanism.bodies import GROUND, principal, refuse_impossible
 from bcfj_jax.mechanism.dynamics import Dynamics
 from bcfj_jax.mechanism.loads import LOADS, CoordinateLoad, Spring, checked
-from bcfj_jax.mechanism.scales import expected
+from bcfj_jax.mechanism.scales import expected, known_at
 from bcfj_jax.mechanism.sizes import Params, check_fields, nothing
 from bcfj_jax.xla import programs
 
@@ -243,6 +243,14 @@ def check_values(scene: Dynamics, params: Params, where: str = "") -> None:
         wrong = c.gap.impossible({name: float(np.asarray(x).min()) for name, x in c.coefficients(params).items()})
         if wrong is not None:
             raise InputError(f"{where} contact '{c.name}'", *wrong)
+        # With a regularisation a law is asked of what overlaps alone; those of the package are 0 apart.
+        if c.smoothing or type(c.law).__module__.startswith("bcfj_jax."):
+            continue
+        apart = c.law.force(jnp.array([-1e-6, -1e-3]), jnp.zeros(2), known_at(c, jnp.ones(()), params))
+        if np.any(np.asarray(apart) != 0.0):
+            found = f"its law {type(c.law).__name__} bears {np.min(apart):.3g} N where the surfaces are apart"
+            remedy = "make it 0 there: jnp.maximum(penetration, 0.0) in place of penetration"
+            raise InputError(f"{where} contact '{c.name}' law", found, remedy)
     _check_start(scene, dict(scene.completed(params)), where)
 
 

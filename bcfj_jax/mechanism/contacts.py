@@ -20,9 +20,9 @@ from bcfj_jax.contact import laws
 from bcfj_jax.contact.friction import AbstractFriction
 from bcfj_jax.contact.gaps import AbstractGap, Face, Frame
 from bcfj_jax.contact.normal import AbstractLaw, regularised_rates
-from bcfj_jax.contact.part import checked
+from bcfj_jax.contact.part import checked, raised
 from bcfj_jax.contact.wrench import RESISTING, ContactForce
-from bcfj_jax.core.errors import InputError, origin
+from bcfj_jax.core.errors import InputError, quoted
 from bcfj_jax.core.numerics import positive
 from bcfj_jax.core.quantities import CATALOGUE, Quantity
 from bcfj_jax.core.vectors import WORLD, ZERO, Number, Vector, add, turned
@@ -94,6 +94,9 @@ class Contact(eqx.Module):
             object.__setattr__(self, "law", laws.make(self.law, self.elastic))
             # The law has it now: a contact whose elastic part was named is the one that has it by default.
             object.__setattr__(self, "elastic", None)
+        sizes.check_read(
+            f"contact {quoted(self.name)}", self, "a law given as itself", ("elastic",), "give it to the law"
+        )
         where = sizes.checked_name("contact", self.name)
         sizes.check_fields(where, self)
         if self.between[0] == self.between[1]:
@@ -271,19 +274,3 @@ def _faces(gap: AbstractGap) -> int:
     except Exception as error:
         raise raised(f"gap {type(gap).__name__}", error) from error
     return counted[0]
-
-
-def raised(where: str, error: Exception) -> InputError:
-    """What a user's own code raised, as an error that names the place, the file and the line."""
-    if isinstance(error, InputError):
-        return error
-    at, said = origin(error), f"{error}".splitlines()
-    found = f"its code raised {type(error).__name__}{f' in {at}' if at else ''}: {said[0] if said else ''}".rstrip(": ")
-    remedy = "correct that code"
-    if isinstance(error, jax.errors.TracerArrayConversionError):
-        remedy = "use jax.numpy in place of numpy: JAX traces the numbers"
-    elif isinstance(error, jax.errors.ConcretizationTypeError):
-        remedy = "use jnp.where in place of 'if', and jnp.maximum in place of 'max': JAX traces the numbers"
-    elif isinstance(error, KeyError):
-        remedy = "list the coefficients that it reads in 'needs'"
-    return InputError(where, found, remedy)

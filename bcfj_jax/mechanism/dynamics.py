@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 
 from bcfj_jax.contact.gaps import Face
+from bcfj_jax.contact.part import raised
 from bcfj_jax.contact.wrench import ContactForce, FrictionState, couple, press
 from bcfj_jax.core import limits
 from bcfj_jax.core.quantities import CATALOGUE, Quantity, whole
@@ -26,7 +27,7 @@ from bcfj_jax.core.vectors import ZERO, Number, Vector, add, cross, dot, negativ
 from bcfj_jax.mechanism import alike, arrays, equations, rows, sizes
 from bcfj_jax.mechanism.acting import Onset
 from bcfj_jax.mechanism.bodies import GROUND, INERTIAS, STILL, Body, Own, Part, carried, quaternion_rate
-from bcfj_jax.mechanism.contacts import Contact, raised
+from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.equations import Equations, flat
 from bcfj_jax.mechanism.loads import AbstractLoad, CoordinateLoad, Moving, checked_action, kept, quantities
 from bcfj_jax.mechanism.model import AbstractModel, Life, Params, Solution

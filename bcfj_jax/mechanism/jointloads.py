@@ -50,6 +50,8 @@ class JointSpring(CoordinateLoad):
     def __check_init__(self):
         springs.check(f"load '{self.name}'", self.side, self.table, self.stiffness)
         checked_drive(f"load '{self.name}'", self.drive)
+        if self.drive is not None:
+            sizes.check_read(f"load '{self.name}'", self, "a driven joint spring", ("rest",), "give the drive's start")
 
     def kinks(self, p: Params) -> list[ArrayLike] | None:
         return [] if self.drive is None else self.drive.kinks(self.name, p)

@@ -98,6 +98,9 @@ class Force(AbstractLoad):
         for first, second in (("amplitude", "frequency"), ("reversal", "reversal_ramp")):
             if (getattr(self, first) is None) != (getattr(self, second) is None):
                 raise InputError(f"{where} {first}", f"needs {second} beside it", f"give {first} and {second}, or none")
+        if self.table is not None:
+            rest = ("ramp", "shape", "amplitude", "frequency", "reversal", "reversal_ramp")
+            sizes.check_read(where, self, "a table", rest, "put all of its course into the table")
 
     @property
     def touches(self) -> tuple[str, ...]:

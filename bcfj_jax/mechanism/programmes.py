@@ -29,6 +29,12 @@ def _line(fraction: ArrayLike) -> Array:
 SHAPES = {"smooth": smooth_rise, "step": smooth_step, "linear": _line}
 
 
+def progress(t: ArrayLike, over: ArrayLike) -> Array:
+    """Time over that of a rise; of none, 0 before time 0 and 1 from then on."""
+    sudden = jnp.asarray(over) == 0
+    return jnp.where(sudden, 1.0 * (jnp.asarray(t) >= 0), t / jnp.where(sudden, 1.0, over))
+
+
 def risen(shape: str, fraction: ArrayLike) -> Array:
     """Integral of a shape from 0 to s = min(fraction, 1), a polynomial."""
     s = _line(fraction)
@@ -128,10 +134,10 @@ class Programme(eqx.Module):
     def share(self, t: ArrayLike, name: str, p: Params) -> Number:
         """r(t)."""
         rise = SHAPES[self.shape]
-        found = 1.0 if self.ramp is None else rise(t / sizes.value(self.ramp, name, "ramp", p))
+        found = 1.0 if self.ramp is None else rise(progress(t, sizes.value(self.ramp, name, "ramp", p)))
         if self.reversal is not None:
             over = sizes.value(self.reversal_ramp, name, "reversal_ramp", p)
-            found = times(found, 1.0 - 2.0 * rise((t - sizes.value(self.reversal, name, "reversal", p)) / over))
+            found = times(found, 1.0 - 2.0 * rise(progress(t - sizes.value(self.reversal, name, "reversal", p), over)))
         return found
 
     def kinks(self, name: str, p: Params) -> list[ArrayLike]:
@@ -146,7 +152,8 @@ class Programme(eqx.Module):
 
     def parameters(self, name: str, unit: str) -> Parameters:
         if self.table is not None:
-            return {}
+            what = f"what the table of {name} is multiplied by"
+            return {} if self.size is None else sizes.own(self.size, name, "size", "1", what)
         found = sizes.own(self.size, name, "size", unit, f"size of {name}")
         for key, of, meaning in (
             ("ramp", "s", "time over which {} is raised"), ("amplitude", unit, "amplitude of the fluctuation of {}"),

@@ -146,7 +146,7 @@ def expected_scale(scene: Dynamics, params: Params) -> Array:
         places += [found.depth / x for x in own[:plain]] + [found.depth / longest] * (len(b.coordinates) - plain)
     kept: list[Number] = []
     for c in scene.contacts:
-        kept += c.sizes(found.speed, found.depth, _coefficients(c, found.speed, params)) * c.faces if c.memory else []
+        kept += c.sizes(found.speed, found.depth, known_at(c, found.speed, params)) * c.faces if c.memory else []
     kept += [load.reach(params) for load in scene._bristly]
     return scene.state(places, [speed / x for x in found.levers], kept)
 
@@ -241,7 +241,7 @@ def _compliance(gathered: Equations, row: dict[int, Number], count: int, of: Cal
     return found
 
 
-def _coefficients(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
+def known_at(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
     """Its coefficients, of a contact that comes at a speed [m/s] and remembers no other."""
     values = c.coefficients(params) | dict.fromkeys(c.law.states, jnp.zeros(()))
     return values | {"approach_speed": speed} if c.remembers else values
@@ -249,14 +249,14 @@ def _coefficients(c: Contact, speed: Array, params: Params) -> dict[str, Array]:
 
 def _stored(c: Contact, depth: Array, params: Params) -> Array:
     """Energy [J] of a contact at rest, to a factor of n + 1: force times depth, of its regularisation's."""
-    values = _coefficients(c, jnp.ones(()), params)
+    values = known_at(c, jnp.ones(()), params)
     reach = smooth_ramp(depth, values["smoothing"])[0] if "smoothing" in values else positive(depth)
     return c.law.force(reach, jnp.zeros_like(reach), values) * reach
 
 
 def _depth(c: Contact, energy: Array, force: Array, speed: Array, params: Params) -> Array:
     """Penetration that takes in an energy (force times depth is twice it), or bears a force, whichever is deeper."""
-    values = _coefficients(c, speed, params)
+    values = known_at(c, speed, params)
 
     def enough(level: Array) -> Array:
         depth = jnp.exp(level)

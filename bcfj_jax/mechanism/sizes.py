@@ -44,6 +44,8 @@ def plain(where: str, given: Any) -> Any:
 
 
 def _plain(where: str, given: Any) -> Any:
+    if isinstance(given, str) and given.lstrip("+-.")[:1].isdigit():
+        raise InputError(where, f"{quoted(given)} is no name of a parameter", _FIELDS[Size][1])
     if given is None or isinstance(given, (str, bool)) or callable(given):
         return given
     if isinstance(given, (list, tuple)) or np.ndim(given):
@@ -143,6 +145,13 @@ def check_fields(where: str, part: Any) -> None:
             raise InputError(place, quoted(value), f"give its name, '{named[0]}'" if named else remedy)
         if one.name == "direction":
             axis(value, place)
+
+
+def check_read(where: str, part: Any, kind: str, names: Iterable[str], remedy: str) -> None:
+    """Refuse fields of a part that its kind does not read, where they are given."""
+    for one in dataclasses.fields(part):
+        if one.name in names and getattr(part, one.name) != one.default:
+            raise InputError(f"{where} {one.name}", f"{kind} has no {one.name}", remedy)
 
 
 def given(part: Any) -> list[Any]:

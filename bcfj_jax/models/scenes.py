@@ -7,8 +7,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bcfj_jax.contact.part import raised
 from bcfj_jax.core.errors import InputError, nearest
-from bcfj_jax.mechanism.contacts import raised
 from bcfj_jax.mechanism.model import AbstractModel
 
 if TYPE_CHECKING:

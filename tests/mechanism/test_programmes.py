@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from bcfj_jax import Drive
 from bcfj_jax.mechanism.programmes import SHAPES, Programme, area, looked_up, risen
 
 TABLE = ((0.5, 1.0, 2.5, 3.0), (1.0, 3.0, -2.0, 0.5))
@@ -48,3 +50,19 @@ def test_an_amount_rises_fluctuates_and_reverses_as_its_formula_says():
     assert float(table(jnp.asarray(1.4), "load", p)) == pytest.approx(5.0 * np.interp(1.4, *TABLE))
     assert float(Programme(table=TABLE)(jnp.asarray(1.4), "load", p)) == pytest.approx(np.interp(1.4, *TABLE))
     assert float(Programme(size=5.0)(jnp.asarray(0.0), "load", p)) == 5.0
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_rise_of_no_time_is_a_step(shape):
+    p = {"load.size": 5.0, "load.ramp": 0.0, "load.reversal": 1.0, "load.reversal_ramp": 0.0}
+    one = Programme(5.0, 0.0, shape, reversal=1.0, reversal_ramp=0.0)
+    assert [float(one(jnp.asarray(t), "load", p)) for t in (0.0, 0.5, 1.0, 2.0)] == [5.0, 5.0, -5.0, -5.0]
+    table = Programme(size=5.0, table=TABLE).parameters("load", "N")
+    assert {name: default for name, (_, default) in table.items()} == {"load.size": 5.0}
+    # A drive is at its speed at once; of a short rise it is half of that time behind.
+    drive, p = Drive("ramp", speed=2.0, over=0.0, shape=shape), {"b.drive_speed": 2.0, "b.drive_ramp": 0.0}
+    place, *rates = drive.motion(jnp.asarray(0.3), "b", p)
+    assert (float(place), *map(float, rates)) == (0.6, 2.0, 0.0)
+    assert [float(x) for x in drive.motion(jnp.asarray(0.0), "b", p)] == [0.0, 2.0, 0.0]
+    behind = jax.grad(lambda over: drive.position(jnp.asarray(0.3), "b", p | {"b.drive_ramp": over}))(0.0)
+    assert float(behind) == -1.0

@@ -79,6 +79,74 @@ def test_what_is_no_number_is_refused_where_it_stands():
             with pytest.raises(bj.InputError) as caught:
                 make(bad)
             assert caught.value.where == where and "is no number" in caught.value.found
+        # A number with a unit is for files; here it would be the name of a parameter.
+        for bad in ("100 g", "-0.5 m"):
+            with pytest.raises(bj.InputError, match="number in SI units") as caught:
+                make(bad)
+            assert caught.value.where == where
+
+
+TABLE = ((0.0, 1.0, 2.0), (0.0, 0.5, 0.25))
+STILL = bj.Drive("constant", speed=0.0)
+
+
+@pytest.mark.parametrize(
+    ("where", "make"),
+    {
+        "drive start": lambda: bj.Drive("table", table=TABLE, start=0.5),
+        "drive speed": lambda: bj.Drive("function", function=jnp.sin, speed=2.0),
+        "drive over": lambda: bj.Drive("constant", speed=2.0, over=0.1),
+        "drive table": lambda: bj.Drive("ramp", speed=2.0, over=0.1, table=TABLE),
+        "load 'f' ramp": lambda: bj.loads.Force("f", "b", table=TABLE, ramp=0.1),
+        "load 'f' amplitude": lambda: bj.loads.Torque("f", "b", table=TABLE, amplitude=1.0, frequency=3.0),
+        "load 's' rest": lambda: bj.loads.JointSpring("s", "b", stiffness=1.0, rest=0.1, drive=STILL),
+        "contact 'c' elastic": lambda: bj.Contact(
+            "c", ("ground", "b"), PLANE, law=bj.laws.MemoryFree(), elastic="linear"
+        ),
+    }.items(),
+)
+def test_what_a_kind_does_not_read_is_refused(where, make):
+    with pytest.raises(bj.InputError, match=f"has no {where.split()[-1]};") as caught:
+        make()
+    assert caught.value.where == where
+
+
+class Everywhere(bj.laws.AbstractLaw):
+    """A law that pulls where surfaces are apart, as a first one often does."""
+
+    needs = ("stiffness",)
+
+    def force(self, penetration, rate, c):
+        return c["stiffness"] * penetration
+
+
+def test_a_law_that_acts_across_a_gap_is_refused():
+    body = bj.Body("b", "slide", axis="y", mass=1.0, start={"position": 1e-3, "velocity": -1.0})
+    times = np.linspace(0.0, 6e-3, 61)
+    for smoothing in (False, True):
+        pad = bj.Contact("pad", ("ground", "b"), PLANE, Everywhere(), smoothing=smoothing)
+        scene = bj.Mechanism("m", [body], [pad], given={"stiffness": 1e6})
+        if smoothing:  # Asked of the overlap alone, it is a spring that bounces the body back.
+            run = bj.simulate(scene, scene.parameters(), times, read="b.velocity.y", accuracy=1e-5)
+            np.testing.assert_allclose(run.readings["b.velocity.y"][-1], 1.0, rtol=1e-4)
+            assert run.force["pad"].min() >= 0.0
+            continue
+        with pytest.raises(bj.InputError, match=r"bears -1e\+03 N where the surfaces are apart") as caught:
+            bj.simulate(scene, scene.parameters(), times)
+        assert caught.value.where.endswith("contact 'pad' law")
+
+
+def test_code_and_units_of_a_user_are_refused_where_they_stand():
+    wrong = {"one argument": lambda t: t, "numpy": lambda t, p: np.sin(t)}
+    for function in wrong.values():
+        body = bj.Body("b", "slide", mass=1.0, drive=bj.Drive("function", function=function))
+        scene = bj.Mechanism("m", [body])
+        with pytest.raises(bj.InputError, match="body 'b' drive: its code raised"):
+            bj.simulate(scene, scene.parameters(), [0.0, 1.0])
+    own = [(bj.Quantity("h", "cubits", "height"), 1.0)]
+    scene = bj.Mechanism("m", [bj.Body("b", "slide", mass=1.0, start={"position": "h"})], own=own)
+    with pytest.raises(bj.InputError, match="'cubits' has no unit that is known here"):
+        scene.parameters(h="1 m")
 
 
 @pytest.mark.parametrize("row", ROWS.values(), ids=ROWS)

@@ -276,6 +276,7 @@ def check(comparisons: Sequence[Comparison], seen: Seen) -> Check:
     elif worst is not levels and levels.average.relative <= POINTWISE:
         # Before two tolerances agree, differences can only tell that the derivative is not solved yet.
         remark = "central differences find another derivative: the force has a kink or a jump here"
+        remark += "; where a contact begins or ends at one of the times, take other times"
     elif grown.factor > CHAOTIC_GROWTH:
         remark = "tangents grow by more than a million"
     else:
