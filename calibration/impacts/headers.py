@@ -29,6 +29,10 @@ NAMES = {
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
 }  # fmt: skip
+TANGENTIAL = {
+    "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
+}  # fmt: skip
+_AXIS = re.compile(r"(?:\b|_|(?<=[fF]))[xyzXYZ]\d*$")
 _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
@@ -218,7 +222,7 @@ def pulsing(table: Record, clock: str) -> str:
 
 
 def one_of(table: Record, header: str, unit: str) -> None:
-    """Refuse a reading beside which others, named as it is but for a number or letter, show hits of another course.
+    """Refuse a reading beside which others, forces or named as it is but for a number or letter, show hits of another course.
 
     Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read. Axes
     x, y, z are of one body; of motions two bodies are meant, whose way to each other is what counts.
@@ -226,6 +230,8 @@ def one_of(table: Record, header: str, unit: str) -> None:
     moves = unit in ("m/s", "m")
     one = re.compile(r"(?i)\d+|\b[a-w]\b")
     alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
+    if unit == "N" and not _AXIS.search(column(header)[0]):
+        alike += [h for h in table.header if h not in alike and _another_force(table, h)]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
     read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}
@@ -242,6 +248,13 @@ def one_of(table: Record, header: str, unit: str) -> None:
             raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')
         ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
+
+
+def _another_force(table: Record, header: str) -> bool:
+    """Whether a column states a unit of force, and is neither an axis nor a side of it, nor derived from another."""
+    words = set(re.split(r"[\W\d_]+", name_of(header)))
+    other = _AXIS.search(column(header)[0]) or words & (_NEITHER | TANGENTIAL)
+    return column(header)[1] is not None and not other and read_unit(table, header) == "N"
 
 
 def one_channel(table: Record, header: str, texts: np.ndarray, time: str) -> None:

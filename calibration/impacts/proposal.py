@@ -28,9 +28,6 @@ from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
-_TANGENTIAL = {
-    "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
-}  # fmt: skip
 # Of several forces the sum goes with those that are named, of which the largest is read.
 _SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
@@ -354,7 +351,7 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
+        unit = "tangential" if unit == "N" and headers.TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
         found.setdefault(unit, h)
     bare = [h for h in numeric if h not in stated and column(h)[1] is None]
     kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}
