@@ -31,7 +31,7 @@ from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, join
 from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
 from calibration.impacts.plausible import effective
-from calibration.impacts.proposal import Run, Sizes, Understood, sizes
+from calibration.impacts.proposal import Run, Sizes, Understood, sizes, specific
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -120,6 +120,7 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
+    found = _believed(found, said)
     found = _each(found, said) if kind == "impact" else found
     text, missing = _text(found, kind, said, file)
     wrote, after = f"wrote {path}", f"bcfj calibrate {quote(str(path))}"
@@ -176,6 +177,26 @@ def found_in(record: Path, said: Said) -> Understood:
     many = f"{len(found)} of them hold a contact" if found else "none holds a clock, a reading and a contact"
     ways = f"give {which}" + f"; where each is a run --runs-by {_TABLES}" * (len(kinds) == 1)
     raise InputError(str(record), f"holds {len(names)} tables, and {many}", ways if found else which)
+
+
+def _believed(found: Understood, said: Said) -> Understood:
+    """What was understood, without stated speeds or heights v_k that the impulses J_k contradict: J = m v to 2 m v + m g T.
+
+    One height of which no word says that the body fell from it may be its specimen's: it counts only where a mass bears it out.
+    """
+    pushed, mass = [r for r in map(specific, found.records) if "N" in r.readings], said.number("mass", "kg") or found.mass
+    if said.speed is not None or not found.speeds or len(pushed) != len(found.speeds):
+        return found
+    mass = 1.0 if "N" not in found.columns else None if mass is None else effective(mass, said.other)
+    each = [(r.impulse(), v, GRAVITY * r.events[0].duration) for r, v in zip(pushed, found.speeds, strict=True)]
+    least, most = max(j / (2.0 * v + more) for j, v, more in each) / _MARGIN, min(j / v for j, v, _ in each) * _MARGIN
+    vague = found.vague and mass is None and len(set(found.speeds)) == 1
+    if not vague and max(least, mass or 0.0) <= min(most, mass or np.inf):
+        return found
+    speeds = format_si(min(found.speeds), "m/s", 3)
+    why = "no word says that the body fell from it, and no mass is given" if vague else "the impulse and the mass deny"
+    text = f"CHECK: '{found.given[0]}' would be {speeds}, which {why}: it is not used; --speed says how fast it strikes"
+    return replace(found, speeds=(), given=("", ""), doubt=text)
 
 
 def _each(found: Understood, said: Said) -> Understood:
@@ -475,7 +496,7 @@ def _other(found: Understood, kind: str) -> list[str]:
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
     said += [f"CHECK: {h} falls freely: gravity acts along it" for h in [*found.columns.values()][: found.falls]]
-    said += [found.plate] if found.plate else []
+    said += [text for text in (found.plate, found.doubt) if text]
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 

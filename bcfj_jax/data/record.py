@@ -45,10 +45,13 @@ GIVEN = {
 DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
 # Before the name of a column that lines beside a table or its name give, in SI. A line "speed" may be a machine's.
 STATED, _BARE = "stated ", re.compile("speed|velocity|geschwindigkeit|vitesse|velocidad")
-_IN_NAME = {
+HIGH = "drop height [m]"
+IN_NAME = {
     "approach speed [m/s]": r"(?:^|[\W_]|v)NUMBER(m/s|mps|mm/s)(?:$|[\W_])",
-    "drop height [m]": rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
+    HIGH: rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
 }  # fmt: skip
+# Readers of files that programs write, in which numbers are in SI where no unit is stated.
+IN_SI = ("mat", "hdf5", "tdms")
 # Rows of a run at least, and of all times the share within which the clocks of runs begin.
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
@@ -328,13 +331,37 @@ def with_sweeps(table: Record) -> Record:
     )
 
 
-def stated(key: str, value: str, si_unit: str) -> float:
-    """What a line beside a table states with a unit, behind its number or in its name, SI; 0 of anything else."""
+def stated(key: str, value: str, si_unit: str, bare: str | None = None) -> float:
+    """What a line beside a table states with a unit, behind its number or in its name, else in ``bare``, SI; 0 of anything else."""
     text = value if "." in value else value.replace(",", ".")
-    unit = column(key)[1] if is_number(text) else ""
+    unit = (column(key)[1] or bare) if is_number(text) else ""
     with contextlib.suppress(InputError):
         return max(quantity(f"{text} {unit}".strip(), si_unit, key), 0.0) if unit is not None else 0.0
     return 0.0
+
+
+def in_name(text: str, header: str) -> list[tuple[str, str]]:
+    """The words by which a name states a speed or a height, and its number with its unit: "v0.5mps" and "0.5 m/s"; or none."""
+    named = re.compile(IN_NAME[header].replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
+    found = named.search(text)
+    return [(found[0], f"{re.sub('[,p]', '.', found[1])} {found[2].lower().replace('mps', 'm/s')}")] if found else []
+
+
+def statements(table: Record, header: str, *names: str) -> tuple[list[float], str]:
+    """Speeds or heights, SI, that lines beside a table, or else its name, state, and the words that do; or each of ``names``.
+
+    Files of programs state numbers alone, which are in SI; a height may be in any unit.
+    """
+    dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *names, *map(" ".join, table.facts)))
+    unit = str(column(header)[1])
+    if unit == "m" and not dropped:
+        return [], ""
+    keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts]
+    said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
+    here = [found for text in names or (table.inside, table.path.stem) for found in in_name(text, header)]
+    said = here if names and len(here) == len(names) else said or here[:1] * (not names)
+    bare = unit if unit != "m" and table.reader in IN_SI else None
+    return [v for key, f in said if (v := stated(key, f, unit, bare))], " ".join(key for key, _ in said)
 
 
 def with_stated(table: Record) -> Record:
@@ -342,17 +369,10 @@ def with_stated(table: Record) -> Record:
 
     These state one for all rows, or one for each sweep in their order.
     """
-    dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *map(" ".join, table.facts)))
     numbered = table.columns[table.header.index(SWEEP)] if SWEEP in table.header else np.zeros(0)
     runs, place = np.unique(numbered if numbered.dtype.kind == "i" else np.zeros(table.lines.size), return_inverse=True)
-    for header, pattern in _IN_NAME.items():
-        unit = str(column(header)[1])
-        keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts if dropped or unit != "m"]
-        said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
-        named = re.compile(pattern.replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
-        here = [m for text in (table.inside, table.path.stem) if (dropped or unit != "m") and (m := named.search(text))]
-        said = said or [("", f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in here[:1]]
-        found = np.array(list(dict.fromkeys(v for f in said if (v := stated(*f, unit)))))
+    for header in IN_NAME:
+        found = np.array(list(dict.fromkeys(statements(table, header)[0])))
         if found.size in {1, runs.size}:
             cells, marks = np.resize(found, runs.size)[place], (*table.decimals, ".")
             made = replace(table, header=(*table.header, STATED + header), columns=(*table.columns, cells))

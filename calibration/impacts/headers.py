@@ -9,7 +9,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.data.clock import TIMES, plain
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.data.record import SWEEP, Record, stated
+from bcfj_jax.data.record import IN_SI, SWEEP, Record, stated
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
 from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, known, same, scale_of
 from calibration.impacts.events import contacts
@@ -71,7 +71,8 @@ def named(header: str, unit: str) -> bool:
 
 def stated_mass(table: Record) -> float | None:
     """The mass of what strikes [kg], where lines beside the table state one with its unit; None where they do not."""
-    found = {stated(*fact, "kg") for fact in table.facts if _MASS.fullmatch(plain(fact[0]))} - {0.0}
+    bare = "kg" if table.reader in IN_SI else None
+    found = {stated(*fact, "kg", bare) for fact in table.facts if _MASS.fullmatch(plain(fact[0]))} - {0.0}
     return found.pop() if len(found) == 1 else None
 
 

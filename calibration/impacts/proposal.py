@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import Faults, clip
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
-from bcfj_jax.data.record import DROPPED, GIVEN, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split
+from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
@@ -110,6 +110,8 @@ class Understood:
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
+    vague: bool = False  # whether one height is stated, and no word says that the body fell from it
+    doubt: str = ""  # a statement that is not used, since the impulse is not as it says
 
 
 class Part(NamedTuple):
@@ -203,6 +205,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
+        vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
@@ -456,7 +459,7 @@ def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
     whole = 1.0 if found.falls else _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
-    has = [r for r in map(_specific, records) if "N" in r.readings]
+    has = [r for r in map(specific, records) if "N" in r.readings]
     speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events
     pushed = [r.impulse() for r in has]
@@ -498,7 +501,7 @@ def _mass(records: list[Run], moving: bool) -> float | None:
     return float(f @ a / (a @ a)) if a @ a > 0 else None
 
 
-def _specific(record: Run) -> Run:
+def specific(record: Run) -> Run:
     """A record of an acceleration as one of a force per mass."""
     if "N" in record.readings or "m/s^2" not in record.readings:
         return record
