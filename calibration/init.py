@@ -281,8 +281,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         *(
             line
-            for one in [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
-            or [found]
+            for k, one in enumerate(
+                [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts] or [found]
+            )
             for line in (
                 "[[experiment]]",
                 *read_as(one, said, file),
@@ -292,8 +293,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 *_saturated(found),
                 NOISE,
                 *_window(s, kind, found.records),
-                *[_columned(found, kind)] * known.by_column,
-                *_parameters(entries, said.struck, _asks(found, kind, said)),
+                *[_columned(found, kind)] * (known.by_column and found.given[0] != ""),
+                *_parameters([*entries, *_own_speed(found, known, k)], said.struck, _asks(found, kind, said)),
             )
         ),
         "[free]",
@@ -333,6 +334,12 @@ def _entries(known: _Known, kind: str, elastic: bool, falls: bool) -> list[_Entr
     if falls:
         entries.append(_Entry("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     return entries
+
+
+def _own_speed(found: Understood, known: _Known, k: int) -> list[_Entry]:
+    """The speed that the name of a column, or a row of such, gives its run."""
+    own = known.by_column and not found.given[0]
+    return [_Entry("approach_speed", found.speeds[k], "m/s", "CHECK the speed, which is stated")] if own else []
 
 
 def _parameters(entries: list[_Entry], struck: str | None, asks: bool) -> list[Line]:
