@@ -184,7 +184,8 @@ def _believed(found: Understood, said: Said) -> Understood:
 
     One height of which no word says that the body fell from it may be its specimen's: it counts only where a mass bears it out.
     """
-    pushed, mass = [r for r in map(specific, found.records) if "N" in r.readings], said.number("mass", "kg") or found.mass
+    pushed = [r for r in map(specific, found.records) if "N" in r.readings]
+    mass = said.number("mass", "kg") or found.mass
     if said.speed is not None or not found.speeds or len(pushed) != len(found.speeds):
         return found
     mass = 1.0 if "N" not in found.columns else None if mass is None else effective(mass, said.other)
@@ -282,7 +283,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         *(
             line
             for k, one in enumerate(
-                [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts] or [found]
+                [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
+                or [found]
             )
             for line in (
                 "[[experiment]]",
@@ -318,7 +320,7 @@ class _Entry(NamedTuple):
 
     @property
     def text(self) -> str:
-        return f'"{"?" if self.value is None else f"{self.value:.4g}"} {self.unit}"'
+        return f'"{"?" if self.value is None else f"{self.value:.6g}"} {self.unit}"'
 
 
 def _entries(known: _Known, kind: str, elastic: bool, falls: bool) -> list[_Entry]:
@@ -451,9 +453,8 @@ def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understoo
     if m is None and "N" in found.columns:
         m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
     origin = "from the flights between contacts" if speed is None else "about the speed given"
-    return _Known(
-        m, v, "as given", origin, speed is None and found.given[1] == "m" and not found.given[0].startswith(STATED)
-    )
+    named = found.given[0] and not found.given[0].startswith(STATED)
+    return _Known(m, v, "as given", origin, bool(speed is None and found.given[1] == "m" and named))
 
 
 def _middle(value: float | tuple[float, float] | None) -> float | None:

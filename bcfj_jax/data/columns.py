@@ -60,6 +60,13 @@ def vector(values: np.ndarray, unit: object = None) -> Column | None:
     return Column(text(unit), values.size, lambda: values)
 
 
+def stated(properties: Mapping[str, Any]) -> Columns:
+    """What properties of a file, group or dataset state: single values, and lists of texts, as names of columns are."""
+    every = {str(key): np.ravel(np.asarray(v)) for key, v in properties.items() if key.lower() not in UNIT_NAMES}
+    kept = {key: v for key, v in every.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS")}
+    return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
+
+
 def matrix(name: str, values: np.ndarray, names: Sequence[str] = ()) -> Columns:
     """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names; none of anything else."""
     if values.ndim != 2 or values.dtype.kind not in "iuf" or min(values.shape) < 2 or min(values.shape) > 64:

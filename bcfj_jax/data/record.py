@@ -332,7 +332,7 @@ def with_sweeps(table: Record) -> Record:
 
 
 def stated(key: str, value: str, si_unit: str, bare: str | None = None) -> float:
-    """What a line beside a table states with a unit, behind its number or in its name, else in ``bare``, SI; 0 of anything else."""
+    """What a line beside a table states in a unit, behind its number or in its name, else in ``bare``, SI; 0 of anything else."""
     text = value if "." in value else value.replace(",", ".")
     unit = (column(key)[1] or bare) if is_number(text) else ""
     with contextlib.suppress(InputError):

@@ -38,7 +38,11 @@ _TOKEN = re.compile(
 _POINTED = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
 # The name before a number, and the unit behind one.
 _BEFORE = re.compile(r"([^\W\d][\w ./()²^-]*?)[\"'\s\]]*[:=][\"'\s\[(]*$")
-_BEHIND = re.compile(r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])")
+_BEHIND = re.compile(
+    r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])|\s*,\s*\"units?\"\s*:\s*\"([^\"]+)\""
+)
+# The name of an object that is open before a number: '"force": {"value": 4.3'.
+_OPENED = re.compile(r".*\"([^\"]+)\"\s*:\s*\{(?=[^}]*$)")
 _SENSOR = re.compile(
     r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA|counts?|px)/(?:kN|N|g|lbf|[mu]?m|\(?m/s[\^]?[2²]\)?)(?!\w)"
 )
@@ -216,8 +220,12 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
     named = any(names)
+    if len(set(names)) < len(names):
+        names = [
+            f"{m[1]} {name}" if (m := _OPENED.match(text)) else name for text, name in zip(kind, names, strict=False)
+        ]
     names = [name or f"column {k}" for k, name in enumerate(names, 1)]
-    units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
+    units = [m[1] or m[2] if (m := _BEHIND.match(text)) else "" for text in kind[1:]]
     units = units if all(map(known, filter(None, units))) else []
     titled = first > 1 and len(lines[first - 2].split(usual)) >= len(names)
     names = names if named or (any(units) and not titled) else []

@@ -24,7 +24,7 @@ from bcfj_jax.io.units import column
 from calibration.impacts import headers
 from calibration.impacts.proposal import Hints, Part, Understood, understood
 
-_WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
+_WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai|data set"
 # Seconds since 1970 are more than any record lasts.
 _EPOCH = 1e6
 # What --runs-by says where columns that are named alike but for a number are runs.

@@ -44,7 +44,7 @@ _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1
 # What strikes, and not what is struck.
 _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
-    r"|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro)?"
+    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota)?"
 )
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
 _STATED = re.compile(
@@ -57,6 +57,11 @@ _COUNTED, _VOLTS = 20, ("V", "Volt", "Volts", "volt", "volts", "Vdc", "VDC")
 def name_of(header: str) -> str:
     """The name of a column without its unit, in lower case."""
     return column(header)[0].lower().strip()
+
+
+def words_of(header: str) -> set[str]:
+    """The words of a name, in lower case."""
+    return set(re.split(r"[\W\d_]+", name_of(header)))
 
 
 def named(header: str, unit: str) -> bool:
@@ -189,7 +194,9 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
         here, unit = next((h for h in table.header if h == said[1]), other), said[3] or said[2]
         ways = f'"{here} [V]" or "{here} [mV]"' if unit.endswith("V") else f'"{here} [{unit}]"'
         return f'say what its numbers are: --observe {ways} --sensitivity "{given}" of init calibration'
-    heavy = next((h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}), "")
+    heavy = [h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}]
+    pull = {h: values_of(table, h, "m/s^2" if column(h)[1] in GRAVITIES else "N") for h in heavy}
+    heavy = max(heavy, key=lambda h: np.ptp(np.nan_to_num(pull[h])) if pull[h].size else 0.0, default="")
     # A letter alone may be of anything.
     kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
     kind = "mm" if {"x", "y", "z"} <= {h.lower() for h in table.header} and other.lower() in ("x", "y", "z") else kind
@@ -253,8 +260,7 @@ def one_of(table: Record, header: str, unit: str) -> None:
 
 def _another_force(table: Record, header: str) -> bool:
     """Whether a column states a unit of force, and is neither an axis nor a side of it, nor derived from another."""
-    words = set(re.split(r"[\W\d_]+", name_of(header)))
-    other = _AXIS.search(column(header)[0]) or words & (_NEITHER | TANGENTIAL)
+    other = _AXIS.search(column(header)[0]) or words_of(header) & (_NEITHER | TANGENTIAL)
     return column(header)[1] is not None and not other and read_unit(table, header) == "N"
 
 

@@ -161,7 +161,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
             headers.physical(table, found[unit], unit)
             if unit.startswith("m") and unit != next(u for u in headers.READ if u in found):
                 continue
-            if not run and not _SUMS & set(re.split(r"[\W\d_]+", headers.name_of(found[unit]))):
+            if not run and not _SUMS & headers.words_of(found[unit]):
                 headers.one_of(table, found[unit], unit)
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *headers.READ) if u in found}
@@ -348,13 +348,13 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N", "m") else 0.0
-        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", headers.name_of(header)))
+        total = unit == "N" and not _SUMS.isdisjoint(headers.words_of(header))
         return not (headers.named(header, unit) or total), headers.name_of(header) not in headers.NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and headers.TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
+        unit = "tangential" if unit == "N" and headers.TANGENTIAL & headers.words_of(h) else unit
         found.setdefault(unit, h)
     bare = [h for h in numeric if h not in stated and column(h)[1] is None]
     kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}

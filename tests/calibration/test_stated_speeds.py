@@ -179,3 +179,104 @@ def test_a_harder_second_hit_is_no_bounce_and_a_number_for_none_is_none(tmp_path
     lines[9] = lines[9].split(",")[0] + ",-3.697314e+28"
     readings = of(tmp_path / "b.csv", "\n".join(lines)).records[0].readings["N"]
     assert np.isnan(readings[[4, 8]]).all() and np.nanmax(readings) == pytest.approx(4.4482216 * FORCE.max(), rel=1e-4)
+
+
+@pytest.mark.parametrize("names", ["Rubber (N),Cork (N)", "Amboss [kN],Puffer [kN]"])
+def test_forces_of_unlike_names_that_show_other_hits_are_asked_for(names, tmp_path):
+    with pytest.raises(InputError, match="--runs-by columns"):
+        of(tmp_path / "a.csv", f"t [s],{names}\n{rows(TIMES, FORCE, np.roll(FORCE, 20))}")
+
+
+def test_a_sum_an_axis_or_what_is_derived_is_no_other_hit(tmp_path):
+    for other in ("Friction (N)", "Kraft max (N)", "F_x [N]"):
+        found = of(tmp_path / "a.csv", f"t [s],Kraft [N],{other}\n{rows(TIMES, FORCE, 0.5 * np.roll(FORCE, 20))}")
+        assert found.columns["N"] == "Kraft [N]"
+    found = of(tmp_path / "a.csv", f"t [s],Links [N],Rechts [N]\n{rows(TIMES, FORCE, 0.5 * FORCE)}")
+    assert found.columns["N"] == "Links [N]"
+
+
+def impulse():
+    return float(np.trapezoid(FORCE, TIMES))
+
+
+@pytest.mark.parametrize(
+    ("head", "mass", "used"),
+    [
+        ("Drop height: HEIGHT", "MASS kg", True),
+        ("Drop height: HEIGHT", None, True),
+        ("Height: HEIGHT\nRig: drop tower", "MASS kg", True),
+        ("Height: HEIGHT\nRig: drop tower", None, False),
+        ("Height: 2 mm\nRig: drop tower", "MASS kg", False),
+        ("Impact velocity: 0.05 m/s", "MASS kg", False),
+    ],
+)
+def test_a_stated_speed_is_used_as_far_as_mass_and_impulse_bear_it_out(head, mass, used, tmp_path):
+    speed = 1.2  # Of which the impulse is 1.6 m v.
+    mass = mass and mass.replace("MASS", f"{impulse() / 1.6 / speed:.4f}")
+    head = head.replace("HEIGHT", f"{1e3 * speed**2 / 2.0 / GRAVITY:.2f} mm")
+    (tmp_path / "a.txt").write_text(f"{head}\n\nt [s]\tF [N]\n{rows(TIMES, FORCE, sep=chr(9))}")
+    init.run(tmp_path / "a.txt", tmp_path, init.Said("", mass), lambda _: None)
+    text = (tmp_path / "a.toml").read_text()
+    assert ("columns = {" in text) is used and ("it is not used" in text) is not used
+
+
+@pytest.mark.parametrize(
+    ("names", "speeds"),
+    [
+        ("F @ 0.5 m/s [N],F @ 1.5 m/s [N]", (0.5, 1.5)),
+        ("drop 20mm (N),drop 80mm (N)", (np.sqrt(0.04 * GRAVITY), np.sqrt(0.16 * GRAVITY))),
+    ],
+)
+def test_speeds_and_heights_in_names_of_columns_are_of_their_runs(names, speeds, tmp_path):
+    path = tmp_path / "a.csv"
+    found = of(path, f"t [s],{names}\n{rows(TIMES, FORCE, speeds[1] / speeds[0] * FORCE)}")
+    assert found.speeds == pytest.approx(speeds) and len(found.parts) == 2
+    init.run(path, tmp_path, init.Said(), lambda _: None)
+    for speed in speeds:
+        assert f'approach_speed = "{speed:.6g} m/s"' in (tmp_path / "a.toml").read_text()
+
+
+def test_variables_of_a_matlab_file_state_mass_and_speeds(tmp_path):
+    path = tmp_path / "a.mat"
+    savemat(path, {"t": TIMES, "F": np.c_[FORCE, 3.0 * FORCE], "v0": [0.5, 1.5], "mass": 0.4, "units": "N"})
+    found = of(path)
+    assert (found.speeds, found.mass, len(found.parts)) == ((0.5, 1.5), 0.4, 2)
+    one = {"t": TIMES, "F": FORCE}
+    savemat(path, {"run": [{**one, "v0": 0.5}, {**one, "F": 3.0 * FORCE, "v0": 1.5}], "mass": 0.4})
+    assert (of(path).speeds, of(path).mass) == ((0.5, 1.5), 0.4)
+    savemat(path, {**one, "v0": 0.5, "h": 400.0})
+    assert of(path).speeds == (0.5,)
+
+
+def test_properties_of_a_tdms_file_and_of_its_groups_state_mass_and_speeds(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    wave = {"wf_increment": STEP, "wf_start_offset": 0.0, "wf_samples": FORCE.size, "unit_string": "N"}
+    parts = [nptdms.RootObject({"Drop Mass (kg)": 0.4, "name": "a"})]
+    for k, speed in enumerate((0.5, 1.5), 1):
+        force = nptdms.ChannelObject(f"Hit {k}", "Force", 2.0 * speed * FORCE, wave)
+        parts += [nptdms.GroupObject(f"Hit {k}", {"v0_m_s": speed}), force]
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        file.write_segment(parts)
+    found = of(tmp_path / "a.tdms")
+    assert (found.speeds, found.mass, len(found.parts)) == ((0.5, 1.5), 0.4, 2)
+
+
+def test_a_sheet_that_lists_the_others_states_their_speeds(tmp_path):
+    book = openpyxl.Workbook()
+    book.worksheets[0].title = "Summary"
+    for row in (["Hit", "v0 [m/s]"], [1, 0.5], [2, 1.5]):
+        book.worksheets[0].append(row)
+    for k in (1, 2):
+        sheet = book.create_sheet(f"Hit {k}")
+        for row in (["t [s]", "F [N]"], *zip(TIMES.tolist(), (k * FORCE).tolist(), strict=True)):
+            sheet.append(row)
+    book.save(tmp_path / "a.xlsx")
+    assert of(tmp_path / "a.xlsx").speeds == (0.5, 1.5)
+
+
+def test_objects_in_lines_name_their_numbers(tmp_path):
+    line = '{{"ts": "10:00:{0:09.6f}", "force": {{"value": {1:.4f}, "unit": "N"}}, "acc": {{"value": {2:.4f}, "unit": "g"}}}}\n'
+    text = "".join(line.format(t, f, -f / 40.0) for t, f in zip(TIMES, FORCE, strict=True))
+    found = of(tmp_path / "a.jsonl", text)
+    assert found.columns["N"] == "force value [N]" and found.columns["m/s^2"].endswith("acc value [g]")
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=1e-4)

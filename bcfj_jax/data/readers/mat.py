@@ -36,7 +36,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     def visit(table: str, struct: Mapping[str, Any], above: Columns) -> None:
         columns: Columns = {}
-        rates = {**above, **_rates(struct)}
+        rates = {**above, **_alone(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in headed(struct).items():
@@ -51,7 +51,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 held = q if isinstance(q := value.get("quantity"), Mapping) else {}
                 unit = next((value[k] for k in UNIT_NAMES if k in value), held.get("label"))
                 beside = [v["name"] for v in struct.values() if held and isinstance(v, Mapping) and "name" in v]
-                columns.update(_rates(value))
+                columns.update({k: c for k, c in _alone(value).items() if is_rate(k) or is_step(k)})
                 name, value = str(text(value.get("label", value.get("name", *beside))) or name), value[own]
             else:
                 unit = None
@@ -74,9 +74,9 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
     return with_units(tables)
 
 
-def _rates(struct: Mapping[str, Any]) -> Columns:
-    """Rates and steps of samples that a struct states."""
-    alone = {k: np.asarray(v) for k, v in struct.items() if (is_rate(k) or is_step(k)) and np.size(v) == 1}
+def _alone(struct: Mapping[str, Any]) -> Columns:
+    """Single values that a struct states, about all in it."""
+    alone = {k: np.asarray(v) for k, v in struct.items() if np.size(v) == 1 and not k.startswith("__")}
     return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
