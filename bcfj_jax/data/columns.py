@@ -67,13 +67,14 @@ def stated(properties: Mapping[str, Any]) -> Columns:
     return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
 
 
-def matrix(name: str, values: np.ndarray, names: Sequence[str] = ()) -> Columns:
-    """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names; none of anything else."""
+def matrix(name: str, values: np.ndarray, names: Sequence[str] = (), units: Sequence[str] = ()) -> Columns:
+    """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names and units; none of anything else."""
     if values.ndim != 2 or values.dtype.kind not in "iuf" or min(values.shape) < 2 or min(values.shape) > 64:
         return {}
     tall = values if values.shape[0] >= values.shape[1] else values.T
     named = names if len(set(names)) == tall.shape[1] else [f"{name} {j + 1}" for j in range(tall.shape[1])]
-    return {named[j]: Column(None, len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
+    own = [text(u) for u in units] if len(units) == tall.shape[1] else [None] * tall.shape[1]
+    return {named[j]: Column(own[j], len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
 
 
 def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
@@ -86,8 +87,9 @@ def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
     longest = max((c.size for n, c in columns.items() if c.size > 1 and n not in texts), default=0)
     made: Columns = {}
     for name, values in matrices.items():
-        names = next((n for n, v in texts.items() if v.size == min(values.shape)), "")
-        found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else ())
+        units = next((v.tolist() for n, v in texts.items() if n.lower() in UNIT_NAMES), ())
+        names = next((n for n, v in texts.items() if v.size == min(values.shape) and n.lower() not in UNIT_NAMES), "")
+        found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else (), units)
         if found and longest <= max(values.shape):
             made |= found
             columns = {n: c for n, c in columns.items() if n != names}

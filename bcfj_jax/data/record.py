@@ -31,15 +31,16 @@ RUN_COLUMNS = (
 # What numbers the runs of a clock that begins anew, where no column does.
 SWEEP = "sweep"
 # What is one number in each run, how high a body fell or how fast it struck: columns, or lines beside a table.
-_FELL, _HIGH = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda)", "(?:height|h(?:ö|oe)he)"
+_FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda|caduta|val(?=hoogte)|낙하|落下|跌落)"
+_HIGH = "(?:height|h(?:ö|oe)he|hoogte|높이|高さ|高度)"
 _STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
 GIVEN = {
     "m/s": re.compile(
         rf"v[ _]?(?:0|i|impact)?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)"
-        rf"|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
+        rf"|(?:vitesse|velocidad|velocità)(?: d(?:e |i |')(?:l')?{_STRUCK})?|(?:冲击|碰撞|衝突|충돌|충격) ?(?:速度|속도)"
     ),
     "m": re.compile(
-        rf"h|(?:{_FELL} ?)?{_HIGH}|(?:hauteur|altura|altezza|výška|wysokość|高さ|高度)(?: de (?:la )?{_FELL})?"
+        rf"h|(?:{_FELL} ?)?{_HIGH}|(?:hauteur|altura|altezza|výška|wysokość)(?: d[ei] (?:la )?{_FELL})?"
     ),
 }  # fmt: skip
 DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
@@ -154,10 +155,16 @@ class Record:
         return all(np.array_equal(self.columns[positions[0]], self.columns[k]) for k in positions[1:])
 
     def bare(self, time: str) -> bool:
-        """Whether no unit of a column of times is stated, by its header or since it holds times of day."""
-        header = self.header[self.index(time, self.name)]
-        first = next(iter(self.columns[self.index(time, self.name)][:1].tolist()), "")
-        return column(header)[1] is None and column(time)[1] is None and not is_of_day(first)
+        """Whether no unit of a column of times is stated, by its header or since it holds times of day or dates."""
+        position = self.index(time, self.name)
+        header, cells = self.header[position], self.columns[position]
+        if (
+            column(header)[1] is not None
+            or column(time)[1] is not None
+            or is_of_day(next(iter(cells[:1].tolist()), ""))
+        ):
+            return False
+        return since_1970(self._parsed(position, True)[0], header) == 1.0
 
     def texts(self, name: str, where: str) -> list[str]:
         """A column as it stands; numbers in their shortest form."""
@@ -182,7 +189,7 @@ class Record:
             self._refuse(position, wrong, blank)
         # Of a time of day, a unit such as [hh:mm:ss] says how it is written.
         unit = None if si_unit == "s" and is_of_day(next(iter(self.columns[position].tolist()), "")) else unit
-        if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
+        if si_unit == "s" and unit is None and (size := since_1970(values, header)) != 1.0:
             return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
             values = _unwrapped(values) if si_unit == "s" else values

@@ -143,7 +143,13 @@ def _labelled(table: Record, number: re.Pattern[str]) -> list[tuple[str, Record]
     labels = [label(h, number) for h in table.header]
     groups = {name: [j for j, x in enumerate(labels) if x == name] for name in dict.fromkeys(labels) if name}
     same = {tuple(number.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
-    shared = [j for j, x in enumerate(labels) if not x]
+    # A mean of the runs stands beside them, and is none of one.
+    units = {column(table.header[j])[1] for group in groups.values() for j in group}
+    shared = [
+        j
+        for j, x in enumerate(labels)
+        if not x and (is_time(h := table.header[j]) or column(h)[1] not in units - {None})
+    ]
     return [(name, _part(table, [*shared, *group])) for name, group in groups.items()] if len(same) == 1 else []
 
 

@@ -44,7 +44,7 @@ _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1
 # What strikes, and not what is struck.
 _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
-    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota)?"
+    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:충격체|낙하|추)?질량|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota|battente)?"
 )
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
 _STATED = re.compile(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import openpyxl
 import pytest
@@ -280,3 +282,49 @@ def test_objects_in_lines_name_their_numbers(tmp_path):
     found = of(tmp_path / "a.jsonl", text)
     assert found.columns["N"] == "force value [N]" and found.columns["m/s^2"].endswith("acc value [g]")
     np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("head", "mass"),
+    [
+        ("Altezza di caduta: 150 mm\nMassa battente: 0,5 kg", 0.5),
+        ("낙하높이: 150 mm\n충격체 질량: 0.5 kg", 0.5),
+        ("Valhoogte (mm): 150", None),
+        ("落下高さ: 15 cm", None),
+    ],
+)
+def test_heights_and_masses_of_other_languages(head, mass, tmp_path):
+    found = of(tmp_path / "a.txt", f"{head}\n\nt [s]\tF [N]\n{rows(TIMES, FORCE, sep=chr(9))}")
+    assert (found.speeds, found.mass) == ((pytest.approx(np.sqrt(0.3 * GRAVITY)),), mass)
+
+
+def test_the_mean_beside_runs_is_none_of_them(tmp_path):
+    forces = (FORCE, np.roll(FORCE, 5), 0.5 * FORCE + 0.5 * np.roll(FORCE, 5))
+    found = of(tmp_path / "a.csv", f"t [s],Test 1 (N),Test 2 (N),Mean (N)\n{rows(TIMES, *forces)}")
+    assert [p.columns["N"] for p in found.parts] == ["Test 1 (N)", "Test 2 (N)"]
+
+
+def test_labels_and_units_of_a_matrix_stand_in_cells(tmp_path):
+    cells = {"labels": np.array(["Force", "Accel"], object), "units": np.array(["kN", "g"], object), "v_impact": 1.1}
+    savemat(tmp_path / "a.mat", {"S": {"time": TIMES, "data": np.c_[1e-3 * FORCE, -FORCE / 8.0], **cells}})
+    found = of(tmp_path / "a.mat")
+    assert (found.columns["N"], found.speeds) == ("Force [kN]", (1.1,))
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=1e-9)
+
+
+def test_what_stands_beside_the_channels_of_a_json_file_is_about_them(tmp_path):
+    channels = [{"name": "force", "unit": "N", "data": FORCE.tolist()}, {"name": "T", "unit": "K", "data": [0.0] * 200}]
+    content = {"meta": {"drop_height_mm": 150, "mass_kg": 1.1, "name": "b"}, "fs": 1.0 / STEP, "channels": channels}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    found = of(tmp_path / "a.json")
+    assert (found.speeds, found.mass) == ((pytest.approx(np.sqrt(0.3 * GRAVITY)),), 1.1)
+
+
+def test_days_of_a_spreadsheet_are_days_where_the_column_is_named_so(tmp_path):
+    days = 46351.41 + np.arange(200) / 86400.0
+    text = "".join(f"{d:.9f},{f:.4f}\n" for d, f in zip(days, FORCE, strict=True))
+    for name, step in (("Date Time", 1.0), ("Time", 1.0 / 86400.0)):
+        (tmp_path / "a.csv").write_text(f"{name},F [N]\n{text}")
+        table = read(tmp_path / "a.csv", "record")
+        clock = table.numbers(name, "s", "", False)
+        assert np.diff(clock) == pytest.approx(step, rel=1e-3) and table.bare(name) is (step < 1.0)

@@ -15,6 +15,7 @@ from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
 SIGNATURE = b""
+_FEW = 64  # A struct that holds longer vectors beside its values, as their times, is no channel alone.
 _VALUES = ("values", "value", "data", "samples")
 
 
@@ -36,7 +37,8 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     def visit(table: str, struct: Mapping[str, Any], above: Columns) -> None:
         columns: Columns = {}
-        rates = {**above, **_alone(struct)}
+        notes = [v for v in struct.values() if isinstance(v, Mapping) and all(np.size(x) == 1 for x in v.values())]
+        rates = {**above, **_alone(struct), **{k: c for v in notes for k, c in _alone(v).items()}}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in headed(struct).items():
@@ -44,7 +46,8 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
                 # A struct about one list of values is a channel.
-                own = next((k for k in _VALUES if k in value), "")
+                beside = [v for k, v in value.items() if k not in _VALUES and not isinstance(v, (str, Mapping))]
+                own = next((k for k in _VALUES if k in value and all(np.size(v) < _FEW for v in beside)), "")
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
@@ -76,7 +79,10 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
 def _alone(struct: Mapping[str, Any]) -> Columns:
     """Single values that a struct states, about all in it."""
-    alone = {k: np.asarray(v) for k, v in struct.items() if np.size(v) == 1 and not k.startswith("__")}
+    named = {
+        k: v for k, v in struct.items() if not k.startswith("__") and k.lower() not in (*UNIT_NAMES, "name", "label")
+    }
+    alone = {k: np.asarray(v) for k, v in named.items() if np.size(v) == 1}
     return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
