@@ -194,9 +194,9 @@ def _believed(found: Understood, said: Said) -> Understood:
     vague = found.vague and mass is None and len(set(found.speeds)) == 1
     if not vague and max(least, mass or 0.0) <= min(most, mass or np.inf):
         return found
-    speeds = format_si(min(found.speeds), "m/s", 3)
-    why = "no word says that the body fell from it, and no mass is given" if vague else "the impulse and the mass deny"
-    text = f"CHECK: '{found.given[0]}' would be {speeds}, which {why}: it is not used; --speed says how fast it strikes"
+    why = "no word says that the body fell from it, and no mass is given" if vague else "impulse and mass deny it"
+    speed = f"{found.given[0] or found.columns['N']}: {format_si(min(found.speeds), 'm/s', 3)}"
+    text = f"CHECK: '{speed}' is not used: {why}; --speed says how fast it strikes"
     return replace(found, speeds=(), given=("", ""), doubt=text)
 
 
@@ -258,6 +258,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
+    by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
+    own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:
         said_of.append(
@@ -295,8 +297,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 *_saturated(found),
                 NOISE,
                 *_window(s, kind, found.records),
-                *[_columned(found, kind)] * (known.by_column and found.given[0] != ""),
-                *_parameters([*entries, *_own_speed(found, known, k)], said.struck, _asks(found, kind, said)),
+                *[_columned(found, kind)] * (known.by_column and not by_name),
+                *_parameters(entries + own_speed[k : k + 1], said.struck, _asks(found, kind, said)),
             )
         ),
         "[free]",
@@ -336,12 +338,6 @@ def _entries(known: _Known, kind: str, elastic: bool, falls: bool) -> list[_Entr
     if falls:
         entries.append(_Entry("gravity", GRAVITY, "m/s^2", "a drop has its weight in contact, too"))
     return entries
-
-
-def _own_speed(found: Understood, known: _Known, k: int) -> list[_Entry]:
-    """The speed that the name of a column, or a row of such, gives its run."""
-    own = known.by_column and not found.given[0]
-    return [_Entry("approach_speed", found.speeds[k], "m/s", "CHECK the speed, which is stated")] if own else []
 
 
 def _parameters(entries: list[_Entry], struck: str | None, asks: bool) -> list[Line]:

@@ -363,11 +363,14 @@ def statements(table: Record, header: str, *names: str) -> tuple[list[float], st
     unit = str(column(header)[1])
     if unit == "m" and not dropped:
         return [], ""
+    here = [found for text in names or (table.inside, table.path.stem) for found in in_name(text, header)]
     keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts]
     said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
-    here = [found for text in names or (table.inside, table.path.stem) for found in in_name(text, header)]
-    said = here if names and len(here) == len(names) else said or here[:1] * (not names)
-    bare = unit if unit != "m" and table.reader in IN_SI else None
+    exact = table.reader in IN_SI
+    if names:
+        said = here if len(here) == len(names) else said * exact
+    said = said or here[:1]
+    bare = unit if unit != "m" and exact else None
     return [v for key, f in said if (v := stated(key, f, unit, bare))], " ".join(key for key, _ in said)
 
 

@@ -41,7 +41,9 @@ def label(name: str, number: re.Pattern[str] = _LABEL) -> str:
 
 def runs(table: Record, hints: Hints) -> Understood:
     """What a table is (``understood``), of all runs that stand beside each other in it, or the one that ``hints`` name."""
-    if hints.runs_by is hints.observe is None and _speeds(table, _forces(table))[0]:
+    forces = [h for h in table.header if headers.read_unit(table, h) == "N"]
+    alike = len({_NUMBER.sub("", h) for h in forces}) == 1
+    if alike and hints.runs_by is hints.observe is None and _speeds(table, forces)[0]:
         return _by_columns(table, hints)
     if hints.runs_by == COLUMNS and COLUMNS not in table.header:
         return _by_columns(table, hints._replace(runs_by=None))
@@ -107,12 +109,8 @@ def _by_columns(table: Record, hints: Hints) -> Understood:
 def _with_speeds(table: Record, each: list[tuple[str, Understood]]) -> Understood:
     """Runs in columns as one, each with the speed that its column's name or a list beside the table states."""
     speeds, unit = _speeds(table, [next(iter(one.columns.values())) for _, one in each])
-    own = [{"speeds": (v,), "given": ("", unit)} for v in speeds] or [{}] * len(each)
-    return joined([(name, replace(one, **said)) for (name, one), said in zip(each, own, strict=True)])
-
-
-def _forces(table: Record) -> list[str]:
-    return [h for h in table.header if headers.read_unit(table, h) == "N"]
+    own = zip(each, speeds, strict=True) if speeds and all(len(one.records) == 1 for _, one in each) else ()
+    return joined([(name, replace(one, speeds=(v,), given=("", unit))) for (name, one), v in own] or each)
 
 
 def _speeds(table: Record, names: Sequence[str]) -> tuple[tuple[float, ...], str]:

@@ -238,8 +238,12 @@ def one_of(table: Record, header: str, unit: str) -> None:
     moves = unit in ("m/s", "m")
     one = re.compile(r"(?i)\d+|\b[a-w]\b")
     alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
-    if unit == "N" and not _AXIS.search(column(header)[0]):
-        alike += [h for h in table.header if h not in alike and _another_force(table, h)]
+    if unit == "N" and not _AXIS.search(
+        column(header)[0]
+    ):  # Forces of any name, but for axes, sides and what is derived.
+        others = [h for h in table.header if column(h)[1] is not None and not _AXIS.search(column(h)[0])]
+        others = [h for h in others if not words_of(h) & (_NEITHER | TANGENTIAL) and read_unit(table, h) == unit]
+        alike += [h for h in others if h not in alike]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
     read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}
@@ -256,12 +260,6 @@ def one_of(table: Record, header: str, unit: str) -> None:
             raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')
         ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
-
-
-def _another_force(table: Record, header: str) -> bool:
-    """Whether a column states a unit of force, and is neither an axis nor a side of it, nor derived from another."""
-    other = _AXIS.search(column(header)[0]) or words_of(header) & (_NEITHER | TANGENTIAL)
-    return column(header)[1] is not None and not other and read_unit(table, header) == "N"
 
 
 def one_channel(table: Record, header: str, texts: np.ndarray, time: str) -> None:

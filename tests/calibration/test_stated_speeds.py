@@ -197,6 +197,11 @@ def test_a_sum_an_axis_or_what_is_derived_is_no_other_hit(tmp_path):
     assert found.columns["N"] == "Links [N]"
 
 
+def test_two_sensors_of_one_stated_hit_are_no_runs(tmp_path):
+    text = f"v0: 0.9 m/s\n\nt [s],F1 [N],F2 [N]\n{rows(TIMES, FORCE, 0.5 * FORCE)}"
+    assert of(tmp_path / "a.csv", text).parts == ()
+
+
 def impulse():
     return float(np.trapezoid(FORCE, TIMES))
 
@@ -219,7 +224,7 @@ def test_a_stated_speed_is_used_as_far_as_mass_and_impulse_bear_it_out(head, mas
     (tmp_path / "a.txt").write_text(f"{head}\n\nt [s]\tF [N]\n{rows(TIMES, FORCE, sep=chr(9))}")
     init.run(tmp_path / "a.txt", tmp_path, init.Said("", mass), lambda _: None)
     text = (tmp_path / "a.toml").read_text()
-    assert ("columns = {" in text) is used and ("it is not used" in text) is not used
+    assert ("columns = {" in text) is used and ("is not used" in text) is not used
 
 
 @pytest.mark.parametrize(
@@ -236,6 +241,12 @@ def test_speeds_and_heights_in_names_of_columns_are_of_their_runs(names, speeds,
     init.run(path, tmp_path, init.Said(), lambda _: None)
     for speed in speeds:
         assert f'approach_speed = "{speed:.6g} m/s"' in (tmp_path / "a.toml").read_text()
+
+
+def test_columns_whose_clock_begins_anew_have_no_speed_by_their_names(tmp_path):
+    twice = [np.r_[x, x] for x in (TIMES, FORCE, 3.0 * FORCE)]
+    found = of(tmp_path / "a.csv", "t [s],F @ 0.5 m/s [N],F @ 1.5 m/s [N]\n" + rows(*twice))
+    assert (len(found.records), found.speeds) == (4, ())
 
 
 def test_variables_of_a_matlab_file_state_mass_and_speeds(tmp_path):
