@@ -180,10 +180,7 @@ def found_in(record: Path, said: Said) -> Understood:
 
 
 def _believed(found: Understood, said: Said) -> Understood:
-    """What was understood, without stated speeds or heights v_k that the impulses J_k contradict: J = m v to 2 m v + m g T.
-
-    One height of which no word says that the body fell from it may be its specimen's: it counts only where a mass bears it out.
-    """
+    """What was understood, but for stated speeds v that impulses J = m v to 2 m v + m g T deny, or a vague height without m."""
     pushed = [r for r in map(specific, found.records) if "N" in r.readings]
     mass = said.number("mass", "kg") or found.mass
     if said.speed is not None or not found.speeds or len(pushed) != len(found.speeds):
@@ -260,6 +257,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     entries = _entries(own, kind, elastic, falls)
     by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
     own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
+    runs = [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:
         said_of.append(
@@ -284,10 +282,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         *(
             line
-            for k, one in enumerate(
-                [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
-                or [found]
-            )
+            for k, one in enumerate(runs or [found])
             for line in (
                 "[[experiment]]",
                 *read_as(one, said, file),

@@ -73,8 +73,8 @@ def matrix(name: str, values: np.ndarray, names: Sequence[str] = (), units: Sequ
         return {}
     tall = values if values.shape[0] >= values.shape[1] else values.T
     named = names if len(set(names)) == tall.shape[1] else [f"{name} {j + 1}" for j in range(tall.shape[1])]
-    own = [text(u) for u in units] if len(units) == tall.shape[1] else [None] * tall.shape[1]
-    return {named[j]: Column(own[j], len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
+    own = units if len(units) == tall.shape[1] else [None] * tall.shape[1]
+    return {named[j]: Column(text(own[j]), len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
 
 
 def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:

@@ -51,8 +51,7 @@ IN_NAME = {
     "approach speed [m/s]": r"(?:^|[\W_]|v)NUMBER(m/s|mps|mm/s)(?:$|[\W_])",
     HIGH: rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
 }  # fmt: skip
-# Readers of files that programs write, in which numbers are in SI where no unit is stated.
-IN_SI = ("mat", "hdf5", "tdms")
+IN_SI = ("mat", "hdf5", "tdms")  # Readers of files of programs, whose numbers without a unit are in SI.
 # Rows of a run at least, and of all times the share within which the clocks of runs begin.
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
@@ -158,13 +157,8 @@ class Record:
         """Whether no unit of a column of times is stated, by its header or since it holds times of day or dates."""
         position = self.index(time, self.name)
         header, cells = self.header[position], self.columns[position]
-        if (
-            column(header)[1] is not None
-            or column(time)[1] is not None
-            or is_of_day(next(iter(cells[:1].tolist()), ""))
-        ):
-            return False
-        return since_1970(self._parsed(position, True)[0], header) == 1.0
+        known = {column(header)[1], column(time)[1]} - {None} or is_of_day(next(iter(cells[:1].tolist()), ""))
+        return not known and since_1970(self._parsed(position, True)[0], header) == 1.0
 
     def texts(self, name: str, where: str) -> list[str]:
         """A column as it stands; numbers in their shortest form."""
@@ -274,7 +268,7 @@ class Record:
         filled = np.zeros(self.lines.size, dtype=bool)
         for header in headers:
             cells = self.columns[self.index(header, self.name)]
-            filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else ~_blank(cells)
+            filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else cells == cells
         return self if filled.all() else self.where(filled)
 
     def beside(self, header: str, cells: np.ndarray) -> Record:
@@ -306,10 +300,6 @@ def _no_values(values: np.ndarray) -> np.ndarray:
     others = np.abs(values[~marked & np.isfinite(values)])
     marked &= np.abs(values) > _FAR * np.max(others, initial=0.0)
     return marked if others.size and np.count_nonzero(marked) > 1 else np.zeros(values.size, dtype=bool)
-
-
-def _blank(values: np.ndarray) -> np.ndarray:
-    return np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
 
 
 def run_column(table: Record) -> str:
@@ -347,29 +337,19 @@ def stated(key: str, value: str, si_unit: str, bare: str | None = None) -> float
     return 0.0
 
 
-def in_name(text: str, header: str) -> list[tuple[str, str]]:
-    """The words by which a name states a speed or a height, and its number with its unit: "v0.5mps" and "0.5 m/s"; or none."""
-    named = re.compile(IN_NAME[header].replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
-    found = named.search(text)
-    return [(found[0], f"{re.sub('[,p]', '.', found[1])} {found[2].lower().replace('mps', 'm/s')}")] if found else []
-
-
 def statements(table: Record, header: str, *names: str) -> tuple[list[float], str]:
-    """Speeds or heights, SI, that lines beside a table, or else its name, state, and the words that do; or each of ``names``.
-
-    Files of programs state numbers alone, which are in SI; a height may be in any unit.
-    """
+    """Speeds or heights, SI, that lines beside a table, or else its name, state, and the words that do; or each of ``names``."""
     dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *names, *map(" ".join, table.facts)))
     unit = str(column(header)[1])
     if unit == "m" and not dropped:
         return [], ""
-    here = [found for text in names or (table.inside, table.path.stem) for found in in_name(text, header)]
+    named = re.compile(IN_NAME[header].replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
+    found = [m for text in names or (table.inside, table.path.stem) if (m := named.search(text))]
+    here = [(m[0], f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in found]
     keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts]
     said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
     exact = table.reader in IN_SI
-    if names:
-        said = here if len(here) == len(names) else said * exact
-    said = said or here[:1]
+    said = (here if len(here) == len(names) else said * exact) if names else said or here[:1]
     bare = unit if unit != "m" and exact else None
     return [v for key, f in said if (v := stated(key, f, unit, bare))], " ".join(key for key, _ in said)
 

@@ -55,8 +55,7 @@ _CASED = (
 _CAPITALS = {
     "KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz", "mS": "ms", "gF": "gf", "kG": "kgf", "mps": "m/s",
 }  # fmt: skip
-# Units of words, which mean one in any case.
-_CASELESS = ("sec", "msec", "usec", "lbf", "kgf")
+_CASELESS = ("sec", "msec", "usec", "lbf", "kgf")  # Words mean one unit in any case.
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.

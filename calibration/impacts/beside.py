@@ -142,12 +142,8 @@ def _labelled(table: Record, number: re.Pattern[str]) -> list[tuple[str, Record]
     groups = {name: [j for j, x in enumerate(labels) if x == name] for name in dict.fromkeys(labels) if name}
     same = {tuple(number.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
     # A mean of the runs stands beside them, and is none of one.
-    units = {column(table.header[j])[1] for group in groups.values() for j in group}
-    shared = [
-        j
-        for j, x in enumerate(labels)
-        if not x and (is_time(h := table.header[j]) or column(h)[1] not in units - {None})
-    ]
+    units = {u for group in groups.values() for j in group if (u := column(table.header[j])[1])}
+    shared = [j for j, h in enumerate(table.header) if not labels[j] and (is_time(h) or column(h)[1] not in units)]
     return [(name, _part(table, [*shared, *group])) for name, group in groups.items()] if len(same) == 1 else []
 
 

@@ -238,9 +238,7 @@ def one_of(table: Record, header: str, unit: str) -> None:
     moves = unit in ("m/s", "m")
     one = re.compile(r"(?i)\d+|\b[a-w]\b")
     alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
-    if unit == "N" and not _AXIS.search(
-        column(header)[0]
-    ):  # Forces of any name, but for axes, sides and what is derived.
+    if unit == "N" and not _AXIS.search(column(header)[0]):  # Of any name, but for axes, sides and what is derived.
         others = [h for h in table.header if column(h)[1] is not None and not _AXIS.search(column(h)[0])]
         others = [h for h in others if not words_of(h) & (_NEITHER | TANGENTIAL) and read_unit(table, h) == unit]
         alike += [h for h in others if h not in alike]

@@ -15,7 +15,7 @@ from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
 SIGNATURE = b""
-_FEW = 64  # A struct that holds longer vectors beside its values, as their times, is no channel alone.
+_OWN = (*UNIT_NAMES, "name", "label")  # What a struct says of itself alone.
 _VALUES = ("values", "value", "data", "samples")
 
 
@@ -45,9 +45,9 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
             if isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, Mapping) for v in value):
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
-                # A struct about one list of values is a channel.
-                beside = [v for k, v in value.items() if k not in _VALUES and not isinstance(v, (str, Mapping))]
-                own = next((k for k in _VALUES if k in value and all(np.size(v) < _FEW for v in beside)), "")
+                # A struct about one list of values, and none as long beside it, is a channel.
+                more = [np.size(v) for k, v in value.items() if k not in _VALUES and not isinstance(v, (str, Mapping))]
+                own = next((k for k in _VALUES if k in value and max(more, default=0) < 64), "")
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
@@ -79,10 +79,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
 def _alone(struct: Mapping[str, Any]) -> Columns:
     """Single values that a struct states, about all in it."""
-    named = {
-        k: v for k, v in struct.items() if not k.startswith("__") and k.lower() not in (*UNIT_NAMES, "name", "label")
-    }
-    alone = {k: np.asarray(v) for k, v in named.items() if np.size(v) == 1}
+    alone = {k: np.asarray(v) for k, v in struct.items() if np.size(v) == 1 and k.lower() not in _OWN and k[:2] != "__"}
     return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
