@@ -61,10 +61,18 @@ def vector(values: np.ndarray, unit: object = None) -> Column | None:
 
 
 def stated(properties: Mapping[str, Any]) -> Columns:
-    """What properties of a file, group or dataset state: single values, and lists of texts, as names of columns are."""
-    every = {str(key): np.ravel(np.asarray(v)) for key, v in properties.items() if key.lower() not in UNIT_NAMES}
-    kept = {key: v for key, v in every.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS")}
-    return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
+    """What properties of a file, group, dataset or struct state: single values, and lists of texts, as names of columns are."""
+    plain = {str(k): np.asarray(v).ravel() for k, v in properties.items() if not isinstance(v, (Mapping, list))}
+    kept = {k: v for k, v in plain.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS") and v.size <= 64}
+    return {k: c for k, v in kept.items() if k.lower() not in UNIT_NAMES and (c := vector(v))}
+
+
+def alone(struct: Mapping[str, Any]) -> Columns:
+    """Single values that a struct states about all in it, also those of structs of nothing else, as of one "meta"."""
+    single, inner = (str, int, float, np.generic), [v for v in struct.values() if isinstance(v, Mapping)]
+    notes = [v for v in inner if all(isinstance(x, single) for x in v.values())]
+    every = {k: c for part in (*notes, struct) for k, c in stated(part).items()}
+    return {k: c for k, c in every.items() if c.size == 1 and k[:2] != "__" and k not in ("name", "label")}
 
 
 def matrix(name: str, values: np.ndarray, names: Sequence[str] = (), units: Sequence[str] = ()) -> Columns:

@@ -325,7 +325,12 @@ def test_labels_and_units_of_a_matrix_stand_in_cells(tmp_path):
 
 def test_what_stands_beside_the_channels_of_a_json_file_is_about_them(tmp_path):
     channels = [{"name": "force", "unit": "N", "data": FORCE.tolist()}, {"name": "T", "unit": "K", "data": [0.0] * 200}]
-    content = {"meta": {"drop_height_mm": 150, "mass_kg": 1.1, "name": "b"}, "fs": 1.0 / STEP, "channels": channels}
+    content = {
+        "meta": {"drop_height_mm": 150, "mass_kg": 1.1, "name": "b"},
+        "fs": 1.0 / STEP,
+        "channels": channels,
+        "rows": [[1], [1, 2]],
+    }
     (tmp_path / "a.json").write_text(json.dumps(content))
     found = of(tmp_path / "a.json")
     assert (found.speeds, found.mass) == ((pytest.approx(np.sqrt(0.3 * GRAVITY)),), 1.1)

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.data.clock import is_rate, is_step
-from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, headed, text, vector, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, alone, group, headed, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
 SIGNATURE = b""
-_OWN = (*UNIT_NAMES, "name", "label")  # What a struct says of itself alone.
 _VALUES = ("values", "value", "data", "samples")
 
 
@@ -37,8 +36,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     def visit(table: str, struct: Mapping[str, Any], above: Columns) -> None:
         columns: Columns = {}
-        notes = [v for v in struct.values() if isinstance(v, Mapping) and all(np.size(x) == 1 for x in v.values())]
-        rates = {**above, **_alone(struct), **{k: c for v in notes for k, c in _alone(v).items()}}
+        rates = {**above, **alone(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in headed(struct).items():
@@ -46,7 +44,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
                 # A struct about one list of values, and none as long beside it, is a channel.
-                more = [np.size(v) for k, v in value.items() if k not in _VALUES and not isinstance(v, (str, Mapping))]
+                more = [len(v) for k, v in value.items() if k not in _VALUES and (isinstance(v, list) or np.ndim(v))]
                 own = next((k for k in _VALUES if k in value and max(more, default=0) < 64), "")
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
@@ -54,7 +52,7 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
                 held = q if isinstance(q := value.get("quantity"), Mapping) else {}
                 unit = next((value[k] for k in UNIT_NAMES if k in value), held.get("label"))
                 beside = [v["name"] for v in struct.values() if held and isinstance(v, Mapping) and "name" in v]
-                columns.update({k: c for k, c in _alone(value).items() if is_rate(k) or is_step(k)})
+                columns.update({k: c for k, c in alone(value).items() if is_rate(k) or is_step(k)})
                 name, value = str(text(value.get("label", value.get("name", *beside))) or name), value[own]
             else:
                 unit = None
@@ -75,12 +73,6 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     visit("", content, {})
     return with_units(tables)
-
-
-def _alone(struct: Mapping[str, Any]) -> Columns:
-    """Single values that a struct states, about all in it."""
-    alone = {k: np.asarray(v) for k, v in struct.items() if np.size(v) == 1 and k.lower() not in _OWN and k[:2] != "__"}
-    return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
 def _columns(content: Any) -> Any:
