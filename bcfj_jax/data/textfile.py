@@ -359,8 +359,8 @@ def _logical(lines: Sequence[str], first: int) -> Iterable[tuple[int, str]]:
         if '"' in line and line.count('"') % 2:
             end = next((e for e in range(k, min(k + _LONGEST_CELL, len(lines))) if lines[e].count('"') % 2), None)
             # A line between two open quotes that is a row of its own is no part of a cell.
-            cells = [re.split(r"[,;\t| ]+", lines[e]) for e in range(k, end + 1)] if end is not None else []
-            if cells and not any(sum(map(numbers.is_number, c)) >= 2 for c in cells):
+            cells = [re.split(r"[,;\t| ]+", lines[e]) for e in range(k, (end or 0) + 1)]
+            if end is not None and not any(sum(map(numbers.is_number, c)) >= 2 for c in cells):
                 line = " ".join([line, *lines[k : end + 1]])
                 k = end + 1
         if line.strip():
