@@ -31,7 +31,7 @@ from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, join
 from calibration.impacts.otherwise import InMotion, Steady
 from calibration.impacts.parting import matching
 from calibration.impacts.plausible import TARGET, effective, one_of_two
-from calibration.impacts.proposal import Run, Sizes, Understood, sizes
+from calibration.impacts.proposal import Run, Sizes, Understood, sizes, specific
 
 _FILE = "or a scene file: another law, two stages"
 _SAID = {
@@ -120,6 +120,7 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
         raise InputError("--scene", f"no problem file is proposed for the scene '{kind}'", nearest(kind, SCENES))
     if said.struck is not None and kind != "impact":
         raise InputError("--struck-mass", f"the scene is '{kind}'", "give it of an impact")
+    found = _believed(found, said)
     found = _each(found, said) if kind == "impact" else found
     text, missing = _text(found, kind, said, file)
     wrote, after = f"wrote {path}", f"bcfj calibrate {quote(str(path))}"
@@ -182,6 +183,24 @@ def found_in(record: Path, said: Said) -> Understood:
     raise InputError(str(record), f"holds {len(names)} tables, and {many}", ways if found else which)
 
 
+def _believed(found: Understood, said: Said) -> Understood:
+    """What was understood, but for stated speeds v that impulses J = m v to 2 m v + m g T deny, or a vague height without m."""
+    pushed = [r for r in map(specific, found.records) if "N" in r.readings]
+    mass = said.number("mass", "kg") or found.mass
+    beside = (found.given[0] or STATED).startswith(STATED)  # Of a column of runs a fit says what is wrong.
+    if said.speed is not None or not (found.speeds and beside) or len(pushed) != len(found.speeds):
+        return found
+    mass = 1.0 if "N" not in found.columns else None if mass is None else effective(mass, said.other)
+    each = [(r.impulse(), v, GRAVITY * r.events[0].duration) for r, v in zip(pushed, found.speeds, strict=True)]
+    least, most = max(j / (2.0 * v + more) for j, v, more in each) / _MARGIN, min(j / v for j, v, _ in each) * _MARGIN
+    vague = found.vague and mass is None and len(set(found.speeds)) == 1
+    if not vague and max(least, mass or 0.0) <= min(most, mass or np.inf):
+        return found
+    why = "no word says that the body fell from it, and no mass is given" if vague else "impulse and mass deny it"
+    text = f"CHECK: a stated {format_si(min(found.speeds), 'm/s', 3)} is not used: {why}; --speed says the right one"
+    return replace(found, speeds=(), given=("", ""), doubt=text)
+
+
 def _each(found: Understood, said: Said) -> Understood:
     """What was understood with each contact as a record, where several stand far apart and each may have a speed of its own."""
     s = sizes(found)
@@ -242,6 +261,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
+    by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
+    own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
+    runs = [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
     said_of = _other(found, kind)
     if s.doubt > _UNHEARD:
         said_of.append(
@@ -268,8 +290,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         Line('sensor = "free"', 'each record\'s clock and zero are found, too; "exact" holds them at 0'),
         *(
             line
-            for one in [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
-            or [found]
+            for k, one in enumerate(runs or [found])
             for line in (
                 "[[experiment]]",
                 *read_as(one, said, file),
@@ -279,8 +300,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
                 *_saturated(found),
                 NOISE,
                 *_window(s, kind, found.records),
-                *[_columned(found, kind)] * known.by_column,
-                *_parameters(entries, said.struck, _asks(found, kind, said)),
+                *[_columned(found, kind)] * (known.by_column and not by_name),
+                *_parameters(entries + own_speed[k : k + 1], said.struck, _asks(found, kind, said)),
             )
         ),
         "[free]",
@@ -304,7 +325,7 @@ class _Entry(NamedTuple):
 
     @property
     def text(self) -> str:
-        return f'"{"?" if self.value is None else f"{self.value:.4g}"} {self.unit}"'
+        return f'"{"?" if self.value is None else f"{self.value:.6g}"} {self.unit}"'
 
 
 def _entries(known: _Known, kind: str, elastic: bool, falls: bool) -> list[_Entry]:
@@ -431,9 +452,8 @@ def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understoo
     if m is None and "N" in found.columns:
         m = (s.impulse / (v + after) / 2.0, s.impulse / (v + after) * 2.0)
     origin = "from the flights between contacts" if speed is None else "about the speed given"
-    return _Known(
-        m, v, "as given", origin, speed is None and found.given[1] == "m" and not found.given[0].startswith(STATED)
-    )
+    named = found.given[0] and not found.given[0].startswith(STATED)
+    return _Known(m, v, "as given", origin, bool(speed is None and found.given[1] == "m" and named))
 
 
 def _middle(value: float | tuple[float, float] | None) -> float | None:
@@ -484,7 +504,7 @@ def _other(found: Understood, kind: str) -> list[str]:
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
     said += [f"CHECK: {h} falls freely: gravity acts along it" for h in [*found.columns.values()][: found.falls]]
-    said += [found.plate] if found.plate else []
+    said += [text for text in (found.plate, found.doubt) if text]
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
 

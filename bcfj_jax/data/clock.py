@@ -49,6 +49,7 @@ OF_DAY = (
     r"\d{4}-\d\d-\d\d|\d\d?[./]\d\d?[./]\d{4}|\d{4}/\d\d/\d\d|\d\d?-[A-Z][a-z]{2}-\d{4})?[ T]?(?:\d\d?:\d\d:\d\d(?:[.,:]\d+)?"
     r"(?:Z|[-+]\d\d:?\d\d| ?[AaPp][Mm])?|\d{1,3}:\d\d[.,]\d+)"
 )
+_DATE = re.compile(r"(?i)\bdat(?:e|um)(?![a-z])|fecha|日期|日時")
 # As 20261125T100000.5Z, and minutes and seconds alone, as 00:01.5.
 _BASIC = re.compile(r"(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)(?!:)(.*)")
 _MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
@@ -144,9 +145,11 @@ def ticks(cells: np.ndarray) -> bool:
     return bool(np.count_nonzero(cells[1:] != cells[:-1]) >= min(_TICKS, len(cells) - 1))
 
 
-def since_1970(times: np.ndarray) -> float:
-    """The unit [s] of times (N,) of which none is stated, where these are of this century since 1970 by one alone; else 1."""
+def since_1970(times: np.ndarray, name: str) -> float:
+    """The unit [s] of times (N,) without one: of this century since 1970, or a spreadsheet's days since 1900 by name; else 1."""
     seen = times[np.isfinite(times)]
+    if _DATE.search(name) and seen.size > 1 and seen.min() > 36526.0 and seen.max() < 73051.0:
+        return 86400.0
     for unit in (1e-3, 1e-6, 1e-9):
         of_this_century = seen.size > 1 and unit * seen.min() > 1e9 and unit * seen.max() < 4e9
         if of_this_century and unit * np.median(np.diff(seen)) < 1.0:

@@ -60,13 +60,29 @@ def vector(values: np.ndarray, unit: object = None) -> Column | None:
     return Column(text(unit), values.size, lambda: values)
 
 
-def matrix(name: str, values: np.ndarray, names: Sequence[str] = ()) -> Columns:
-    """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names; none of anything else."""
+def stated(properties: Mapping[str, Any]) -> Columns:
+    """What properties of a file, group, dataset or struct state: single values, and lists of texts, as names of columns are."""
+    plain = {str(k): np.asarray(v).ravel() for k, v in properties.items() if not isinstance(v, (Mapping, list))}
+    kept = {k: v for k, v in plain.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS") and v.size <= 64}
+    return {k: c for k, v in kept.items() if k.lower() not in UNIT_NAMES and (c := vector(v))}
+
+
+def alone(struct: Mapping[str, Any]) -> Columns:
+    """Single values that a struct states about all in it, also those of structs of nothing else, as of one "meta"."""
+    single, inner = (str, int, float, np.generic), [v for v in struct.values() if isinstance(v, Mapping)]
+    notes = [v for v in inner if all(isinstance(x, single) for x in v.values())]
+    every = {k: c for part in (*notes, struct) for k, c in stated(part).items()}
+    return {k: c for k, c in every.items() if c.size == 1 and k[:2] != "__" and k not in ("name", "label")}
+
+
+def matrix(name: str, values: np.ndarray, names: Sequence[str] = (), units: Sequence[str] = ()) -> Columns:
+    """The columns of a matrix (N, m) or (m, N) of numbers, m the smaller, by as many names and units; none of anything else."""
     if values.ndim != 2 or values.dtype.kind not in "iuf" or min(values.shape) < 2 or min(values.shape) > 64:
         return {}
     tall = values if values.shape[0] >= values.shape[1] else values.T
     named = names if len(set(names)) == tall.shape[1] else [f"{name} {j + 1}" for j in range(tall.shape[1])]
-    return {named[j]: Column(None, len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
+    own = units if len(units) == tall.shape[1] else [None] * tall.shape[1]
+    return {named[j]: Column(text(own[j]), len(tall), lambda j=j: tall[:, j]) for j in range(tall.shape[1])}
 
 
 def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
@@ -79,8 +95,9 @@ def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
     longest = max((c.size for n, c in columns.items() if c.size > 1 and n not in texts), default=0)
     made: Columns = {}
     for name, values in matrices.items():
-        names = next((n for n, v in texts.items() if v.size == min(values.shape)), "")
-        found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else ())
+        units = next((v.tolist() for n, v in texts.items() if n.lower() in UNIT_NAMES), ())
+        names = next((n for n, v in texts.items() if v.size == min(values.shape) and n.lower() not in UNIT_NAMES), "")
+        found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else (), units)
         if found and longest <= max(values.shape):
             made |= found
             columns = {n: c for n, c in columns.items() if n != names}

@@ -201,7 +201,10 @@ def _numbers_rows(data: Sequence[Row]) -> bool:
 
 def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, int]:
     """First row of data of the table with most rows, and the row that ends it (texts alone); all where none has most."""
-    heads = [k for k in range(begin + 1, len(rows)) if _begins(rows[k].cells)]
+    # A row within data begins another table: two texts or more and nothing else, or one as "data:".
+    given = ((k, _given(rows[k].cells)) for k in range(begin + 1, len(rows)))
+    texts = ((k, g) for k, g in given if len(g) > 1 or str(next(iter(g), "")).endswith(":"))
+    heads = [k for k, g in texts if not any(map(_holds, g))]
     if not heads:
         return begin, len(rows)
     ends = [begin, *heads, len(rows)]
@@ -214,12 +217,6 @@ def _largest(rows: Sequence[Row], begin: int, numeric: list[int]) -> tuple[int, 
         return begin, len(rows)
     first = next(k for k in range(first, last) if _is_data(rows[k].cells, numeric))
     return first, last
-
-
-def _begins(cells: Sequence[Any]) -> bool:
-    """Whether a row within data begins another table: two texts or more and nothing else, or one as "data:"."""
-    given = [c for c in cells if not is_missing(c)]
-    return (len(given) > 1 or str(next(iter(given), "")).endswith(":")) and not any(_holds(c) for c in given)
 
 
 def _holds(cell: Any) -> bool:
@@ -275,7 +272,8 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
     # A first row of data with a fault looks like no data; names stand above it all the same.
     while k >= 0 and not (text(k) or preamble.states(rows[k].cells)):
         k -= 1
-    listed = next((j for j in range(k, 0, -1) if text(j) and preamble.before_names(_alone(rows[j - 1].cells))), -1)
+    alone = (j for j in range(k, 0, -1) if len(_given(rows[j - 1].cells)) == 1)
+    listed = next((j for j in alone if text(j) and preamble.before_names(_given(rows[j - 1].cells)[0])), -1)
     if k >= 0 and preamble.states(rows[k].cells) and len(rows[listed].cells) >= len(numeric) and listed > 0:
         return [rows[listed]], [], begin, listed
     if k < 0 or preamble.states(rows[k].cells):
@@ -302,11 +300,6 @@ def _above(rows: Sequence[Row], begin: int, numeric: list[int], wide: int) -> tu
         named = [above, rows[k]]
         k -= 1
     return named, united, first, k
-
-
-def _alone(cells: Sequence[Any]) -> Any:
-    given = _given(cells)
-    return given[0] if len(given) == 1 else ""
 
 
 def _commented(rows: Sequence[Row], first: int, wide: int) -> tuple[list[Row], list[Row]]:

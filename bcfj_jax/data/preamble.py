@@ -201,7 +201,7 @@ def titled(titles: list[str], facts: Facts, columns: Sequence[Any], named: bool)
     bare = [j for j in bare if j or not _steps(columns[0], 1.0)]  # What counts the samples has no unit.
     if any(column(t)[1] == unit for t in titles):
         unit = ""
-    if unit and (timed is not None or even) and len(bare) == 1:
+    if unit and (timed is not None or even) and len({re.sub(r"\d+", "#", titles[j]) for j in bare}) == 1:
         titles = [f"{t} [{unit}]" if j in bare else t for j, t in enumerate(titles)]
     return titles
 

@@ -184,6 +184,7 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
         )
     name = inside or next(iter(filled or sheets))
     about = preamble.above(r for other, rows in sheets.items() if other not in (name, *filled) for r in rows)
+    about += [pair for other, rows in sheets.items() if other != name for pair in _listed(rows, name)]
     file = File(f"{path}: {name}", "row")
     rows = sheets[name]
     if not any(numbers.is_number(cell) for row in rows for cell in row.cells):  # "12.4 ms" is a text of a number.
@@ -195,6 +196,13 @@ def _sheet(content: Content, path: Path, where: str, inside: str | None, stated:
     marks = textfile.decimal_marks(layout, stated, file)
     table = textfile.table(path, layout, marks, file, f"sheet '{name}'", name)
     return replace(table, reader="sheets", facts=(*table.facts, *about))
+
+
+def _listed(rows: Sequence[Row], sheet: str) -> list[tuple[str, str]]:
+    """What a sheet that lists others states of one of them: the names above its rows, and the cells of the row of that name."""
+    texts = [[f"{c:.15g}" if isinstance(c, float) else str(c) for c in row.cells] for row in rows]
+    own = [cells for cells in texts[1:] if cells and sheet in (cells[0], f"{texts[0][0]} {cells[0]}")]
+    return [pair for cells in own[:1] for pair in zip(texts[0], cells, strict=False)]
 
 
 def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Record:
@@ -221,7 +229,9 @@ def _chosen(tables: Tables, path: Path, where: str, inside: str | None) -> Recor
     timed = [{n: c for n, c in found.items() if c.size == size} for size in {c.size for c in found.values()}]
     timed = [part for part in timed if len(part) > 1 and any(clock.is_time(_header(n, c)) for n, c in part.items())]
     if len(timed) == 1 and len(timed[0]) < len(found):
-        left = ", ".join(f"'{n}' {c.size}" for n, c in found.items() if n not in timed[0])
+        short = {n: c for n, c in found.items() if n not in timed[0]}
+        left = ", ".join(f"'{n}' {c.size}" for n, c in short.items())
+        facts += [(_header(n, c), str(x)) for n, c in short.items() if c.size < _FEW for x in np.ravel(c.values())]
         found, said = (
             timed[0],
             "; ".join(filter(None, (said, f"columns of another length than its clock left out: {clip(left)}"))),

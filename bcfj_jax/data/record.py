@@ -31,24 +31,27 @@ RUN_COLUMNS = (
 # What numbers the runs of a clock that begins anew, where no column does.
 SWEEP = "sweep"
 # What is one number in each run, how high a body fell or how fast it struck: columns, or lines beside a table.
-_FELL, _HIGH = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda)", "(?:height|h(?:ö|oe)he)"
+_FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda|caduta|val(?=hoogte)|낙하|落下|跌落)"
+_HIGH = "(?:height|h(?:ö|oe)he|hoogte|높이|高さ|高度)"
 _STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
 GIVEN = {
     "m/s": re.compile(
         rf"v[ _]?(?:0|i|impact)?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)"
-        rf"|(?:vitesse|velocidad)(?: d(?:e |')(?:l')?{_STRUCK})?"
+        rf"|(?:vitesse|velocidad|velocità)(?: d(?:e |i |')(?:l')?{_STRUCK})?|(?:冲击|碰撞|衝突|충돌|충격) ?(?:速度|속도)"
     ),
     "m": re.compile(
-        rf"h|(?:{_FELL} ?)?{_HIGH}|(?:hauteur|altura|altezza|výška|wysokość|高さ|高度)(?: de (?:la )?{_FELL})?"
+        rf"h|(?:{_FELL} ?)?{_HIGH}|(?:hauteur|altura|altezza|výška|wysokość)(?: d[ei] (?:la )?{_FELL})?"
     ),
 }  # fmt: skip
 DROPPED = re.compile(rf"(?i)(?<![a-z]){_FELL}")
 # Before the name of a column that lines beside a table or its name give, in SI. A line "speed" may be a machine's.
 STATED, _BARE = "stated ", re.compile("speed|velocity|geschwindigkeit|vitesse|velocidad")
-_IN_NAME = {
+HIGH = "drop height [m]"
+IN_NAME = {
     "approach speed [m/s]": r"(?:^|[\W_]|v)NUMBER(m/s|mps|mm/s)(?:$|[\W_])",
-    "drop height [m]": rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
+    HIGH: rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
 }  # fmt: skip
+IN_SI = ("mat", "hdf5", "tdms")  # Readers of files of programs, whose numbers without a unit are in SI.
 # Rows of a run at least, and of all times the share within which the clocks of runs begin.
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
@@ -151,10 +154,11 @@ class Record:
         return all(np.array_equal(self.columns[positions[0]], self.columns[k]) for k in positions[1:])
 
     def bare(self, time: str) -> bool:
-        """Whether no unit of a column of times is stated, by its header or since it holds times of day."""
-        header = self.header[self.index(time, self.name)]
-        first = next(iter(self.columns[self.index(time, self.name)][:1].tolist()), "")
-        return column(header)[1] is None and column(time)[1] is None and not is_of_day(first)
+        """Whether no unit of a column of times is stated, by its header or since it holds times of day or dates."""
+        position = self.index(time, self.name)
+        header, cells = self.header[position], self.columns[position]
+        known = {column(header)[1], column(time)[1]} - {None} or is_of_day(next(iter(cells[:1].tolist()), ""))
+        return not known and since_1970(self._parsed(position, True)[0], header) == 1.0
 
     def texts(self, name: str, where: str) -> list[str]:
         """A column as it stands; numbers in their shortest form."""
@@ -179,7 +183,7 @@ class Record:
             self._refuse(position, wrong, blank)
         # Of a time of day, a unit such as [hh:mm:ss] says how it is written.
         unit = None if si_unit == "s" and is_of_day(next(iter(self.columns[position].tolist()), "")) else unit
-        if si_unit == "s" and unit is None and (size := since_1970(values)) != 1.0:
+        if si_unit == "s" and unit is None and (size := since_1970(values, header)) != 1.0:
             return (values - values[0]) * size
         with np.errstate(invalid="ignore"):  # Of a damaged file a value may be a signalling NaN.
             values = _unwrapped(values) if si_unit == "s" else values
@@ -264,7 +268,7 @@ class Record:
         filled = np.zeros(self.lines.size, dtype=bool)
         for header in headers:
             cells = self.columns[self.index(header, self.name)]
-            filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else ~_blank(cells)
+            filled |= np.array([not is_missing(c) for c in cells]) if cells.dtype.kind in "OUS" else cells == cells
         return self if filled.all() else self.where(filled)
 
     def beside(self, header: str, cells: np.ndarray) -> Record:
@@ -298,10 +302,6 @@ def _no_values(values: np.ndarray) -> np.ndarray:
     return marked if others.size and np.count_nonzero(marked) > 1 else np.zeros(values.size, dtype=bool)
 
 
-def _blank(values: np.ndarray) -> np.ndarray:
-    return np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, dtype=bool)
-
-
 def run_column(table: Record) -> str:
     """The first column named as in ``RUN_COLUMNS`` that does not number the rows themselves; "" where there is none."""
     for header, cells in zip(table.header, table.columns, strict=True):
@@ -328,13 +328,30 @@ def with_sweeps(table: Record) -> Record:
     )
 
 
-def stated(key: str, value: str, si_unit: str) -> float:
-    """What a line beside a table states with a unit, behind its number or in its name, SI; 0 of anything else."""
+def stated(key: str, value: str, si_unit: str, bare: str | None = None) -> float:
+    """What a line beside a table states in a unit, behind its number or in its name, else in ``bare``, SI; 0 of anything else."""
     text = value if "." in value else value.replace(",", ".")
-    unit = column(key)[1] if is_number(text) else ""
+    unit = (column(key)[1] or bare) if is_number(text) else ""
     with contextlib.suppress(InputError):
         return max(quantity(f"{text} {unit}".strip(), si_unit, key), 0.0) if unit is not None else 0.0
     return 0.0
+
+
+def statements(table: Record, header: str, *names: str) -> tuple[list[float], str]:
+    """Speeds or heights, SI, that lines beside a table, or else its name, state, and the words that do; or each of ``names``."""
+    dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *names, *map(" ".join, table.facts)))
+    unit = str(column(header)[1])
+    if unit == "m" and not dropped:
+        return [], ""
+    named = re.compile(IN_NAME[header].replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
+    found = [m for text in names or (table.inside, table.path.stem) if (m := named.search(text))]
+    here = [(m[0], f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in found]
+    keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts]
+    said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
+    exact = table.reader in IN_SI
+    said = (here if len(here) == len(names) else said * exact) if names else said or here[:1]
+    bare = unit if unit != "m" and exact else None
+    return [v for key, f in said if (v := stated(key, f, unit, bare))], " ".join(key for key, _ in said)
 
 
 def with_stated(table: Record) -> Record:
@@ -342,17 +359,10 @@ def with_stated(table: Record) -> Record:
 
     These state one for all rows, or one for each sweep in their order.
     """
-    dropped = any(DROPPED.search(text) for text in (table.inside, table.path.stem, *map(" ".join, table.facts)))
     numbered = table.columns[table.header.index(SWEEP)] if SWEEP in table.header else np.zeros(0)
     runs, place = np.unique(numbered if numbered.dtype.kind == "i" else np.zeros(table.lines.size), return_inverse=True)
-    for header, pattern in _IN_NAME.items():
-        unit = str(column(header)[1])
-        keys = [(column(f[0])[0].lower().replace("_", " ").strip(), f) for f in table.facts if dropped or unit != "m"]
-        said = [f for k, f in keys if GIVEN[unit].fullmatch(k) and (unit == "m" or not _BARE.fullmatch(k))]
-        named = re.compile(pattern.replace("NUMBER", r"(\d+(?:[.,p]\d+)?)[ _]?"), re.IGNORECASE)
-        here = [m for text in (table.inside, table.path.stem) if (dropped or unit != "m") and (m := named.search(text))]
-        said = said or [("", f"{re.sub('[,p]', '.', m[1])} {m[2].lower().replace('mps', 'm/s')}") for m in here[:1]]
-        found = np.array(list(dict.fromkeys(v for f in said if (v := stated(*f, unit)))))
+    for header in IN_NAME:
+        found = np.array(list(dict.fromkeys(statements(table, header)[0])))
         if found.size in {1, runs.size}:
             cells, marks = np.resize(found, runs.size)[place], (*table.decimals, ".")
             made = replace(table, header=(*table.header, STATED + header), columns=(*table.columns, cells))

@@ -36,9 +36,12 @@ _TOKEN = re.compile(
     r"(?![\d:.]|[-/]\d)|(?<!\w)(?i:nan|null)(?!\w)"
 )
 _POINTED = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
-# The name before a number, and the unit behind one.
+# The name before a number, the unit behind one, and the object that is open before one: '"force": {"value": 4.3, "unit": "N"'.
 _BEFORE = re.compile(r"([^\W\d][\w ./()²^-]*?)[\"'\s\]]*[:=][\"'\s\[(]*$")
-_BEHIND = re.compile(r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])")
+_BEHIND = re.compile(
+    r" ?([^\W\d_]+(?:/[^\W\d_]+[²2]?)?)(?=[\s,;|}]|$)(?![\"'\s]*[:=(])|\s*,\s*\"units?\"\s*:\s*\"([^\"]+)\""
+)
+_OPENED = re.compile(r".*\"([^\"]+)\"\s*:\s*\{(?=[^}]*$)")
 _SENSOR = re.compile(
     r"(?<![\w.])(?<!\d,)\d+(?:\.\d+)? ?(?:[mµu]?V|[pn]C|mA|counts?|px)/(?:kN|N|g|lbf|[mu]?m|\(?m/s[\^]?[2²]\)?)(?!\w)"
 )
@@ -89,7 +92,8 @@ def read(path: Path, where: str, stated: Stated) -> Record:
     text, encoding = decoded(raw, path, where, stated.encoding)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     lines, labels = numbered(lines)
-    first, separator = _declared(lines)
+    match = re.fullmatch(r'\s*"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None  # Excel's first line.
+    first, separator = (1, {v: k for k, v in SEPARATORS.items()}.get(match[1])) if match else (0, None)
     if stated.separator is not None:
         separator = next(k for k, v in SEPARATORS.items() if stated.separator in (k, v))
     separator = separator or _separator(lines[first:])
@@ -216,8 +220,11 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
     named = any(names)
+    if len(set(names)) < len(names):
+        opened = [(_OPENED.match(text) or ["", ""])[1] for text in kind]
+        names = [f"{a} {b}".strip() for a, b in zip(opened, names, strict=False)]
     names = [name or f"column {k}" for k, name in enumerate(names, 1)]
-    units = [(_BEHIND.match(text) or ["", ""])[1] for text in kind[1:]]
+    units = [m[1] or m[2] if (m := _BEHIND.match(text)) else "" for text in kind[1:]]
     units = units if all(map(known, filter(None, units))) else []
     titled = first > 1 and len(lines[first - 2].split(usual)) >= len(names)
     names = names if named or (any(units) and not titled) else []
@@ -251,13 +258,6 @@ def _upright(rows: list[Row], file: File) -> tuple[list[Row], File]:
 
 def _lines(lines: tuple[int, ...], counted: str) -> str:
     return f"{counted} {lines[0]}" if len(lines) == 1 else f"{counted}s {' and '.join(map(str, lines))}"
-
-
-def _declared(lines: Sequence[str]) -> tuple[int, str | None]:
-    """Excel's first line "sep=;": where the table begins then, and the separator."""
-    match = re.fullmatch(r'\s*"?sep=(.)"?\s*', lines[0], re.IGNORECASE) if lines else None
-    named = {v: k for k, v in SEPARATORS.items()}
-    return (1, named.get(match[1])) if match else (0, None)
 
 
 def _is_comment(line: str, separator: str) -> bool:
@@ -359,15 +359,12 @@ def _logical(lines: Sequence[str], first: int) -> Iterable[tuple[int, str]]:
         if '"' in line and line.count('"') % 2:
             end = next((e for e in range(k, min(k + _LONGEST_CELL, len(lines))) if lines[e].count('"') % 2), None)
             # A line between two open quotes that is a row of its own is no part of a cell.
-            if end is not None and not any(_is_row(lines[e]) for e in range(k, end + 1)):
+            cells = [re.split(r"[,;\t| ]+", lines[e]) for e in range(k, (end or 0) + 1)]
+            if end is not None and not any(sum(map(numbers.is_number, c)) >= 2 for c in cells):
                 line = " ".join([line, *lines[k : end + 1]])
                 k = end + 1
         if line.strip():
             yield number, line
-
-
-def _is_row(line: str) -> bool:
-    return sum(numbers.is_number(c) for c in re.split(r"[,;\t| ]+", line)) >= 2
 
 
 def _glued(lines: Sequence[str], rows: list[Row], separator: str) -> list[Row]:
@@ -380,17 +377,14 @@ def _glued(lines: Sequence[str], rows: list[Row], separator: str) -> list[Row]:
         # "v0: 0,93 m/s" is no two names.
         if other and not any(numbers.is_number(c) or re.search(r"[:=] *[-+]?\d", str(c)) for c in row.cells):
             line = lines[row.line - 1].strip().lstrip("#%/!; ")
-            runs = (re.split(r"\s{2,}|\t+", line), _BESIDE_A_UNIT.sub(_join, line).split())
+            tied = _BESIDE_A_UNIT.sub(lambda m: m[0].replace(" ", "\0") if m[0].strip() else "\0", line)
+            runs = (re.split(r"\s{2,}|\t+", line), tied.split())
             for cells in (*runs, *(_cells(line, s) for s in ("comma", "semicolon", "tab"))):
                 if len(cells) == wide:
                     row = row._replace(cells=[c.replace("\0", " ") for c in cells])
                     break
         fitted.append(row)
     return fitted
-
-
-def _join(match: re.Match) -> str:
-    return match[0].replace(" ", "\0") if match[0].strip() else "\0"
 
 
 def decimal_marks(

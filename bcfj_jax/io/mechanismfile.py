@@ -433,11 +433,8 @@ def _named(what: str, name: str | None, elastic: str | None, place: str) -> Any:
 
 
 def _end(bodies: Sequence[Body]) -> Any:
-    for body in bodies:
-        drive = body.drive
-        if drive is not None and body.joint == "hinge" and drive.kind in ("constant", "ramp"):
-            return OneTurn(body.name, drive.speed)
-    return 1.0
+    driven = ((b.name, b.drive) for b in bodies if b.drive is not None and b.joint == "hinge")
+    return next((OneTurn(name, d.speed) for name, d in driven if d.kind in ("constant", "ramp")), 1.0)
 
 
 def _drive_table(entry: keys.DriveTable, drive: Drive) -> dict[str, Any]:

@@ -38,7 +38,7 @@ _PLAIN = (
     "ns", "us", "µs", "ms", "mN", "kN", "MN", "nm", "um", "µm", "mm", "cm", "m/s", "mm/s", "m/s^2", "m/s²", "m/s2",
     "с", "мс", "мкс", "Н", "кН", "мм", "м/с", "м/с²",  # noqa: RUF001
     "msec", "usec", "sec", "daN", "lbf", "lbs", "lb", "kg", "kgf", "gf", "kip", "klbf", "ft/s", "mV", "pC", "kHz", "Hz",
-    "px", "counts",
+    "px", "counts", "mps",
 )  # fmt: skip
 # Units that stand as a name of their own.
 _ALONE = (
@@ -53,9 +53,9 @@ _CASED = (
 )  # fmt: skip
 # What a header in capitals means; elsewhere case matters.
 _CAPITALS = {
-    "KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz", "mS": "ms", "SEC": "sec", "MSEC": "msec", "LBF": "lbf",
-    "lbF": "lbf", "Lbf": "lbf", "kgF": "kgf", "gF": "gf",
+    "KN": "kN", "MM": "mm", "MS": "ms", "HZ": "Hz", "KHZ": "kHz", "mS": "ms", "gF": "gf", "kG": "kgf", "mps": "m/s",
 }  # fmt: skip
+_CASELESS = ("sec", "msec", "usec", "lbf", "kgf")  # Words mean one unit in any case.
 _STIFFNESS = "N/m^n"
 _PREFIXES = {-12: "p", -9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # Units whose name may be preceded by a prefix without changing its meaning.
@@ -340,7 +340,7 @@ def column(header: str) -> tuple[str, str | None]:
         return plain, None
     match = _COLUMN.fullmatch(plain)
     if match and not match[2].isdigit():  # "Y[0]" is a name.
-        return match[1], _CAPITALS.get(match[2], match[2])
+        return match[1], _written(match[2])
     if plain in _ALONE:
         return plain, plain
     if _NUMBER.fullmatch(plain):  # "50 mm" is a size: of what is in the column nothing is said.
@@ -354,17 +354,22 @@ def column(header: str) -> tuple[str, str | None]:
     if match := _PER_SECOND.fullmatch(plain):
         return match[1], f"{match[2]}/s{'^2' if match[3] else ''}"
     if (match := _LAST_WORD.fullmatch(plain)) and match[2] in _PLAIN:
-        return match[1], match[2]
+        return match[1], _written(match[2])
     if (match := _IN.fullmatch(plain)) and known(match[2]):
         return match[1] or plain, match[2]
     if (match := _IN_GRAVITIES.fullmatch(plain)) and accelerates(match[1]):
         return match[1], match[2]
     for pattern in (_ROUND, _BEHIND_SLASH):
         match = None if _RATE.fullmatch(plain) else pattern.fullmatch(plain)
-        unit = _CAPITALS.get(match[2], match[2]) if match and not match[2].isdigit() else "A"
+        unit = _written(match[2]) if match and not match[2].isdigit() else "A"
         if match and (unit not in (*_LETTERS, "t") or (unit == "G" and pattern is _ROUND)) and known(unit):
             return match[1], unit
     return plain, None
+
+
+def _written(unit: str) -> str:
+    """A unit in the case in which it is known: "mSec" is msec, and "kG" a kilogram's weight, as Polish instruments write it."""
+    return unit.lower() if unit.lower() in _CASELESS else _CAPITALS.get(unit, unit)
 
 
 def accelerates(name: str) -> bool:

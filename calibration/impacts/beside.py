@@ -8,6 +8,7 @@ Columns with a clock of their own, but no such label, are never read by the cloc
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,13 +17,14 @@ from itertools import pairwise
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import is_of_day, is_time, ticks
-from bcfj_jax.data.record import Record
+from bcfj_jax.data.record import IN_NAME, Record, statements
 from bcfj_jax.io.units import column
 from calibration.impacts import headers
 from calibration.impacts.proposal import Hints, Part, Understood, understood
 
-_WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai"
+_WORDS = "run|trial|test|drop|hit|shot|impact|specimen|experiment|probe|versuch|messung|schlag|wurf|essai|data set"
 # Seconds since 1970 are more than any record lasts.
 _EPOCH = 1e6
 # What --runs-by says where columns that are named alike but for a number are runs.
@@ -39,6 +41,10 @@ def label(name: str, number: re.Pattern[str] = _LABEL) -> str:
 
 def runs(table: Record, hints: Hints) -> Understood:
     """What a table is (``understood``), of all runs that stand beside each other in it, or the one that ``hints`` name."""
+    forces = [h for h in table.header if headers.read_unit(table, h) == "N"]
+    alike = len({_NUMBER.sub("", h) for h in forces}) == 1
+    if alike and hints.runs_by is hints.observe is None and _speeds(table, forces)[0]:
+        return _by_columns(table, hints)
     if hints.runs_by == COLUMNS and COLUMNS not in table.header:
         return _by_columns(table, hints._replace(runs_by=None))
     pieces, parts = _labelled(table, _LABEL), True
@@ -81,7 +87,7 @@ def _by_columns(table: Record, hints: Hints) -> Understood:
     """Each column that is named as the one to be read is but for a number, or else that is in its unit, as a run."""
     pieces = _labelled(table, _NUMBER)
     if hints.observe is None and len(pieces) > 1:
-        return joined([(name, understood(p, hints)) for name, p in pieces])
+        return _with_speeds(table, [(name, understood(p, hints)) for name, p in pieces])
     named = hints.observe or next((h for h in table.header if headers.read_unit(table, h) in headers.READ), "")
     if not named:
         return understood(table, hints)
@@ -97,7 +103,23 @@ def _by_columns(table: Record, hints: Hints) -> Understood:
         time = hints.time if hints.time and _holds(piece, hints.time) else None
         said = h if column(h)[1] or not unit else f"{h} [{unit}]"
         each.append((label, understood(piece, hints._replace(observe=said, time=time))))
-    return joined(each)
+    return _with_speeds(table, each)
+
+
+def _with_speeds(table: Record, each: list[tuple[str, Understood]]) -> Understood:
+    """Runs in columns as one, each with the speed that its column's name or a list beside the table states."""
+    speeds, unit = _speeds(table, [next(iter(one.columns.values())) for _, one in each])
+    own = zip(each, speeds, strict=True) if speeds and all(len(one.records) == 1 for _, one in each) else ()
+    return joined([(name, replace(one, speeds=(v,), given=("", unit))) for (name, one), v in own] or each)
+
+
+def _speeds(table: Record, names: Sequence[str]) -> tuple[tuple[float, ...], str]:
+    """Speeds [m/s] of columns of runs by their names, "F @ 0.5 m/s [N]", or by as many beside the table, and what gives them."""
+    for header in IN_NAME:
+        found, unit = statements(table, header, *names)[0], str(column(header)[1])
+        if len(found) == len(names) > 1:
+            return tuple(math.sqrt(2.0 * GRAVITY * x) if unit == "m" else x for x in found), unit
+    return (), ""
 
 
 def _holds(piece: Record, header: str) -> bool:
@@ -119,7 +141,9 @@ def _labelled(table: Record, number: re.Pattern[str]) -> list[tuple[str, Record]
     labels = [label(h, number) for h in table.header]
     groups = {name: [j for j, x in enumerate(labels) if x == name] for name in dict.fromkeys(labels) if name}
     same = {tuple(number.sub("", table.header[j]).strip() for j in group) for group in groups.values()}
-    shared = [j for j, x in enumerate(labels) if not x]
+    # A mean of the runs stands beside them, and is none of one.
+    units = {u for group in groups.values() for j in group if (u := column(table.header[j])[1])}
+    shared = [j for j, h in enumerate(table.header) if not labels[j] and (is_time(h) or column(h)[1] not in units)]
     return [(name, _part(table, [*shared, *group])) for name, group in groups.items()] if len(same) == 1 else []
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.data.clock import TIMES, plain
 from bcfj_jax.data.numbers import is_missing, is_number
-from bcfj_jax.data.record import SWEEP, Record, stated
+from bcfj_jax.data.record import IN_SI, SWEEP, Record, stated
 from bcfj_jax.data.sensitivity import ELECTRICAL, NEEDED
 from bcfj_jax.io.units import GRAVITIES, WEIGHTS, accelerates, column, format_si, scale_of
 from calibration.impacts.events import contacts
@@ -30,6 +30,10 @@ NAMES = {
     "m/s": ("velocity", "speed", "v", "vel", "geschwindigkeit"),
     "m": ("position", "displacement", "x", "y", "z", "height", "place", "weg", "перемещение", "変位", "位移"),
 }  # fmt: skip
+TANGENTIAL = {
+    "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
+}  # fmt: skip
+_AXIS = re.compile(r"(?:\b|_|(?<=[fF]))[xyzXYZ]\d*$")
 _NEITHER = {"moment", "torque", "drehmoment", "moments", "max", "maximum", "count", "rate", "power"}
 # Readings of the scenes, in the order in which they tell a contact; an acceleration along +x is negative in contact.
 READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velocity.x", "m": "body.place.x"}
@@ -41,7 +45,7 @@ _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1
 # What strikes, and not what is struck.
 _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
-    r"|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro)?"
+    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:충격체|낙하|추)?질량|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota|battente)?"
 )
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
 _STATED = re.compile(
@@ -63,6 +67,11 @@ def name_of(header: str) -> str:
     return column(header)[0].lower().strip()
 
 
+def words_of(header: str) -> set[str]:
+    """The words of a name, in lower case."""
+    return set(re.split(r"[\W\d_]+", name_of(header)))
+
+
 def named(header: str, unit: str) -> bool:
     """Whether a name is one of a reading of a unit: as a whole, or by one of its words of three letters and more."""
     name = name_of(header)
@@ -75,7 +84,8 @@ def named(header: str, unit: str) -> bool:
 
 def stated_mass(table: Record) -> float | None:
     """The mass of what strikes [kg], where lines beside the table state one with its unit; None where they do not."""
-    found = {stated(*fact, "kg") for fact in table.facts if _MASS.fullmatch(plain(fact[0]))} - {0.0}
+    bare = "kg" if table.reader in IN_SI else None
+    found = {stated(*fact, "kg", bare) for fact in table.facts if _MASS.fullmatch(plain(fact[0]))} - {0.0}
     return found.pop() if len(found) == 1 else None
 
 
@@ -188,8 +198,9 @@ def reading_remedy(table: Record, found: dict[str, str]) -> str:
         here, unit = next((h for h in table.header if h == said[1]), other), said[3] or said[2]
         ways = f'"{here} [V]" or "{here} [mV]"' if unit.endswith("V") else f'"{here} [{unit}]"'
         return f'say what its numbers are: --observe {ways} --sensitivity "{given}" of init calibration'
-    heavies = [h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}]
-    heavy = max(heavies, key=lambda h: np.ptp(np.r_[0.0, values_of(table, h, "m/s^2")]), default="")
+    heavy = [h for h in table.header if column(h)[1] in {*GRAVITIES, *WEIGHTS}]
+    pull = {h: values_of(table, h, "m/s^2" if column(h)[1] in GRAVITIES else "N") for h in heavy}
+    heavy = max(heavy, key=lambda h: np.ptp(np.nan_to_num(pull[h])) if pull[h].size else 0.0, default="")
     # A letter alone may be of anything.
     kind = next((u for u in READ if len(column(other)[0]) > 1 and named(other, u)), "")
     kind = "mm" if {"x", "y", "z"} <= {h.lower() for h in table.header} and other.lower() in ("x", "y", "z") else kind
@@ -230,7 +241,7 @@ def pulsing(table: Record, clock: str) -> str:
 
 
 def one_of(table: Record, header: str, unit: str) -> None:
-    """Refuse a reading beside which others, named as it is but for a number or letter, show hits of another course.
+    """Refuse a reading beside which others, forces or named as it is but for a number or letter, show hits of another course.
 
     Two sensors of one hit, and two hits that are the same, are proportional: the law is the same whichever is read. Axes
     x, y, z are of one body; of motions two bodies are meant, whose way to each other is what counts.
@@ -238,6 +249,10 @@ def one_of(table: Record, header: str, unit: str) -> None:
     moves = unit in ("m/s", "m")
     one = re.compile(r"(?i)\d+|\b[a-w]\b")
     alike = [h for h in table.header if one.sub("#", h) == one.sub("#", header)]
+    if unit == "N" and not _AXIS.search(column(header)[0]):  # Of any name, but for axes, sides and what is derived.
+        others = [h for h in table.header if column(h)[1] is not None and not _AXIS.search(column(h)[0])]
+        others = [h for h in others if not words_of(h) & (_NEITHER | TANGENTIAL) and read_unit(table, h) == unit]
+        alike += [h for h in others if h not in alike]
     values = {h: v for h in alike if np.isfinite(v := values_of(table, h, unit)).any()}
     sizes = {h: float(np.abs(v[np.isfinite(v)]).max()) for h, v in values.items()}
     read = {h: _unit_pulse(v) for h, v in values.items() if sizes[h] > _AS_MUCH * max(sizes.values())}

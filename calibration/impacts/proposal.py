@@ -19,7 +19,7 @@ from bcfj_jax.core.errors import Faults, clip
 from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
-from bcfj_jax.data.record import DROPPED, GIVEN, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split
+from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
@@ -28,9 +28,6 @@ from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
 from calibration.noise.scatter import scatter
 
-_TANGENTIAL = {
-    "tangential", "friction", "shear", "ft", "lateral", "tangentialkraft", "reibkraft", "reibungskraft", "querkraft",
-}  # fmt: skip
 # Of several forces the sum goes with those that are named, of which the largest is read.
 _SUMS = {"sum", "summe", "total", "gesamt", "combined", "somme", "resultant"}
 _MOST_RUNS, _RUN_ROWS = 50, 20
@@ -114,6 +111,8 @@ class Understood:
     falls: bool = False  # whether the places read are those of a body that falls freely
     body: str = "body"  # whose acceleration is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
+    vague: bool = False  # whether one height is stated, and no word says that the body fell from it
+    doubt: str = ""  # a statement that is not used, since the impulse is not as it says
 
 
 class Part(NamedTuple):
@@ -163,7 +162,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
             headers.physical(table, found[unit], unit)
             if unit.startswith("m") and unit != next(u for u in headers.READ if u in found):
                 continue
-            if not run and not _SUMS & set(re.split(r"[\W\d_]+", headers.name_of(found[unit]))):
+            if not run and not _SUMS & headers.words_of(found[unit]):
                 headers.one_of(table, found[unit], unit)
     time = found.pop("s", "")
     found = {u: found[u] for u in ("N", "tangential", *headers.READ) if u in found}
@@ -207,6 +206,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
+        vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
@@ -351,13 +351,13 @@ def _columns(table: Record, run: str = "") -> dict[str, str]:
     def later(header: str) -> tuple[bool, bool, float]:
         unit = stated[header]
         size = -_range(table, header, unit) if unit in ("m/s^2", "N", "m") else 0.0
-        total = unit == "N" and not _SUMS.isdisjoint(re.split(r"[\W\d_]+", headers.name_of(header)))
+        total = unit == "N" and not _SUMS.isdisjoint(headers.words_of(header))
         return not (headers.named(header, unit) or total), headers.name_of(header) not in headers.NAMES[unit], size
 
     # A column named as what it is goes before another of its unit; a second force is tangential only by its name.
     for h in sorted(stated, key=later):
         unit = stated[h]
-        unit = "tangential" if unit == "N" and _TANGENTIAL & set(re.split(r"[\W\d_]+", headers.name_of(h))) else unit
+        unit = "tangential" if unit == "N" and headers.TANGENTIAL & headers.words_of(h) else unit
         found.setdefault(unit, h)
     bare = [h for h in numeric if h not in stated and column(h)[1] is None]
     kinds = {h: u for h in bare if (u := next((u for u in headers.KINDS if headers.named(h, u)), None))}
@@ -462,7 +462,7 @@ def sizes(found: Understood) -> Sizes:
     """The sizes of all records together."""
     records, events = found.records, [r.events[0] for r in found.records]
     whole = 1.0 if found.falls else _WHOLE.get(next(u for u in headers.READ if u in found.columns), 1.0)
-    has = [r for r in map(_specific, records) if "N" in r.readings]
+    has = [r for r in map(specific, records) if "N" in r.readings]
     speeds = [s[0] for r in records if (s := r.speeds()) is not None and s[0] > 0]
     longest = max(records, key=lambda r: len(r.events)).events
     pushed = [r.impulse() for r in has]
@@ -504,7 +504,7 @@ def _mass(records: list[Run], moving: bool) -> float | None:
     return float(f @ a / (a @ a)) if a @ a > 0 else None
 
 
-def _specific(record: Run) -> Run:
+def specific(record: Run) -> Run:
     """A record of an acceleration as one of a force per mass."""
     if "N" in record.readings or "m/s^2" not in record.readings:
         return record

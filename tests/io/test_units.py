@@ -176,6 +176,20 @@ def test_columns_and_scales():
         scale_of("kN", "s", "column 2")
 
 
+@pytest.mark.parametrize(
+    ("header", "name", "unit", "si", "scale"),
+    [
+        ("Time (mSec)", "Time", "msec", "s", 1e-3),
+        ("Load [LBF]", "Load", "lbf", "N", 4.4482216152605),
+        ("Siła [kG]", "Siła", "kgf", "N", 9.80665),
+        ("v_impact_mps", "v_impact", "m/s", "m/s", 1.0),
+    ],
+)
+def test_units_of_words_in_any_case(header, name, unit, si, scale):
+    assert column(header) == (name, unit)
+    assert scale_of(unit, si, "") == pytest.approx(scale)
+
+
 def test_text_for_people():
     assert engineering([0.0, -4e-5, math.nan]) == (1e6, "u")
     assert engineering([]) == (1.0, "")

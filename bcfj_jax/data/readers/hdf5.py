@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import UNIT_NAMES, Column, Columns, Content, Tables, group, text, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Column, Content, Tables, group, stated, text, with_units
 
 KINDS, LIBRARY = (".h5", ".hdf5", ".hdf", ".nxs"), "h5py"
 SIGNATURE = b""
@@ -19,7 +19,7 @@ def read(file: str, wanted: str) -> Content:
     import h5py
 
     content = h5py.File(file, "r")  # Closed with the process: values are read when they are written out.
-    tables, said = Tables(), {"": _said(content)}
+    tables, said = Tables(), {"": stated(content.attrs)}
     matrices: dict[str, dict[str, np.ndarray]] = {}
 
     def visit(name: str, thing: object) -> None:
@@ -27,7 +27,7 @@ def read(file: str, wanted: str) -> Content:
         if name.startswith("#"):
             return
         if not isinstance(thing, h5py.Dataset):
-            said[name] = _said(thing)
+            said[name] = stated(getattr(thing, "attrs", {}))
             return
         item: Any = thing
         unit = next((item.attrs[k] for k in item.attrs if k.lower() in (*UNIT_NAMES, "yunit", "yunits")), None)
@@ -43,7 +43,7 @@ def read(file: str, wanted: str) -> Content:
             matrices.setdefault(parent, {})[f"{own} [{text(unit)}]" if text(unit) else own] = item[()]
         else:
             return
-        columns.update({key: c for key, c in _said(item).items() if key not in columns})
+        columns.update({key: c for key, c in stated(item.attrs).items() if key not in columns})
 
     content.visititems(visit)
     for name, columns in tables.items():
@@ -52,13 +52,6 @@ def read(file: str, wanted: str) -> Content:
             columns.update({key: c for key, c in said.get(place, {}).items() if key not in columns})
         tables[name] = group(columns, matrices.get(name, {}))
     return Content(with_units(tables))
-
-
-def _said(thing: Any) -> Columns:
-    """What attributes of a group or dataset state: single values, and lists of texts, as names of columns are."""
-    stated = {key: np.asarray(thing.attrs[key]) for key in thing.attrs if key.lower() not in UNIT_NAMES}
-    kept = {key: np.ravel(v) for key, v in stated.items() if v.dtype.kind in ("OUS" if v.size > 1 else "iufOUS")}
-    return {key: Column(None, v.size, lambda v=v: v) for key, v in kept.items() if v.size <= 64}
 
 
 def _dataset(item: Any, unit: object) -> Column | None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bcfj_jax.data.clock import is_rate, is_step
-from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, group, headed, text, vector, with_units
+from bcfj_jax.data.columns import UNIT_NAMES, Columns, Content, Tables, alone, group, headed, text, vector, with_units
 from bcfj_jax.data.readers import hdf5
 
 KINDS, LIBRARY = (".mat", ".json"), "h5py"
@@ -36,22 +36,23 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     def visit(table: str, struct: Mapping[str, Any], above: Columns) -> None:
         columns: Columns = {}
-        rates = {**above, **_rates(struct)}
+        rates = {**above, **alone(struct)}
         matrices: dict[str, np.ndarray] = {}
         tables[table] = {}
         for name, value in headed(struct).items():
             if isinstance(value, (list, np.ndarray)) and len(value) and all(isinstance(v, Mapping) for v in value):
                 value = {f"run {k}": v for k, v in enumerate(value, 1)}
             if isinstance(value, Mapping):
-                # A struct about one list of values is a channel.
-                own = next((k for k in _VALUES if k in value), "")
+                # A struct about one list of values, and none as long beside it, is a channel.
+                more = [len(v) for k, v in value.items() if k not in _VALUES and (isinstance(v, list) or np.ndim(v))]
+                own = next((k for k in _VALUES if k in value and max(more, default=0) < 64), "")
                 if not own:
                     visit(f"{table}/{name}".strip("/"), value, rates)
                     continue
                 held = q if isinstance(q := value.get("quantity"), Mapping) else {}
                 unit = next((value[k] for k in UNIT_NAMES if k in value), held.get("label"))
                 beside = [v["name"] for v in struct.values() if held and isinstance(v, Mapping) and "name" in v]
-                columns.update(_rates(value))
+                columns.update({k: c for k, c in alone(value).items() if is_rate(k) or is_step(k)})
                 name, value = str(text(value.get("label", value.get("name", *beside))) or name), value[own]
             else:
                 unit = None
@@ -72,12 +73,6 @@ def tables_of(content: Mapping[str, Any]) -> Tables:
 
     visit("", content, {})
     return with_units(tables)
-
-
-def _rates(struct: Mapping[str, Any]) -> Columns:
-    """Rates and steps of samples that a struct states."""
-    alone = {k: np.asarray(v) for k, v in struct.items() if (is_rate(k) or is_step(k)) and np.size(v) == 1}
-    return {k: c for k, v in alone.items() if (c := vector(v))}
 
 
 def _columns(content: Any) -> Any:

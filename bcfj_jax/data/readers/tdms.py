@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bcfj_jax.data.columns import Columns, Content, Refused, Sampled, Tables, sampled, text, vector
+from bcfj_jax.data.columns import Columns, Content, Refused, Sampled, Tables, sampled, stated, text, vector
 from bcfj_jax.data.tdms_segments import cut
 
 KINDS, LIBRARY = (".tdms",), "nptdms"
@@ -35,6 +35,9 @@ def read(file: str, wanted: str) -> Content:
                 tables |= _waves(group.name, columns, waves)
             else:
                 tables[group.name] = columns
+            beside = stated({k: v for k, v in {**content.properties, **group.properties}.items() if k != "name"})
+            for name in [n for n in tables if columns and (n == group.name or n.startswith(f"{group.name}/"))]:
+                tables[name] = {**beside, **tables[name]}
         lacking = cut(content.file_status, file)
     if any(line.startswith("Unsupported scale") for line in said):
         found = f"npTDMS cannot scale its values, {'; '.join(dict.fromkeys(said))[:200]}"
