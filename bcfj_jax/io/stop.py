@@ -207,7 +207,9 @@ def end_process(code: int) -> None:
     """End the process with this exit code, and do what is registered for its end. Python would take modules and programs apart
     first, which takes a third as long as to import JAX; under a profiler or a tracer, which write then, it does.
     """
-    if sys.getprofile() is None and sys.gettrace() is None:
+    monitoring = getattr(sys, "monitoring", None)  # Of Python 3.12 and later, whose profiler is no function.
+    profiled = monitoring is not None and monitoring.get_tool(monitoring.PROFILER_ID)
+    if not (profiled or sys.getprofile() or sys.gettrace()):
         atexit._run_exitfuncs()
         _end(code)
 
