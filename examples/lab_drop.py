@@ -1,6 +1,6 @@
 """Makes lab_drop.csv: a synthetic drop test, written as a German data logger writes it. Not a measurement.
 
-python examples/lab_drop.py    a 0.5 kg mass falls onto a pad at 1.1 m/s; scene `impact`, its weight too, 1 % noise of a fixed seed
+python examples/lab_drop.py    a 0.5 kg mass falls onto a pad at 1.1 m/s; scene `impact` with gravity, 1 % noise of a fixed seed
 
 The law that made it: stiffness 8e5 N/m^1.4, exponent 1.4, damping 0.12 s/m. docs/howto/data_files.md finds it again.
 """
