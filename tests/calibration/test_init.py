@@ -244,7 +244,7 @@ def test_a_german_lab_file_is_understood_and_what_it_lacks_is_asked_for(here):
     assert done.exit_code == 2 and 'write "0.5 kg"' in done.output
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_german_lab_file_goes_to_a_verdict_in_two_commands(here):
     Path("lab_drop.csv").write_bytes(LAB.read_bytes())
     assert init("lab_drop.csv", "--mass", "0.5 kg").exit_code == 0
