@@ -27,7 +27,7 @@ for _module in ("running", "fitting", "study", "files"):
 
 
 def command() -> None:
-    """Entry point of the command ``bcfj``, whose process ends with it: ``main`` for who has nothing else to do."""
+    """Entry point of the command ``bcfj``: ``main``, and the process ends with it."""
     try:
         main()
     except SystemExit as end:

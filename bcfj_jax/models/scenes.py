@@ -33,16 +33,8 @@ if TYPE_CHECKING:
 
 # Built-in scenes by the function that makes each of the keys of a file.
 _MECHANISMS = (
-    "impact",
-    "bounce",
-    "oblique_impact",
-    "backlash",
-    "chain",
-    "slider_crank",
-    "slider_guide",
-    "four_bar",
-    "hooke",
-)
+    "impact", "bounce", "oblique_impact", "backlash", "chain", "slider_crank", "slider_guide", "four_bar", "hooke",
+)  # fmt: skip
 _BUILT_IN = {name: name for name in _MECHANISMS} | {"joint": "joint_of_keys", "string": "string_of_keys"}
 # Public names by the module that holds them. It is imported when it is asked for: of a short command's time all of them
 # would take a twelfth.
@@ -56,9 +48,7 @@ _PUBLIC = {
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    value = getattr(importlib.import_module(f"{__package__}.{_PUBLIC[name]}"), name)
-    globals()[name] = value
-    return value
+    return getattr(importlib.import_module(f"{__package__}.{_PUBLIC[name]}"), name)
 
 
 def __dir__() -> list[str]:
