@@ -19,7 +19,7 @@ import typer.core
 from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
-from bcfj_jax.io import streams
+from bcfj_jax.io import second_process, streams
 from bcfj_jax.xla.surroundings import get_ready
 
 DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
@@ -91,6 +91,7 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
         from bcfj_jax.io import tables
 
         tables.read(Path(what))
+    second_process.begin(_drawing)
     with stage("importing JAX"):
         get_ready()
     if files:
@@ -98,6 +99,12 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
 
         for file in files:
             use_code(file)
+
+
+def _drawing() -> None:
+    from bcfj_jax.io import plots
+
+    plots.rehearse()
 
 
 class _Command(typer.core.TyperCommand):
@@ -174,7 +181,9 @@ def _done(run: Callable[[], int], as_json: bool) -> tuple[int, dict[str, Any]]:
 
     def noted() -> int:
         try:
-            return run()
+            code = run()
+            second_process.finish()
+            return code
         except InputError as error:
             document["error"] = {"where": error.where, "found": error.found, "remedy": error.remedy}
             raise

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
+from bcfj_jax.io import second_process
 from bcfj_jax.io.folder import Claim as Claim
 from bcfj_jax.io.folder import already_there, check_folder, unwritable
 from bcfj_jax.io.folder import inside as inside
@@ -64,6 +65,16 @@ def write_text(path: Path, text: str, place: Callable[[str, Path], None] = os.re
     """A UTF-8 file, atomically. What is no character, as in a file name of other bytes, is written as its escape."""
     with atomic(path, place) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def write_later(path: Path, function: Callable[..., bytes], *arguments: Any) -> None:
+    """What a function of a module gives, atomically; it is there when ``second_process.finish`` returns."""
+
+    def write(content: bytes) -> None:
+        with atomic(path) as temporary:
+            temporary.write_bytes(content)
+
+    second_process.later(write, function, *arguments)
 
 
 def placed(out: Path | None, name: str) -> Path:
@@ -119,7 +130,13 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
-    """As ``write_csv``, by columns of numbers (T,) or of texts that need no quotes: several times as fast."""
+    """As ``write_csv``, by columns of numbers (T,) or of texts that need no quotes: several times as fast. Of long tables
+    ``second_process.finish`` says when they are there.
+    """
+    write_later(path, _table, columns)
+
+
+def _table(columns: Mapping[str, np.ndarray | Sequence[str]]) -> bytes:
     texts = [
         ["" if x != x else repr(x) for x in column.tolist()] if isinstance(column, np.ndarray) else column
         for column in columns.values()
@@ -127,7 +144,7 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray | Sequence[str]])
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(columns)
     buffer.writelines(f"{line}\n" for line in map(",".join, zip(*texts, strict=True)))
-    write_text(path, buffer.getvalue())
+    return buffer.getvalue().encode("utf-8", "backslashreplace")
 
 
 def write_toml(path: Path, content: Mapping[str, Any], comment: str = "") -> None:

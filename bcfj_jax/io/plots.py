@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib.util
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, Unpack
 import numpy as np
 
 from bcfj_jax.core.errors import escaped
-from bcfj_jax.io.outputs import atomic
+from bcfj_jax.io.outputs import write_later
 from bcfj_jax.io.units import engineering as engineering
 from bcfj_jax.xla.threads import ahead
 
@@ -51,6 +52,13 @@ def load_fonts() -> None:
 def _import() -> None:
     import matplotlib.backends.backend_agg
     import matplotlib.figure  # noqa: F401
+
+
+def rehearse() -> None:
+    """Draw a small picture for nobody, so that modules and fonts are loaded."""
+    drawing, (axis,) = figure(1, width=1.0, height=1.0)
+    axis.set_title("a")
+    png(drawing)
 
 
 @contextmanager
@@ -177,13 +185,18 @@ class Kept:
 
 
 def save(drawing: Figure, path: Path | Kept, colours: int = 256) -> None:
-    """Write a PNG of so many colours, atomically: a third of the bytes of one with all colours, and no slower.
+    """Write a PNG (``png``), atomically; it is there when ``second_process.finish`` returns."""
+    if isinstance(path, Kept):
+        path.drawing = drawing
+    else:
+        write_later(path, png, drawing, colours)
+
+
+def png(drawing: Figure, colours: int = 256) -> bytes:
+    """A PNG of so many colours: a third of the bytes of one with all colours, and no slower.
 
     Pictures of many thin lines need 64, light fills 256; with 32 two of our colours become one.
     """
-    if isinstance(path, Kept):
-        path.drawing = drawing
-        return
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
@@ -194,5 +207,6 @@ def save(drawing: Figure, path: Path | Kept, colours: int = 256) -> None:
     # The palette's nearest to white is a shade darker than paper.
     palette = [255 if value >= 252 else value for value in few.getpalette() or []]
     few.putpalette(palette)
-    with atomic(path) as temporary:
-        few.save(temporary, format="png", compress_level=6)
+    found = io.BytesIO()
+    few.save(found, format="png", compress_level=6)
+    return found.getvalue()

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from bcfj_jax.core.errors import InputError
+from bcfj_jax.io import second_process
 from bcfj_jax.io.opening import LARGEST_TOML, content
 from bcfj_jax.io.outputs import inside, write_json, write_text
 from bcfj_jax.io.page import SIGNS, Listing, Page, Picture, Rows, Table, brief, from_content, model_form
@@ -68,6 +69,7 @@ def html(page: Page, folder: Path, drawn: Path | None = None) -> str:
     """
     from markupsafe import Markup  # HTML and CSS of this package, which is not escaped
 
+    second_process.finish()
     missing: list[str] = []
 
     def inline(pictures: Sequence[Picture]) -> list[dict[str, Any]]:

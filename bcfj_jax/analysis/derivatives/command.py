@@ -14,7 +14,7 @@ from bcfj_jax.analysis.derivatives.certificate import TRUSTED
 from bcfj_jax.analysis.derivatives.names import complete, derivative_unit, feature_unit
 from bcfj_jax.analysis.derivatives.sensitivity import Deriving, DerivingKeys, Sensitivity, posed, sensitivity
 from bcfj_jax.core.progress import stage
-from bcfj_jax.io import outputs, plots, report
+from bcfj_jax.io import outputs, plots, report, second_process
 from bcfj_jax.io.growing import COMPLETE, Growing
 from bcfj_jax.io.page import BAD, FAIR, GOOD, PLAIN, Page, Picture, Table, Verdict, counted
 from bcfj_jax.io.scenefile import load, shown
@@ -214,6 +214,7 @@ def write_histories(path: Path, scene: AbstractModel, found: Sensitivity) -> Non
             header += [f"d({part})/d({name}) [{unit}]" for part in parts]
             columns += list(np.where(found.times < _end(found, name), slope.T, np.nan))[: len(parts)]
     outputs.write_columns(path, dict(zip(header, columns, strict=True)))
+    second_process.finish()
 
 
 def _end(found: Sensitivity, name: str) -> float:

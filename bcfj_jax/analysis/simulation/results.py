@@ -14,7 +14,7 @@ import numpy as np
 from bcfj_jax.analysis import balance, envelope, features, life, plausibility
 from bcfj_jax.analysis.simulation import page, pictures
 from bcfj_jax.core.quantities import percent
-from bcfj_jax.io import outputs, report
+from bcfj_jax.io import outputs, report, second_process
 from bcfj_jax.io.page import Table, counted, model_form
 from bcfj_jax.io.scenefile import SceneFile
 from bcfj_jax.io.units import format_si
@@ -308,6 +308,7 @@ def write(folder: Path, given: SceneFile, run: Run, stem: str, framed: Sequence[
     accuracy = "".join(f"{line}\n" for line in lines)
     # What is missed stands first.
     balanced = "" if judged.verdict == balance.MISSED else f"{judged.sentence()}\n"
+    second_process.finish()
     return Written(f"{text}\n\n{balanced}{accuracy}", warnings, content, absurd)
 
 
