@@ -51,13 +51,18 @@ def begin(ready: Callable[[], object]) -> None:
     """Fork the second process, where that is safe and a core is free for it; it gets ``ready`` before it is waited for."""
     if sys.platform != "linux" or "jax" in sys.modules or threading.active_count() > 1 or cores() == 1:
         return
-    _Second.channel, there = Pipe()
-    if child := os.fork():
+    here, there = Pipe()
+    try:
+        child = os.fork()
+    except OSError:  # No room for one more.
+        return
+    if child:
         there.close()
+        _Second.channel = here
         atexit.register(_end, child)
         return
     try:
-        _Second.channel.close()
+        here.close()
         _serve(there, ready)
     finally:
         os._exit(0)

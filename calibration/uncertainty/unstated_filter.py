@@ -150,13 +150,18 @@ class _Sampled:
         """The least squares with a filter, and what is read nearby: by one step from ``near`` where that tells it, else by
         more from there on; the clock is not bound, for its bounds know no filter.
         """
-        residuals, jacobian = self.passed(near.rows, passed, cutoff)
-        step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
-        left, point = residuals + jacobian @ step, near.point + step
         clock = np.array([axis.name == "time_offset" for axis in self.model.coordinates])
-        # What the step leaves out is of second order in it.
-        if np.all(clock | ((point > 0.0) & (point < 1.0))) and np.sum((jacobian @ step) ** 2) < _LITTLE:
-            return Tried(passed, cutoff, point, float(left @ left), left, jacobian), near
+
+        def stepped(read: Read, residuals: np.ndarray, jacobian: np.ndarray) -> Tried | None:
+            """The fit by one step from here, where what the step leaves out, of second order in it, is little."""
+            step = -np.linalg.lstsq(jacobian, residuals, rcond=1e-12)[0]
+            left, point = residuals + jacobian @ step, read.point + step
+            if np.all(clock | ((point > 0.0) & (point < 1.0))) and np.sum((jacobian @ step) ** 2) < _LITTLE:
+                return Tried(passed, cutoff, point, float(left @ left), left, jacobian)
+            return None
+
+        if found := stepped(near, *self.passed(near.rows, passed, cutoff)):
+            return found, near
         read = near
 
         def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,12 +169,15 @@ class _Sampled:
             read = read if np.array_equal(u, read.point) else self.read(u)
             return self.passed(read.rows, passed, cutoff)
 
-        found = trust_region(
-            evaluate, np.where(clock, near.point, np.clip(near.point, 1e-9, 1.0 - 1e-9)),
-            (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0)), ftol=1e-5, xtol=1e-6, max_nfev=15,
-        )  # fmt: skip
-        square = float(found.residuals @ found.residuals)
-        return Tried(passed, cutoff, found.point, square, found.residuals, found.jacobian), read
+        begin, bounds = near.point, (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0))
+        for rough in (100.0, 1.0):
+            begin = np.where(clock, begin, np.clip(begin, 1e-9, 1.0 - 1e-9))
+            end = trust_region(evaluate, begin, bounds, ftol=1e-5 * rough, xtol=1e-6 * rough, max_nfev=15)
+            begin = end.point
+            if np.array_equal(begin, read.point) and (found := stepped(read, end.residuals, end.jacobian)):
+                return found, read
+        square = float(end.residuals @ end.residuals)
+        return Tried(passed, cutoff, end.point, square, end.residuals, end.jacobian), read
 
 
 def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Filter, cutoff: float) -> np.ndarray:
