@@ -19,7 +19,7 @@ import typer.core
 from bcfj_jax.cli.options import CHANGES, asked
 from bcfj_jax.core.errors import InputError
 from bcfj_jax.core.progress import Waiting, stage
-from bcfj_jax.io import second_process, streams
+from bcfj_jax.io import streams
 from bcfj_jax.xla.surroundings import get_ready
 
 DONE, FAILED, BAD_INPUT, SIMULATION_FAILED, INTERRUPTED = 0, 1, 2, 3, 5
@@ -91,6 +91,8 @@ def ready(files: list[Path] | None, what: str | Path = "") -> None:
         from bcfj_jax.io import tables
 
         tables.read(Path(what))
+    from bcfj_jax.io import second_process
+
     second_process.begin(_drawing)
     with stage("importing JAX"):
         get_ready()
@@ -182,7 +184,8 @@ def _done(run: Callable[[], int], as_json: bool) -> tuple[int, dict[str, Any]]:
     def noted() -> int:
         try:
             code = run()
-            second_process.finish()
+            if second := sys.modules.get("bcfj_jax.io.second_process"):
+                second.finish()
             return code
         except InputError as error:
             document["error"] = {"where": error.where, "found": error.found, "remedy": error.remedy}

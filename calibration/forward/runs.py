@@ -12,7 +12,7 @@ from jax import Array
 
 from bcfj_jax.analysis.derivatives.jacobian import channel_names
 from bcfj_jax.core.errors import InputError
-from bcfj_jax.mechanism.channels import Channel, channel, histories
+from bcfj_jax.mechanism.channels import Channel, channel, histories, unit_of
 from bcfj_jax.mechanism.model import AbstractModel, Params, Reading, Solution
 from bcfj_jax.solve.plan import Plan
 from bcfj_jax.solve.simulation import Run, outcome, story
@@ -121,9 +121,14 @@ def params_at(model: Model, point: np.ndarray) -> list[dict[str, float]]:
 
 
 def _spans(model: Model) -> np.ndarray:
-    """First and last time (E, 2) of each experiment in its own clock [s]; features are of a run from 0 on."""
-    times, seen = np.asarray(model.data.times), np.asarray(model.data.weights).max(axis=1, initial=0.0) > 0
+    """First and last time (E, 2) of each experiment in its own clock [s]; features are of a run from 0 on, and so is motion,
+    which contacts before its first reading have changed.
+    """
+    times, read = np.asarray(model.data.times), np.asarray(model.data.weights) > 0
+    seen, forces = np.any(read, axis=1), [unit_of(name) == "N" for name in model.channels]
     spans = np.array([[t[s].min(initial=np.inf), t[s].max(initial=-np.inf)] for t, s in zip(times, seen, strict=True)])
+    motion = ~read[:, forces].any(axis=(1, 2))
+    spans[motion, 0] = np.minimum(spans[motion, 0], 0.0)
     for i, observed in enumerate(model.observed_features):
         if observed.names:
             spans[i] = min(spans[i, 0], 0.0), max(spans[i, 1], observed.end)

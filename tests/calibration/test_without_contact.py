@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from bcfj_jax import Body, Mechanism
 from bcfj_jax.contact.gaps import PointOnPlane
+from bcfj_jax.core.quantities import Quantity
 from bcfj_jax.mechanism.contacts import Contact
 from bcfj_jax.mechanism.loads import Gravity, JointFriction, Spring
 from calibration import Channel, Experiment, Free, Problem, fit
@@ -104,3 +105,32 @@ def test_when_a_fit_is_of_contacts():
         assert of_contacts(one) is expected
         tests = whole_contact_test(one, [], False)
         assert [t.reason for t in tests] == (["no contact begins within the records"] if expected else [])
+
+
+@pytest.mark.full
+def test_a_velocity_after_the_contact_is_evidence_of_its_loss():
+    """A light gate reads the rebound once: no sample lies in contact, and none before it."""
+    k, loss, fall = 2e4, 0.3, 9.80665
+    ball = Body("ball", "slide", axis="y", mass=0.2, start={"position": "height"})
+    plate = Contact("plate", ("ground", "ball"), PointOnPlane("y"), "memory_free", smoothing=False)
+    scene = Mechanism(
+        "gate", [ball], [plate], [Gravity("-y")], own=[(Quantity("height", "m", "height", 0.0), 0.1)],
+        given={"stiffness": k, "exponent": 1.0, "damping": loss},
+    )  # fmt: skip
+
+    def late(height):
+        def rates(t, y):
+            depth = max(-y[0], 0.0)
+            return [y[1], k * depth * max(1.0 - loss * y[1], 0.0) / 0.2 - fall]
+
+        end = 1.3 * np.sqrt(2.0 * height / fall)
+        return end, solve_ivp(rates, (0.0, end), [height, 0.0], rtol=1e-10, atol=1e-13, max_step=2e-4).y[1, -1]
+
+    runs = []
+    for height, error in ((0.05, 1.0), (0.1, -1.0), (0.2, 0.5)):
+        end, speed = late(height)
+        read = Channel("ball.velocity.y", np.array([speed + 0.002 * error]), 0.002)
+        runs.append(Experiment(f"from {height}", np.array([end]), (read,), fixed={"height": height}))
+    found = fit(Problem(scene, scene.parameters(), tuple(runs), (Free("damping", 0.03, 3.0),)), starts=4)
+    low, high = found.parameters["damping"].ci95
+    assert found.verdict == "identified" and low < loss < high < 1.1 * low, found.reasons
