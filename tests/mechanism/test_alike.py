@@ -112,7 +112,7 @@ def answers(scene: Mechanism) -> tuple[dict, list[str]]:
         asked = [scene.observe, scene.flows, scene.motions, scene.proximity, scene.accounts]
         asked += [scene.approaches] if scene.remembered else []
         found = {one.__name__: one(t, y, prepared) for one in asked}
-        order.extend(found["observe"])
+        order[:] = found["observe"]
         field = lambda y: scene.vector_field(t, y, prepared)  # noqa: E731
         # Levers stand by rows of bodies; the scale has each one's.
         return found | {
