@@ -41,6 +41,18 @@ def _slice(x: Any, start_indices: Any, limit_indices: Any, strides: Any = None, 
     return x[tuple(slice(a, b, s) for a, b, s in zip(start_indices, limit_indices, steps, strict=True))]
 
 
+def _pad(x: Any, value: Any, padding_config: Sequence[tuple[int, int, int]]) -> Any:
+    """What differentiates ``x[k]``: zeros around it."""
+    if any(min(sides) < 0 for sides in padding_config):
+        raise Unknown("pad that cuts")
+    shape = [
+        low + n + max(n - 1, 0) * gap + high for n, (low, high, gap) in zip(np.shape(x), padding_config, strict=True)
+    ]
+    found = np.full(shape, value)
+    found[tuple(slice(low, m - high, gap + 1) for m, (low, high, gap) in zip(shape, padding_config, strict=True))] = x
+    return found
+
+
 def _dynamic_slice(x: Any, *starts: Any, slice_sizes: Sequence[int], **_: Any) -> Any:
     places = [int(np.clip(s, 0, n - k)) for s, n, k in zip(starts, np.shape(x), slice_sizes, strict=True)]
     return x[tuple(slice(s, s + k) for s, k in zip(places, slice_sizes, strict=True))]
@@ -92,6 +104,7 @@ _ELEMENTWISE: dict[str, Callable[..., Any]] = {
 _SHAPED: dict[str, Callable[..., Any]] = {
     "integer_pow": lambda x, y, **_: np.power(x, y) if y >= 0 else 1.0 / np.power(x, -y),
     "broadcast_in_dim": _broadcast, "slice": _slice, "dynamic_slice": _dynamic_slice, "gather": _gather, "dot_general": _dot,
+    "pad": _pad,
     "convert_element_type": lambda x, new_dtype, **_: x.astype(new_dtype),
     "reshape": lambda x, new_sizes, **_: np.reshape(x, new_sizes),
     "squeeze": lambda x, dimensions, **_: np.squeeze(x, tuple(dimensions)),
@@ -148,6 +161,9 @@ def _done(name: str, given: list[Any], params: Mapping[str, Any]) -> list[Any]:
         return [np.asarray(_ELEMENTWISE[name](*given))]
     if name in _SHAPED:
         return [np.asarray(_SHAPED[name](*given, **params))]
+    # It tells XLA what not to fuse.
+    if name == "optimization_barrier":
+        return given
     if name == "unstack":
         return list(np.moveaxis(given[0], params["axis"], 0))
     if name == "split":

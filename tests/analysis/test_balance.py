@@ -86,14 +86,15 @@ def check_rates(joints, touching, seed, more=False):
     """Momenta and energy change along the motion, which the mass matrix gives, at the rates that forces alone give."""
     scene, params = mechanism(joints, touching, seed, more=more)
 
-    def moved(t, y):
+    def moved(t, params):
         def values(t, y):
             found = scene.accounts(t, y, params)
             return {name: one.value for name, one in found.items()}, found
 
+        y = scene.initial_state(params)
         return jax.jvp(values, (t, y), (jnp.ones(()), scene.vector_field(t, y, params)), has_aux=True)[1:]
 
-    gain, found = by_numpy(moved)(jnp.asarray(0.37), scene.initial_state(params))
+    gain, found = by_numpy(moved)(jnp.asarray(0.37), params)
     assert len(found) == 1 + sum(len(b.rates) for b in scene.bodies)
     for name, one in found.items():
         assert float(gain[name]) == pytest.approx(float(one.rate), abs=1e-9 * (1.0 + float(one.size)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -163,6 +164,7 @@ def test_a_loose_tolerance_is_caught_and_tightened_away():
     assert all(c.average < 0.06 for c in climbed.certificate.parameters.values())
 
 
+@functools.cache
 def over_stated(height):
     """Pointwise errors of the derivatives of a drop from there, over the figures that the certificate states."""
     params = {**SOFT, "drop_height": jnp.asarray(height)}

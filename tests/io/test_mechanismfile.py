@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import re
 import runpy
 import tomllib
 from functools import partial
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import tomli_w
@@ -461,6 +463,31 @@ def test_numpy_sees_of_a_start_what_the_compiled_program_sees(kind, law):
         mine_all = host.evaluate(jax.make_jaxpr(partial(what, scene))(params), jax.tree.leaves(params))
         for mine, compiled in zip(mine_all, jax.tree.leaves(jax.jit(partial(what, scene))(params)), strict=True):
             np.testing.assert_allclose(mine, compiled, rtol=1e-12)
+
+
+def test_numpy_knows_what_a_gap_of_ones_own_is_made_of():
+    """A place that is not computed twice, and slopes of what reads its parts."""
+    own = bj.gaps.from_depth(lambda r, c: c["wall"] - jnp.hypot(r[0], r[1] - 0.2) + jnp.sum(r[1:] ** 2), ("wall",))
+    bob = bj.Body("bob", "hinge", center=(0.5, 0.0, 0.1), mass=2.0, inertia=0.01, start={"angle": -1.5})
+    touch = bj.Contact("touch", ("ground", "bob"), own, "hertz", at=((0, 0, 0), (0.5, 0, 0)))
+    scene = bj.Mechanism("own", [bob], [touch], given={"wall": 0.8, "stiffness": 1e6, "exponent": 1.5}, end=1.0)
+    params = scene.parameters()
+    y = scene.initial_state(params)
+    traced = jax.make_jaxpr(lambda y, p: scene.vector_field(0.0, y, p))(y, params)
+    assert {"optimization_barrier", "pad"} <= set(re.findall(r"\w+", str(traced)))
+    (found,) = host.evaluate(traced, jax.tree.leaves((y, params)))
+    wanted = jax.jit(lambda y, p: scene.vector_field(0.0, y, p))(y, params)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+    assert abs(found[1]) > 1.0
+
+
+def test_numpy_pads_as_xla_does():
+    x, sides = np.arange(6.0).reshape(2, 3), ((1, 2, 1), (0, 1, 2))
+    traced = jax.make_jaxpr(lambda x: jax.lax.pad(x, -1.0, sides))(x)
+    np.testing.assert_array_equal(host.evaluate(traced, [x])[0], jax.lax.pad(x, -1.0, sides))
+    cut = jax.make_jaxpr(lambda x: jax.lax.pad(x, 0.0, ((-1, 0, 0), (0, 0, 0))))(x)
+    with pytest.raises(host.Unknown, match="pad that cuts"):
+        host.evaluate(cut, [x])
 
 
 def test_a_primitive_unknown_to_numpy_is_named():

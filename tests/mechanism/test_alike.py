@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tiers
+from by_numpy import by_numpy
 
 from bcfj_jax import Body, Contact, Mechanism, gaps, loads
 from bcfj_jax.contact.laws import FRICTION
@@ -101,28 +102,29 @@ def heap(law: str, friction: str | None) -> Mechanism:
     return Mechanism("heap", *parts, given={name: (COEFFICIENTS | sizes).get(name, 10.0) for name in bare})
 
 
-def answers(scene: Mechanism) -> dict:
-    """Everything that a mechanism answers from its contacts, in a state in which some of them press."""
-    params = scene.parameters()
-    y = scene.initial_state(params)
-    places = sum(k or 1 for *_, k in scene._placed)
-    y = y + 1e-3 * jnp.asarray(np.random.default_rng(1).uniform(0.5, 1.0, y.size))
-    t, prepared = jnp.zeros(()), scene.prepare(params)
-    field = lambda y: scene.vector_field(t, y, prepared)  # noqa: E731
-    found = {
-        "start": scene.initial_state(params), "field": field(y), "slope": jax.jvp(field, (y,), (jnp.ones_like(y),))[1],
-        "readings": scene.observe(t, y, prepared), "flows": scene.flows(t, y, prepared),
-        "motions": scene.motions(t, y, prepared),
-        "proximity": scene.proximity(t, y, prepared), "accounts": scene.accounts(t, y, prepared),
-        "scale": scene.error_scale(params), "expected": scales.expected(scene, params), "places": places,
-        "suspects": scene.suspects({name: np.array([value, value]) for name, value in params.items()}),
-    }  # fmt: skip
-    return found | ({"approaches": scene.approaches(t, y, prepared)} if scene.remembered else {})
+def answers(scene: Mechanism) -> tuple[dict, list[str]]:
+    """Everything that a mechanism answers from its contacts, in a state in which some press; and its readings' order."""
+    params, order = scene.parameters(), []
 
+    def look(t, params):
+        start, prepared = scene.initial_state(params), scene.prepare(params)
+        y = start + 1e-3 * np.random.default_rng(1).uniform(0.5, 1.0, start.size)
+        asked = [scene.observe, scene.flows, scene.motions, scene.proximity, scene.accounts]
+        asked += [scene.approaches] if scene.remembered else []
+        found = {one.__name__: one(t, y, prepared) for one in asked}
+        order[:] = found["observe"]
+        field = lambda y: scene.vector_field(t, y, prepared)  # noqa: E731
+        # Levers stand by rows of bodies; the scale has each one's.
+        return found | {
+            "start": start, "field": field(y), "slope": jax.jvp(field, (y,), (jnp.ones_like(y),))[1],
+            "scale": scene.error_scale(params), "expected": scales.expected(scene, params)._replace(levers=[]),
+        }  # fmt: skip
 
-def without_levers(found: dict) -> dict:
-    """They stand by rows of bodies; the scale has each one's."""
-    return found | {"expected": found["expected"]._replace(levers=[])}
+    # Op by op each kind of operation would be compiled.
+    found = by_numpy(look)(jnp.zeros(()), params)
+    found["places"] = sum(k or 1 for *_, k in scene._placed)
+    found["suspects"] = scene.suspects({name: np.array([value, value]) for name, value in params.items()})
+    return found, order
 
 
 # In CI's tier the row, whose contacts and bodies are both side by side.
@@ -134,16 +136,17 @@ MACHINES = tiers.ci(itertools.product([tossed, row, heap], LAWS, FRICTIONS), (ro
 def test_a_mechanism_does_not_tell_which_contacts_are_alike(made, law, friction, monkeypatch):
     together = made(law, friction)
     assert len(together.bundles) < len(together.contacts)
+    found, order = answers(together)
     # The order of contacts is the mechanism's, whatever is computed with what.
-    assert list(answers(together)["readings"]) == [c.name for c in together.contacts]
-    found = without_levers(answers(together))
+    assert order == [c.name for c in together.contacts]
     monkeypatch.setattr(dynamics, "_alike", dynamics._alike.__wrapped__)
     monkeypatch.setattr(alike, "bundled", lambda contacts, members, kind: tuple(contacts))
     monkeypatch.setattr(rows, "rows", lambda bodies, tied: tuple(rows.Row(b.name, (b,)) for b in bodies))
     apart = made(law, friction)
     assert len(apart.bundles) == len(apart.contacts) and len(apart.rows) == len(apart.bodies)
-    other = without_levers(answers(apart))
-    force = np.stack([reading.force for reading in other["readings"].values()])
+    other, order = answers(apart)
+    assert order == [c.name for c in apart.contacts]
+    force = np.stack([reading.force for reading in other["observe"].values()])
     assert np.count_nonzero(force[:, 0]) > 1
     assert jax.tree.structure(found) == jax.tree.structure(other)
     for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(other), strict=True):

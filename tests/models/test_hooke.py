@@ -186,18 +186,28 @@ def test_turning_the_other_way_is_the_mirror_image():
         assert np.asarray(here[name].force)[:, 0].max() > 0.0
 
 
+VARIED = ("load_torque", "joint_angle", "stiffness")
+
+
+def turned(given):
+    """How much more than the drive the output has turned [rad], for values of parameters."""
+    params, times = SINGLE.parameters(QUICK) | given, np.linspace(0.0, 6e-3, 601)
+    found = reading_history(SINGLE, params, times, ["output.angle"], accuracy=1e-4)["output.angle"]
+    return found[-1] - params["drive_speed"] * times[-1]
+
+
+@functools.cache
+def along():
+    """Its derivative along a direction: one program for all parameters."""
+    return jax.jit(lambda values, way: jax.jvp(turned, (values,), (way,))[1])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["load_torque", "joint_angle", "stiffness"])
+@pytest.mark.parametrize("name", VARIED)
 def test_derivatives_are_those_of_differences(name):
     params = SINGLE.parameters(QUICK)
-    times = np.linspace(0.0, 6e-3, 601)
-
-    def turn(x):
-        found = reading_history(SINGLE, params | {name: x}, times, ["output.angle"], accuracy=1e-4)["output.angle"]
-        return found[-1] - params["drive_speed"] * times[-1]
-
-    value = params[name]
-    _, slope = jax.jvp(turn, (value,), (jnp.ones(()),))
+    values, value = {key: params[key] for key in VARIED}, params[name]
+    slope = along()(values, {key: jnp.where(key == name, 1.0, 0.0) for key in VARIED})
     step = 1e-2 * value
-    found = (turn(value + step) - turn(value - step)) / (2.0 * step)
+    found = (turned({name: value + step}) - turned({name: value - step})) / (2.0 * step)
     assert float(slope) == pytest.approx(float(found), rel=2e-2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,10 @@ import pytest
 
 from bcfj_jax.xla import programs
 
+# Maps that others hold count, too: with two fifths of all there are, fewer programs have to be made. XLA's optimisations,
+# which change no number of maps, are left out.
 CHILD = """
+import mmap
 from pathlib import Path
 import jax, jax.numpy as jnp, numpy as np
 import bcfj_jax
@@ -25,14 +29,17 @@ def sorted_often(n, x):
     return x
 
 taken = lambda: len(Path("/proc/self/maps").read_bytes().splitlines())
+limit = int(Path("/proc/sys/vm/max_map_count").read_text())
+held = [mmap.mmap(-1, 4096) for _ in range(2 * limit // 5)]
 most = before = taken()
-grown = 0
-for n in range(1000):
+assert before >= len(held)
+wanted, n = before, 0
+while wanted <= limit and n < 1000:
     run, _ = programs.program("sorted", sorted_often, (n,), (np.ones(3),))
     now = taken()
-    grown, most, before = grown + max(0, now - before), max(most, now), now
+    wanted, most, before, n = wanted + max(0, now - before), max(most, now), now, n + 1
     assert np.isfinite(run(np.ones(3))).all()
-print(grown, most, int(Path("/proc/sys/vm/max_map_count").read_text()))
+print(wanted, most, limit, n, n - len(programs._loaded))
 """
 
 
@@ -43,12 +50,13 @@ def double(n, x):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="memory maps are counted on Linux")
-def test_a_thousand_programs_do_not_end_the_process():
-    done = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, check=False)
+def test_more_programs_than_there_are_maps_do_not_end_the_process():
+    quick = {**os.environ, "XLA_FLAGS": "--xla_backend_optimization_level=0"}
+    done = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, check=False, env=quick)
     assert done.returncode == 0, done.stderr[-2000:]
-    grown, most, limit = map(int, done.stdout.split())
+    wanted, most, limit, made, dropped = map(int, done.stdout.split())
     # Kept, they would have needed more than there are.
-    assert grown > limit > most
+    assert wanted > limit > most and made > dropped > made // 2
 
 
 @pytest.fixture

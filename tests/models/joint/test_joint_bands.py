@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_numpy import by_numpy
 from joints import constants, made, plain_joint, unit
 from oracles import within
 
@@ -169,16 +170,17 @@ def test_equilibrium_is_found_where_the_cage_stands_on_two_edges():
 def test_matrix_of_equilibrium_is_the_derivative(options):
     scene = plain_joint(bands=True, fidelity="quasistatic", **options)
     params = scene.parameters(axial_load=1e3)
-    problem = posed(scene, params, jnp.array([0.06, 0.1]))
     rng, n = np.random.default_rng(4), scene.balls
     size = sum({"head": 3 * (scene.head == "free"), "turn": 1, "cage": 5 * (scene.cage == "free")}.values())
     at = Places(jnp.asarray(3e-5 * rng.normal(size=(3, n, 2))), jnp.asarray(1e-4 * rng.normal(size=(size, 2))))
 
-    def rest(coupling):
-        return balance(scene, problem, at._replace(coupling=coupling))[0].coupling
+    def both(at):
+        problem = posed(scene, params, jnp.array([0.06, 0.1]))
+        rest = lambda coupling: balance(scene, problem, at._replace(coupling=coupling))[0].coupling  # noqa: E731
+        return jax.jacfwd(rest)(at.coupling), balance(scene, problem, at)[1].coupling
 
-    wanted = np.asarray(jax.jacfwd(rest)(at.coupling))[:, [0, 1], :, [0, 1]].transpose(1, 2, 0)
-    found = np.asarray(balance(scene, problem, at)[1].coupling)
+    wanted, found = by_numpy(both)(at)
+    wanted = wanted[:, [0, 1], :, [0, 1]].transpose(1, 2, 0)
     assert np.allclose(found, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
 
 
@@ -196,8 +198,8 @@ def test_within_the_bands_latitudes_nothing_has_changed():
     y[head] = y[cage] - 7e-5 * across
     readings = []
     for scene in (full, banded):
-        look = jax.jit(lambda y, c, scene=scene: (scene.observe(0.0, y, c), scene.vector_field(0.0, y, c)))
-        readings.append(jax.device_get(look(jnp.asarray(y), scene.prepare(params))))
+        look = by_numpy(lambda y, c, scene=scene: (scene.observe(0.0, y, c), scene.vector_field(0.0, y, c)))
+        readings.append(look(y, scene.prepare(params)))
     (one, rates), (two, same) = readings
     assert np.allclose(rates, same, rtol=0, atol=5e-3 * np.abs(rates).max())
     for name in ("seat_cage", "head_cage"):
