@@ -20,7 +20,7 @@ from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
-from bcfj_jax.io.units import GRAVITIES, column
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, column
 from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
@@ -36,6 +36,8 @@ _MARKER = re.compile(r"(?i)\b[xyz]\d*$")
 _WHOLE = {"m/s": 1.5, "m": 4.0}
 # Times the noise from which on a contact is seen; a load that keeps so much of its greatest is no impact's.
 _SEEN, _SUSTAINED = 12.0, 0.5
+# Deviations of its noise from which on a body moves before contact.
+_MOVES = 5.0
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -84,6 +86,11 @@ class Run:
                 return None
             t, x = self.clock[seen[unit]], self.readings[unit][seen[unit]]
             found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
+            lever = np.sqrt(x.size) if unit == "m/s" else np.linalg.norm(t - t.mean())
+            if len(found) == 1 and abs(found[0]) * lever < _MOVES * scatter(
+                self.readings[unit][np.isfinite(self.readings[unit])]
+            ):
+                return None
         return found[0], found[1]
 
 
@@ -247,6 +254,7 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         # Who names a column in g as a reading means gravities: a mass is none.
         gravities = column(said)[1] in GRAVITIES and not headers.named(said, "N")
         stated = headers.read_unit(table, said) or next((u for u in headers.READ if headers.named(said, u)), None)
+        stated = "N" if column(said)[1] in WEIGHTS else stated
         unit = "m/s^2" if gravities else stated
         if unit not in headers.READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
