@@ -34,7 +34,7 @@ _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
 # A number with its unit.
 _AMOUNT = re.compile(r"([-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?) ?([^\W\d][^\s\d]*)")
 # A line drawn below names.
-_RULE = re.compile(r"[-=_+]{4,}")
+_RULE = re.compile(r":?[-=_+]{3,}:?|")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 

@@ -33,7 +33,7 @@ SWEEP = "sweep"
 # What is one number in each run, how high a body fell or how fast it struck: columns, or lines beside a table.
 _FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda|caduta|val(?=hoogte)|낙하|落下|跌落)"
 _HIGH = "(?:height|h(?:ö|oe)he|hoogte|높이|高さ|高度)"
-_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
+_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|fall|auf(?:prall|treff)\w*|choc|initial)"
 GIVEN = {
     "m/s": re.compile(
         rf"v[ _]?(?:0|i|impact)?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)"
@@ -110,7 +110,8 @@ class Record:
     def clock(self) -> str:
         """Header of the column of times; "" where there is none."""
         named = [(h, c) for h, c in zip(self.header, self.columns, strict=True) if h and is_time(h)]
-        of_days = ((h, c) for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
+        both = zip(self.header, self.columns, strict=True)
+        of_days = ((h, c) for h, c in both if c.dtype.kind in "mM" or of_day(c[:2].tolist()) is not None)
         # What stands still is when the record was made.
         return next((h for h, c in chain(named, of_days) if ticks(c)), "")
 
@@ -170,6 +171,7 @@ class Record:
         position = self.index(time, self.name)
         header, cells = self.header[position], self.columns[position]
         known = {column(header)[1], column(time)[1]} - {None} or is_of_day(next(iter(cells[:1].tolist()), ""))
+        known = known or cells.dtype.kind in "mM"
         return not known and since_1970(self._parsed(position, True)[0], header) == 1.0
 
     def texts(self, name: str, where: str) -> list[str]:

@@ -46,7 +46,7 @@ _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1
 _MASS = re.compile(
     r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|ram|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?(?:kg)?"
     r"|(?:impact\w*|hammer|strik\w*|drop\w*|fall\w*|tup|carriage|ram|pendul\w*|stoss\w*|schlag\w*)(?:weight|gewicht)"
-    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:충격체|낙하|추)?질량|(?:mass[ea]?|masa|hmotnost|质量|質量)(?:of(?:the)?|del?l?(?:[aeou]l?)?)?"
+    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:落下|衝撃体?)質量|(?:충격체|낙하|추)?질량|(?:mass[ea]?|masa|hmotnost|质量|質量)(?:of(?:the)?|del?l?(?:[aeou]l?)?)?"
     r"(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota|battente|tombante?|chute|mouton|cadente|caduta|caida|hammer|striker|drop\w*)?"
 )
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
@@ -271,7 +271,9 @@ def one_of(table: Record, header: str, unit: str) -> None:
         if moves:
             way = f'write their difference as a column "relative [{unit}]" alone, and give --mass and --struck-mass'
             raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')
-        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
+        # A sensor that clips reads less than one beside it.
+        largest = max(hits, key=lambda h: sizes[h])
+        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{largest}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
 
 

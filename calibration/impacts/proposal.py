@@ -119,6 +119,7 @@ class Understood:
     body: str = "body"  # whose acceleration is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
     vague: bool = False  # whether one height is stated, and no word says that the body fell from it
+    bare: bool = True  # whether its clock has no unit
     doubt: str = ""  # a statement that is not used, since the impulse is not as it says
 
 
@@ -212,6 +213,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         given=given,
         speeds=speeds,
         mass=headers.stated_mass(table),
+        bare=bool(time) and table.bare(time),
         falls=fallen,
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),

@@ -6,9 +6,11 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from bcfj_jax import InputError
 from bcfj_jax.data.columns import wrong_length
+from bcfj_jax.data.record import Record
 from bcfj_jax.data.textfile import Stated
 from benchmarks.calibration import instruments
 from calibration import init, problemfile
@@ -305,9 +307,36 @@ def test_a_place_that_is_noise_gives_no_speed(tmp_path):
     ("line", "mass"),
     [
         ("Impactor weight: 11 lb", 4.98952), ("Masse tombante : 25 kg", 25.0), ("Mass of the hammer: 2 kg", 2.0),
-        ("Specimen mass: 3 kg", None), ("Drop weight: 50 N", None),
+        ("[落下質量],10 kg", 10.0), ("Specimen mass: 3 kg", None), ("Drop weight: 50 N", None),
     ],
 )  # fmt: skip
 def test_the_mass_of_what_strikes_in_other_words(line, mass, tmp_path):
     found = said(tmp_path / "a.csv", f"{line}\n\n" + lines("t [ms],F [N]", TIMES, FORCE)).mass
     assert found == (pytest.approx(mass) if mass else None)
+
+
+def test_settings_in_brackets_and_rules_of_a_wiki_are_no_names(tmp_path):
+    rows = lines("", *[[f"{x:.4f}" for x in c] for c in (FORCE / 1e3, 0 * FORCE)])
+    head = "[サンプリング周波数(Hz)],20000\n[CH名称],荷重計,変位計\n[単位],kN,mm\n[レンジ],50kN,100mm\n[データ]"
+    found = said(tmp_path / "a.csv", head + rows)
+    assert found.columns == {"N": "荷重計 [kN]", "m": "変位計 [mm]"}
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=0.06)
+    wiki = [f"| {t} | {f:.3f} |" for t, f in zip(TIMES, FORCE, strict=True)]
+    assert said(tmp_path / "a.txt", "\n".join(["| t (ms) | F (N) |", "|-----:|---:|", *wiki])).time == "t (ms)"
+
+
+def test_units_that_stand_beside_a_matrix_and_a_clock_of_durations(tmp_path):
+    data = {"Data": np.c_[-FORCE / 4.4482216, FORCE], "ChanNames": np.array(["Load", "Trig"], object), "Fs": 20e3}
+    savemat(tmp_path / "a.mat", data | {"ChanUnits": np.array(["lbf", "V"], object)})
+    found = init.found_in(tmp_path / "a.mat", init.Said())
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, rtol=1e-6)
+    ticks = np.arange(0, 50_000 * COUNT, 50_000).astype("timedelta64[ns]")
+    table = Record(tmp_path / "a", ("elapsed", "F [N]"), (ticks, FORCE), np.arange(COUNT))
+    assert table.clock == "elapsed" and not table.bare("elapsed")
+
+
+def test_of_two_ranges_of_one_sensor_the_one_that_clips_is_not_offered(tmp_path):
+    with pytest.raises(InputError, match=r'--observe "F 20kN \[N\]"'):
+        said(
+            tmp_path / "a.csv", lines("t [ms],F 1kN [N],F 20kN [N]", TIMES, np.minimum(FORCE, 0.4 * FORCE.max()), FORCE)
+        )
