@@ -254,7 +254,8 @@ def _is_about(kind: tuple[str, ...], unnamed: bool) -> bool:
     words = [word for text in kind for word in re.findall(r"[^\W\d]+[^\s,;|\"']*", text)]
     cells = max(sum(c.strip(" '\"") == "\0" for c in line.split(SEPARATORS[s])) for s in SEPARATORS)
     arrows = any(re.fullmatch(r"[^\w;,|'\"]*[^\w\s;,|'\"][^\w;,|'\"]*", text) for text in kind[1:-1])
-    behind = unnamed and all(re.fullmatch(r"(?: [^\W\d]+)?[\s,;|]*", text) for text in kind[1:])  # "4.3 kg"
+    behind = unnamed and bool(words) and not re.search(r"\w", kind[0])
+    behind = behind and all(re.fullmatch(r"(?: [^\W\d]+)?[\s,;|]*", text) for text in kind[1:])  # "4.3 kg"
     return (arrows or behind or cells < len(kind) - 1) and all(map(known, words))
 
 

@@ -281,6 +281,12 @@ def test_flags_of_a_weighing_indicator_are_no_names(form, tmp_path):
     np.testing.assert_allclose(run.readings["N"], FORCE, atol=1e-3)
 
 
+def test_a_letter_before_numbers_is_no_unit_behind_one(tmp_path):
+    text = "\n".join(f"A {t} {f:.3f}" for t, f in zip(TIMES, FORCE, strict=True))
+    with pytest.raises(InputError, match="column 1, column 2, column 3"):
+        said(tmp_path / "a.txt", text)
+
+
 def test_a_value_within_an_object_has_its_name_and_unit(tmp_path):
     rows = [f'{{"t_us": {50 * k}, "load": {{"value": {f:.4f}, "unit": "N"}}}}' for k, f in enumerate(FORCE)]
     found = said(tmp_path / "a.jsonl", "\n".join(rows))
