@@ -332,7 +332,7 @@ def _in_two(table: Record) -> Record:
         if prefix and (name, "") in at:
             whole, parts = (table._parsed(at[name, p], True)[0] * _PARTS.get(p, 1e-6) for p in ("", prefix))
             times, within = whole - whole[:1] + parts, (whole == np.floor(whole)) & (parts >= 0.0) & (parts < 1.0)
-            if within.all() and (np.diff(times) > 0.0).all():
+            if within.all() and (np.diff(times) > 0.0).all() and (np.diff(whole) <= 0.0).any():
                 put = {at[name, ""]: ("time [s]", times)}
                 both = [put.get(j, pair) for j, pair in enumerate(zip(table.header, table.columns, strict=True))]
                 return replace(table, header=tuple(h for h, _ in both), columns=tuple(c for _, c in both))

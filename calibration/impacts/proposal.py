@@ -75,7 +75,7 @@ class Run:
         return float(np.mean(before)) if before.size >= 3 else rest(self.readings[unit]) or 0.0
 
     def speeds(self) -> tuple[float, float] | None:
-        """Speeds just before and after the first contact [m/s], from a velocity or else from a position."""
+        """Speeds just before and after the first contact [m/s], from a velocity or else a position that moves before it."""
         e, found = self.events[0], []
         span = max(0.75 * e.duration, 5.5 * e.step)
         for first, last in ((e.begin - span - e.step, e.begin - 0.1 * e.step), (e.end + e.step, e.end + span + e.step)):
@@ -84,13 +84,11 @@ class Run:
             unit = next((u for u, rows in seen.items() if np.count_nonzero(rows) >= 3), None)
             if unit is None:
                 return None
-            t, x = self.clock[seen[unit]], self.readings[unit][seen[unit]]
+            t, x, read = self.clock[seen[unit]], self.readings[unit][seen[unit]], self.readings[unit]
             found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
             lever = np.sqrt(x.size) if unit == "m/s" else np.linalg.norm(t - t.mean())
-            if len(found) == 1 and abs(found[0]) * lever < _MOVES * scatter(
-                self.readings[unit][np.isfinite(self.readings[unit])]
-            ):
-                return None
+            if len(found) < 2 and abs(found[0]) * lever < _MOVES * scatter(read[np.isfinite(read)]):
+                return None  # It stands still, as what holds the rig does.
         return found[0], found[1]
 
 
