@@ -498,7 +498,8 @@ def _other(found: Understood, kind: str) -> list[str]:
     columns, taken = _columns(found, kind)
     more = [f'"{name}" = "{h}"' for name, h in columns.items() if name not in taken]
     said = [f"It could observe more: {', '.join(more)}"] if more else []
-    bare = [h for h in (found.time, *(h.removeprefix("-") for h in found.columns.values())) if column(h)[1] is None]
+    bare = [h for h in (h.removeprefix("-") for h in found.columns.values()) if column(h)[1] is None]
+    bare[:0] = [found.time] * found.bare
     said += [f"CHECK: no unit is stated of {', '.join(bare)}; SI is taken"] if bare else []
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]

@@ -95,8 +95,9 @@ def group(columns: Columns, matrices: dict[str, np.ndarray]) -> Columns:
     longest = max((c.size for n, c in columns.items() if c.size > 1 and n not in texts), default=0)
     made: Columns = {}
     for name, values in matrices.items():
-        units = next((v.tolist() for n, v in texts.items() if n.lower() in UNIT_NAMES), ())
-        names = next((n for n, v in texts.items() if v.size == min(values.shape) and n.lower() not in UNIT_NAMES), "")
+        units = next((v.tolist() for n, v in texts.items() if n.lower().endswith(UNIT_NAMES)), ())
+        names = (n for n, v in texts.items() if v.size == min(values.shape) and not n.lower().endswith(UNIT_NAMES))
+        names = next(names, "")
         found = matrix(name, values, [str(text(t)) for t in texts[names].tolist()] if names else (), units)
         if found and longest <= max(values.shape):
             made |= found

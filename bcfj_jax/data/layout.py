@@ -31,8 +31,10 @@ _QUOTED_ROWS = 5
 _SPARSE = 0.02
 # Rows of a table, at least; rows of sums below one, at most; and how these are named.
 _FEWEST, _LAST_ROWS, _WORD = 8, 12, re.compile(r"\W*[^\W\d_]{3}[^\d]*")
+# A number with its unit.
+_AMOUNT = re.compile(r"([-+]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][-+]?\d+)?) ?([^\W\d][^\s\d]*)")
 # A line drawn below names.
-_RULE = re.compile(r"[-=_+]{4,}")
+_RULE = re.compile(r":?[-=_+]{3,}:?|")
 NO_ROWS = ("has no rows below a header", "give a file with a header and data")
 NO_NUMBERS = "a record has a column of times and one of readings; if it holds both, give separator, decimal or header"
 
@@ -127,6 +129,7 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     whole = [r for r in data if len(r.cells) >= last and all(map(is_missing, r.cells[wide:]))] or data
     if len(kept) < wide or any(len(r.cells) != wide for r in whole):
         whole = [r._replace(cells=[r.cells[j] if j < len(r.cells) else "" for j in kept]) for r in whole]
+    titles = _weighed(whole, titles, kept)
     columns = [[r.cells[j] for r in whole] for j in range(min(2, len(kept)))]
     named = preamble.in_words([titles[j] for j in kept], about)
     named = preamble.titled(named, facts, columns, bool(names))
@@ -137,6 +140,20 @@ def found(rows: Sequence[Row], file: File, header: Any = None) -> Layout:
     return Layout(
         tuple(named), whole, tuple(kept), lines_named, lines_united, above, comments, faults, facts, left
     )  # fmt: skip
+
+
+def _weighed(rows: list[Row], titles: list[str], kept: list[int]) -> list[str]:
+    """Titles with the unit that stands behind each number of a column, "-0.04 kg", which is taken off its cells."""
+    titles = [*titles]
+    for j, k in enumerate(kept):
+        if _AMOUNT.fullmatch(str(rows[0].cells[j])):
+            found = [_AMOUNT.fullmatch(str(r.cells[j])) for r in rows]
+            units = {m[2] if m else "" for m in found}
+            if len(units) == 1 and known(unit := units.pop()):
+                titles[k] = titles[k] if column(titles[k])[1] else f"{titles[k]} [{unit}]"
+                for row, m in zip(rows, found, strict=True):
+                    row.cells[j] = m[1] if m else ""
+    return titles
 
 
 def _table_alone(data: list[Row], top: list[Row], numeric: list[int]) -> tuple[list[Row], tuple[int, int] | None]:
@@ -333,8 +350,8 @@ def _is_units(cells: Sequence[Any], most: bool = False) -> bool:
         return False
     letters = [t for t in texts if len(t) == 1 and t not in _UNITS_OF_ONE_LETTER]
     bracketed = all(c.strip()[0] in "[(" for c in cells if isinstance(c, str) and c.strip())
-    # "t (ms)" and "t / ms" are names with their units.
-    count = sum(known(t) and not re.search(r"\w\s*[(\[]|\w\s+/\s+\w", t) for t in texts)
+    # "t (ms)", "t / ms" and "t in ms" are names with their units.
+    count = sum(known(t) and not re.search(r"\w\s*[(\[]|\w\s+(?:/|in)\s+\w", t) for t in texts)
     return (bracketed or not letters) and (count == len(texts) or (most and count >= max(2, 0.6 * len(texts))))
 
 

@@ -35,6 +35,7 @@ _BEFORE = re.compile(r"(?i)(?:channel|column|marker)?[_ ]?(?:names|headers?|labe
 _SAMPLED = re.compile(r"(?i)(?:sampled|recorded|abgetastet)(?: at| with| mit)? ([\d.]+ ?[kM]?(?:Hz|S/s))\b")
 # A number and its unit; a letter may be of a name, as in "1A".
 _AMOUNT = re.compile(r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)? ?([^\W\d_]{2}[^\s\d]*)")
+_KEY = re.compile(r"\[([^\]]{2,})\]")
 _INLINE = re.compile(r"\s*(\w+)\s*=\s*([-+.]?\d.*)")
 # Lines of a word and a line of a number, the rate: sections of Vicon's files.
 _SECTIONS = ("devices", "trajectories", "model outputs", "segments", "joints")
@@ -85,6 +86,8 @@ def states(cells: Sequence[Any]) -> bool:
         said = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and said) or (marked and _DATA.fullmatch(given[0]) is not None)
+    if len(given) > 1 and _KEY.fullmatch(given[0]) and not any(_KEY.fullmatch(c) for c in given[1:]):
+        return True
     if given and (given[0].endswith("=") or (len(given) == 2 and given[0].endswith(":"))):
         return True
     if given and clock.plain(given[0]) in _UNITS:
@@ -150,6 +153,7 @@ def inline(cells: Sequence[Any]) -> tuple[list[Any], Facts]:
 
 def _pairs(cells: Sequence[Any]) -> Iterator[tuple[str, str]]:
     filled = [str(c).strip() for c in cells if not is_missing(c)]
+    filled[:1] = [_KEY.sub(r"\1", c) for c in filled[:1]]
     if len(filled) > 1 and ":" not in filled[0].rstrip(": "):
         each = clock.plain(filled[0]) in (*_UNITS, *_SOURCES)
         yield filled[0].rstrip(":= "), "\t".join(filled[1:]) if each else filled[1]

@@ -33,7 +33,7 @@ SWEEP = "sweep"
 # What is one number in each run, how high a body fell or how fast it struck: columns, or lines beside a table.
 _FELL = "(?:drop|fall(?:ing)?|free fall|chute|ca[ií]da|queda|caduta|val(?=hoogte)|낙하|落下|跌落)"
 _HIGH = "(?:height|h(?:ö|oe)he|hoogte|높이|高さ|高度)"
-_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|aufprall\w*|choc|initial)"
+_STRUCK = r"(?:approach|impact\w*|strik\w*|drop|fall|auf(?:prall|treff)\w*|choc|initial)"
 GIVEN = {
     "m/s": re.compile(
         rf"v[ _]?(?:0|i|impact)?|(?:{_STRUCK} ?)?(?:speed|velocity|geschwindigkeit)"
@@ -52,6 +52,9 @@ IN_NAME = {
     HIGH: rf"(?:^|[\W_])(?:h|{_FELL}[ _]?{_HIGH}?|{_HIGH})[ _=:]*NUMBER([cm]?m)(?:$|[\W_])",
 }  # fmt: skip
 IN_SI = ("mat", "hdf5", "tdms")  # Readers of files of programs, whose numbers without a unit are in SI.
+# Whole seconds, or parts of them, by name.
+_SECONDS = re.compile(r"(?i)(.*?)(nano|micro|mikro|milli|[nuµμm])?[ _]?(?:s|secs?|seconds?|sekunden?)")
+_PARTS = {"": 1.0, "n": 1e-9, "nano": 1e-9, "m": 1e-3, "milli": 1e-3}
 # Rows of a run at least, and of all times the share within which the clocks of runs begin.
 _RUN_ROWS, _ANEW = 20, 0.05
 # Cells of one fault that a message quotes.
@@ -107,7 +110,8 @@ class Record:
     def clock(self) -> str:
         """Header of the column of times; "" where there is none."""
         named = [(h, c) for h, c in zip(self.header, self.columns, strict=True) if h and is_time(h)]
-        of_days = ((h, c) for h, c in zip(self.header, self.columns, strict=True) if of_day(c[:2].tolist()) is not None)
+        both = zip(self.header, self.columns, strict=True)
+        of_days = ((h, c) for h, c in both if c.dtype.kind in "mM" or of_day(c[:2].tolist()) is not None)
         # What stands still is when the record was made.
         return next((h for h, c in chain(named, of_days) if ticks(c)), "")
 
@@ -136,7 +140,10 @@ class Record:
         """Position of a column, by its full header, its name without the unit, or with one that the header has not."""
         bare = tuple(column(h) for h in self.header)
         own, asked = column(name)
-        unitless = [n == own and (unit is None or bool(asked and same(unit, asked))) for n, unit in bare]
+        unitless = [
+            n == own and (unit is None or bool(asked and (same(unit, asked) or WEIGHTS.get(unit) == asked)))
+            for n, unit in bare
+        ]
         for wanted, candidates in ((name, self.header), (name, [n for n, _ in bare]), (True, unitless)):
             found = [i for i, candidate in enumerate(candidates) if candidate == wanted]
             if len(found) > 1 and is_time(self.header[found[0]]) and self._alike(found):
@@ -146,6 +153,12 @@ class Record:
                 raise InputError(where, twice, "rename one in the file")
             if found:
                 return found[0]
+        # A text's names that stand again are numbered.
+        again = [k for k, (n, u) in enumerate(bare) if re.sub(r" \d+$", "", n) == own != n and asked in (None, u)]
+        if len(again) > 1:
+            twice = f"{len(again)} columns of {self.name} are headed '{name}'"
+            ways = " or ".join(f"'{self.header[k]}'" for k in again)
+            raise InputError(where, twice, f"give {ways}, or rename one in the file")
         known = [h for h in self.header if h]
         raise InputError(where, f"no column '{clip(name)}' in {self.name}", nearest(name, known))
 
@@ -158,6 +171,7 @@ class Record:
         position = self.index(time, self.name)
         header, cells = self.header[position], self.columns[position]
         known = {column(header)[1], column(time)[1]} - {None} or is_of_day(next(iter(cells[:1].tolist()), ""))
+        known = known or cells.dtype.kind in "mM"
         return not known and since_1970(self._parsed(position, True)[0], header) == 1.0
 
     def texts(self, name: str, where: str) -> list[str]:
@@ -310,8 +324,24 @@ def run_column(table: Record) -> str:
     return ""
 
 
+def _in_two(table: Record) -> Record:
+    """The table with one clock where whole seconds and their parts stand in two columns, "stamp.secs" and "stamp.nsecs"."""
+    found = [_SECONDS.fullmatch(h.rstrip(" )]")) for h in table.header]
+    at = {(m[1].lower().rstrip(" _"), (m[2] or "").lower()): j for j, m in enumerate(found) if m}
+    for name, prefix in at if "time [s]" not in table.header else ():
+        if prefix and (name, "") in at:
+            whole, parts = (table._parsed(at[name, p], True)[0] * _PARTS.get(p, 1e-6) for p in ("", prefix))
+            times, within = whole - whole[:1] + parts, (whole == np.floor(whole)) & (parts >= 0.0) & (parts < 1.0)
+            if within.all() and (np.diff(times) > 0.0).all() and (np.diff(whole) <= 0.0).any():
+                put = {at[name, ""]: ("time [s]", times)}
+                both = [put.get(j, pair) for j, pair in enumerate(zip(table.header, table.columns, strict=True))]
+                return replace(table, header=tuple(h for h, _ in both), columns=tuple(c for _, c in both))
+    return table
+
+
 def with_sweeps(table: Record) -> Record:
     """The table with a column "sweep", which numbers the runs where its clock begins anew; else as it is."""
+    table = _in_two(table)
     if not table.clock or run_column(table) or SWEEP in table.header:
         return table
     try:

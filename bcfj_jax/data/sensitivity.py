@@ -15,7 +15,10 @@ from bcfj_jax.data.columns import FULL_SCALE
 from bcfj_jax.io.units import COUNTS, GRAVITIES, scale_of
 
 _GIVE = 'say what it stands for: --sensitivity "10 mV/N" of init calibration, or sensitivity = "10 mV/N" under [[experiment]]'
-_FULL = 'say what full scale is: --full-scale "500 N" of init calibration, or full_scale = "500 N" under [[experiment]]'
+_FULL = (
+    'say what full scale is: --full-scale "500 N" of init calibration, or "10 V" with --sensitivity "10 mV/N"; '
+    'or full_scale = "500 N" under [[experiment]]'
+)
 NEEDED = {
     "": _GIVE, FULL_SCALE: _FULL, **dict.fromkeys(("pC", "nC", "C"), _GIVE.replace("mV/N", "pC/N")),
     "mV/V": _GIVE.replace("10 mV/N", "2 mV/V/kN"), **dict.fromkeys(("mA", "A"), _GIVE.replace("10 mV/N", "16 mA/kN")),
@@ -33,7 +36,7 @@ _ALIKE = {"Vdc": "V", "VDC": "V", "Volts": "V", "volts": "V", "Volt": "V", "volt
 # What a sensor may read, in SI.
 _READ = ("N", "m/s^2", "m/s", "m", "N m")
 _ONE = re.compile(r"(?:(?P<name>[^=]+?)\s*=\s*)?(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>\S.*?)\s*")
-_RIGHT_FULL = 'give one such as "500 N" or "100 g"'
+_RIGHT_FULL = 'give one such as "500 N" or "100 g", or "10 V" and the sensitivity'
 _RIGHT = 'give one such as "2.3 mV/N", "4 pC/N", "100 mV/g" or "100 N/V"'
 
 
@@ -66,9 +69,13 @@ class Sensitivities:
                 raise InputError(where, f"'{clip(one)}' is none", _RIGHT_FULL if full else _RIGHT)
             if found["name"] in (None, name):
                 number, named = float(found["number"]), bool(found["name"])
-                made = (
-                    _full(number, found["unit"], where) if full else _factor(number, found["unit"], unit, where, named)
-                )
+                if full and (volts := _scale(_ALIKE.get(found["unit"], found["unit"]), "V")) and self.stated:
+                    behind = self.of(name, "V")  # Of a converter: what stands before it is a sensor.
+                    made = behind and behind._replace(factor=number * volts * behind.factor)
+                elif full:
+                    made = _full(number, found["unit"], where)
+                else:
+                    made = _factor(number, found["unit"], unit, where, named)
                 if named:
                     return made
                 other = made or other

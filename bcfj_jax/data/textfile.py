@@ -53,6 +53,8 @@ _MARKED = re.compile(r"(?:^|(?<=[;,\t]))'(?=[-+.\d])|(?<=\d)'(?=[;,\t]|$)")
 _SAMPLE, _LONGEST_CELL = 1000, 8
 # Lines of a text that is read at one go where it holds numbers alone, and those in which its names are looked for.
 _LARGE, _HEAD = 50_000, 4000
+# What weighing indicators write before a number: stable or not, gross or net.
+_FLAGS = re.compile(r"(?<![^\s,;|])(?:(?:ST|US|UN|QT|GS|NT|TR|S [SDI])[\s,;|]+)+(?=[-+]?\s*\d)")
 # Characters of a line that is a text about numbers, cells of a row that is a channel, and how many lines are alike.
 _LONGEST_LINE, _LEAST_WIDE, _MOSTLY = 400, 80, 0.6
 
@@ -153,12 +155,15 @@ def table(
         for j in range(len(names)):
             columns.append(np.empty(lines.size, dtype=object))
             columns[j][:] = [r.cells[j] for r in layout.rows]
-    # A clock of each channel's own, before it: their names must differ.
-    for j, name in enumerate(names):
-        first = names.index(name)
+    # A clock of each channel's own, before it: their names must differ. Beside one clock names that stand again are numbered.
+    said, several = [*names], False
+    for j, name in enumerate(said):
+        first = said.index(name)
         if first < j and clock.is_time(name) and not np.array_equal(columns[first], columns[j]):
-            text, unit = column(name)
-            names[j] = f"{text} {j + 1}{f' [{unit}]' * bool(unit)}"
+            names[j], several = _with_number(name, j + 1), True
+    for j, name in enumerate(said if not several else ()):
+        if name and said.count(name) > 1 and not clock.is_time(name):
+            names[j] = _with_number(name, said[: j + 1].count(name))
     parts = [how]
     for count, what in ((layout.above, f"{counted}@ above the names"), (layout.comments, f"comment {counted}@")):
         if count:
@@ -179,13 +184,20 @@ def table(
     return with_sweeps(replace(made, found="; ".join(parts), facts=tuple(layout.facts)))
 
 
+def _with_number(name: str, number: int) -> str:
+    text, unit = column(name)
+    return f"{text} {number}{f' [{unit}]' * bool(unit)}"
+
+
 def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     """Lines that are one text about numbers, as logs and serial monitors write them, as the numbers; and rows of names and units.
 
     "12:30:01.123 -> 4.3,5.2", "t:50 us,F:4.3 N", "I (20) rig: F=4.3" and '{"t": 50, "F": 4.3}' as numbers, where no separator
     alone parts all of these from the text.
     """
-    for pattern, right in ((_JOINED, r"\1 "), (_MARKED, "")):
+    for pattern, right in ((_JOINED, r"\1 "), (_MARKED, ""), (_FLAGS, "")):
+        if pattern is _FLAGS and not _FLAGS.search("".join(lines[:1])):
+            continue  # A name may stand above a flag.
         if sum(pattern.search(line) is not None for line in lines[:_SAMPLE]) > 0.3 * len(lines[:_SAMPLE]):
             lines = [pattern.sub(right, line) for line in lines]
     some = [line for line in lines[:_SAMPLE] if line.strip() and len(line) <= _LONGEST_LINE]
@@ -197,11 +209,11 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
 
     kinds = Counter(map(parts, some))
     kind, count = kinds.most_common(1)[0] if kinds else (("",), 0)
-    if count < _MOSTLY * len(some) or not _is_about(kind):
+    if count < _MOSTLY * len(some) or not _is_about(kind, parts("".join(some[:1])) == kind):
         return lines, []
     signs = ["".join(c for c in text if c in ("\t;,|" if pointed else "\t;|"))[:1] for text in kind[1:]]
     usual = next(filter(None, signs), "\t")
-    signs[:-1] = [sign or usual for sign in signs[:-1]]
+    signs = [*(sign or usual for sign in signs[:-1]), ""]
     # One sign between all numbers, as "&" or "->", parts names, too.
     parting = {text.strip() for text in kind[1:-1]}
     sign = parting.pop() if len(parting) == 1 and not re.search(r"[\w\t;,|]", "".join(parting)) else ""
@@ -220,7 +232,7 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
         )
     names = [(_BEFORE.search(re.split(r"[;,|{]", text)[-1]) or ["", ""])[1].strip() for text in kind[:-1]]
     named = any(names)
-    if len(set(names)) < len(names):
+    if len(set(names)) < len(names) or "value" in names:
         opened = [(_OPENED.match(text) or ["", ""])[1] for text in kind]
         names = [f"{a} {b}".strip() for a, b in zip(opened, names, strict=False)]
     names = [name or f"column {k}" for k, name in enumerate(names, 1)]
@@ -231,8 +243,8 @@ def numbered(lines: list[str]) -> tuple[list[str], list[Row]]:
     return made, [Row(first, [*row]) for row in (names, units) if any(row)]
 
 
-def _is_about(kind: tuple[str, ...]) -> bool:
-    """Whether the texts about the numbers of a line are more than what separates cells."""
+def _is_about(kind: tuple[str, ...], unnamed: bool) -> bool:
+    """Whether the texts about the numbers of a line are more than what separates cells; ``unnamed``: no line is above them."""
     line = "\0".join(kind)
     if not re.search(r"[^\s\0,;|'\"]", line):
         return False
@@ -242,7 +254,9 @@ def _is_about(kind: tuple[str, ...]) -> bool:
     words = [word for text in kind for word in re.findall(r"[^\W\d]+[^\s,;|\"']*", text)]
     cells = max(sum(c.strip(" '\"") == "\0" for c in line.split(SEPARATORS[s])) for s in SEPARATORS)
     arrows = any(re.fullmatch(r"[^\w;,|'\"]*[^\w\s;,|'\"][^\w;,|'\"]*", text) for text in kind[1:-1])
-    return (arrows or cells < len(kind) - 1) and all(map(known, words))
+    behind = unnamed and bool(words) and not re.search(r"\w", kind[0])
+    behind = behind and all(re.fullmatch(r"(?: [^\W\d]+)?[\s,;|]*", text) for text in kind[1:])  # "4.3 kg"
+    return (arrows or behind or cells < len(kind) - 1) and all(map(known, words))
 
 
 def _upright(rows: list[Row], file: File) -> tuple[list[Row], File]:

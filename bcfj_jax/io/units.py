@@ -30,7 +30,7 @@ _INSIDE = re.compile(r"(.*?[^\s/])\s*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s+([^\s()\[\]
 _BEHIND_SLASH = re.compile(r"(.*?\S)\s*/\s*(\S.*)")
 _LAST_WORD = re.compile(r"(.*?[^\s,_/])(?:\s*,\s*|\s+in\s+|[\s_]+)([^\s_]+)")
 # "speed_mm_s" and "acc_m_s2": a slash is no letter of names in programs.
-_PER_SECOND = re.compile(r"(.*?[^\s_])_(mm|cm|m|ft)_(?:per_)?s(?:\^?(2))?")
+_PER_SECOND = re.compile(r"(.*?[^\s_])_(mm|cm|m|ft)_?(?:p|per_|(?<=_))s(?:\^?(2))?")
 # "Force (A)" and "F/B" name a sensor, not a unit.
 _LETTERS = tuple("ABCDEFGHLMQRSTXYZ")
 # Units that no header ends in by chance.

@@ -40,12 +40,14 @@ READ = {"N": "contact.normal", "m/s^2": "body.acceleration.x", "m/s": "body.velo
 # How long contacts of impacts last [s]; a clock that states no unit is asked for it elsewhere.
 _LASTS = (3e-6, 0.3)
 # A range over the noise that is a hit's, and the share by which another hit differs.
-_STANDS_OUT, _AS_MUCH = 12.0, 0.04
+_STANDS_OUT, _AS_MUCH, _LEVELS = 12.0, 0.04, 8
 _CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0, "s": 1.0}
 # What strikes, and not what is struck.
 _MASS = re.compile(
-    r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?"
-    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:충격체|낙하|추)?질량|(?:mass[ea]|masa|hmotnost|质量|質量)(?:del?l?(?:[aeo]l?)?)?(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota|battente)?"
+    r"(?:total|test|impact\w*|hammer|strik\w*|drop\w*|fall\w*|moving|tup|carriage|ram|pendul\w*|stoss\w*|schlag\w*)?mass[ea]?(?:kg)?"
+    r"|(?:impact\w*|hammer|strik\w*|drop\w*|fall\w*|tup|carriage|ram|pendul\w*|stoss\w*|schlag\w*)(?:weight|gewicht)"
+    r"|(?:[落冲摆]?锤体?|冲头)质量|(?:落下|衝撃体?)質量|(?:충격체|낙하|추)?질량|(?:mass[ea]?|masa|hmotnost|质量|質量)(?:of(?:the)?|del?l?(?:[aeou]l?)?)?"
+    r"(?:martillo|marteau|martelo|mazza|mobile|impact\w*|percut\w*|carro|bijaka|młota|battente|tombante?|chute|mouton|cadente|caduta|caida|hammer|striker|drop\w*)?"
 )
 # A sensitivity's column and electric unit, or that of counts, whichever side it is on.
 _STATED = re.compile(
@@ -233,7 +235,9 @@ def pulsing(table: Record, clock: str) -> str:
     def stands_out(header: str) -> float:
         values = values_of(table, header, "1")
         values = values[np.isfinite(values)] / max(float(np.abs(values[np.isfinite(values)]).max(initial=0.0)), 1e-300)
-        return float(np.ptp(values) / max(scatter(values), 1e-3 * np.ptp(values), 1e-300)) if values.size else 0.0
+        # What has few levels is a switch, or one number in each run.
+        levels = np.unique(values).size
+        return float(np.ptp(values) / max(scatter(values), 1e-3 * np.ptp(values), 1e-300)) if levels > _LEVELS else 0.0
 
     bare = [h for h in table.header if h not in ("", SWEEP, clock) and column(h)[1] is None and not rises(table, h)]
     bare = [h for h in bare if is_numeric(table.columns[table.header.index(h)])]
@@ -267,7 +271,9 @@ def one_of(table: Record, header: str, unit: str) -> None:
         if moves:
             way = f'write their difference as a column "relative [{unit}]" alone, and give --mass and --struck-mass'
             raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')
-        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{hits[0]}"'
+        # A sensor that clips reads less than one beside it.
+        largest = max(hits, key=lambda h: sizes[h])
+        ways = f'--runs-by columns where each is a run; else the one to be read, --observe "{largest}"'
         raise InputError(table.name, f"{len(hits)} columns hold a contact each: {which}", f"say what they are: {ways}")
 
 

@@ -13,7 +13,7 @@ from bcfj_jax.io.units import column, format_si
 _NAMES = {
     "force": re.compile(r"(?i)(?:force[ _-]?|f)([xyz])[ _-]?\d*"),
     "moment": re.compile(r"(?i)(?:moment[ _-]?|m)([xyz])[ _-]?\d*"),
-    "pressure": re.compile(r"(?i)(?:cop|cofp|c|a)[ _-]?([xyz])[ _-]?\d*"),
+    "pressure": re.compile(r"(?i)(?:cof?p\W*[ca]?|[ca])[ _-]?([xyz])[ _-]?\d*"),
 }
 _UNITS = {"pressure": "m", "moment": "N m"}
 

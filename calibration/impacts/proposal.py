@@ -20,7 +20,7 @@ from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.data.clock import TIMES, evened
 from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
-from bcfj_jax.io.units import GRAVITIES, column
+from bcfj_jax.io.units import GRAVITIES, WEIGHTS, column
 from calibration.impacts import headers, plates
 from calibration.impacts.events import Event, contacts, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
@@ -36,6 +36,8 @@ _MARKER = re.compile(r"(?i)\b[xyz]\d*$")
 _WHOLE = {"m/s": 1.5, "m": 4.0}
 # Times the noise from which on a contact is seen; a load that keeps so much of its greatest is no impact's.
 _SEEN, _SUSTAINED = 12.0, 0.5
+# Deviations of its noise from which on a body moves before contact.
+_MOVES = 5.0
 # Readings that are a channel.
 _FEWEST = 3
 
@@ -73,7 +75,7 @@ class Run:
         return float(np.mean(before)) if before.size >= 3 else rest(self.readings[unit]) or 0.0
 
     def speeds(self) -> tuple[float, float] | None:
-        """Speeds just before and after the first contact [m/s], from a velocity or else from a position."""
+        """Speeds just before and after the first contact [m/s], from a velocity or else a position that moves before it."""
         e, found = self.events[0], []
         span = max(0.75 * e.duration, 5.5 * e.step)
         for first, last in ((e.begin - span - e.step, e.begin - 0.1 * e.step), (e.end + e.step, e.end + span + e.step)):
@@ -82,8 +84,11 @@ class Run:
             unit = next((u for u, rows in seen.items() if np.count_nonzero(rows) >= 3), None)
             if unit is None:
                 return None
-            t, x = self.clock[seen[unit]], self.readings[unit][seen[unit]]
+            t, x, read = self.clock[seen[unit]], self.readings[unit][seen[unit]], self.readings[unit]
             found.append(float(np.median(x)) if unit == "m/s" else float(np.polyfit(t, x, 1)[0]))
+            lever = np.sqrt(x.size) if unit == "m/s" else np.linalg.norm(t - t.mean())
+            if len(found) < 2 and abs(found[0]) * lever < _MOVES * scatter(read[np.isfinite(read)]):
+                return None  # It stands still, as what holds the rig does.
         return found[0], found[1]
 
 
@@ -112,6 +117,7 @@ class Understood:
     body: str = "body"  # whose acceleration is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
     vague: bool = False  # whether one height is stated, and no word says that the body fell from it
+    bare: bool = True  # whether its clock has no unit
     doubt: str = ""  # a statement that is not used, since the impulse is not as it says
 
 
@@ -205,6 +211,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         given=given,
         speeds=speeds,
         mass=headers.stated_mass(table),
+        bare=bool(time) and table.bare(time),
         falls=fallen,
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
@@ -247,6 +254,7 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
         # Who names a column in g as a reading means gravities: a mass is none.
         gravities = column(said)[1] in GRAVITIES and not headers.named(said, "N")
         stated = headers.read_unit(table, said) or next((u for u in headers.READ if headers.named(said, u)), None)
+        stated = "N" if column(said)[1] in WEIGHTS else stated
         unit = "m/s^2" if gravities else stated
         if unit not in headers.READ:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'

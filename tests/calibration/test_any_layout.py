@@ -131,6 +131,13 @@ def test_a_full_scale_and_a_sensitivity_that_the_file_states(tmp_path):
     stated = Stated(full_scale="channel 1 = 2 kN, channel 2 = 400 g")
     table = read(path, "record", None, stated)
     assert [table.unit(h) for h in table.header] == ["s", "N", "m/s^2"]
+    # The full scale of a converter, and the sensor before it: 10 V / 5 mV/N are 2000 N.
+    stated = Stated(full_scale="10 V", sensitivity="5 mV/N, channel 2 = 25 mV/N")
+    table = read(path, "record", None, stated)
+    for header, factor in zip(table.header[1:], (1.0, -0.1), strict=True):
+        np.testing.assert_allclose(table.numbers(header, "N", "", True), factor * FORCE, atol=1e-3)
+    with pytest.raises(InputError, match='or "10 V" and the sensitivity'):
+        read(path, "record", None, Stated(full_scale="10 V")).numbers("channel 1", "N", "", True)
 
 
 ROWS = [f"{f:.3f},{0.01 * (k % 7):.2f}" for k, f in enumerate(FORCE)]

@@ -6,9 +6,11 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from bcfj_jax import InputError
 from bcfj_jax.data.columns import wrong_length
+from bcfj_jax.data.record import Record
 from bcfj_jax.data.textfile import Stated
 from benchmarks.calibration import instruments
 from calibration import init, problemfile
@@ -230,3 +232,117 @@ def test_pixels_and_counts_are_no_lengths_and_no_forces(tmp_path):
     said = init.Said(stated=Stated(sensitivity="85 counts/N"), hints=Hints(observe="force [counts]"))
     read = init.found_in(tmp_path / "a.csv", said).records[0].readings["N"]
     np.testing.assert_allclose(read, FORCE, atol=0.01)
+
+
+def said(path, text, **stated):
+    path.write_text(text)
+    return init.found_in(path, init.Said(stated=Stated(**stated)))
+
+
+def lines(head, *columns):
+    return "\n".join([head, *(",".join(map(str, row)) for row in zip(*columns, strict=True))])
+
+
+def test_seconds_and_their_parts_in_two_columns_are_one_clock(tmp_path):
+    ticks = 987_654_321 + 50_000 * np.arange(COUNT)
+    whole, part = 1_741_684_000 + ticks // 10**9, ticks % 10**9
+    for names in ("stamp.secs,stamp.nsecs", "tv_sec,tv_nsec", "Seconds,Nanoseconds", "Time (s),Time (ns)"):
+        (run,) = said(tmp_path / "a.csv", lines(f"{names},F [N]", whole, part, FORCE)).records
+        np.testing.assert_allclose(run.clock - run.clock[0], STEP * np.arange(COUNT), atol=1e-8)
+    # Milliseconds since the start beside seconds since the start are no parts of these.
+    ms = 0.05 * np.arange(COUNT)
+    found = said(tmp_path / "a.csv", lines("time_s,time_ms,F [N]", ms / 1e3, ms, FORCE))
+    assert found.time == "time_ms" and np.diff(found.records[0].clock) == pytest.approx(STEP)
+
+
+def test_names_that_stand_twice_beside_one_clock_are_numbered(tmp_path):
+    text = lines("t [ms],Fx [N],Fz [N],Fx [N],Fz [N]", TIMES, 0 * FORCE, 1.0 + 0 * FORCE, 0.1 * FORCE, FORCE)
+    assert said(tmp_path / "a.csv", text).columns == {"N": "Fz 2 [N]"}
+    with pytest.raises(InputError, match=r"2 columns .* 'Fz \[N\]'; give 'Fz 1 \[N\]' or 'Fz 2 \[N\]'"):
+        init.found_in(tmp_path / "a.csv", init.Said(hints=Hints(observe="Fz [N]")))
+    units = lines("V1,,V2,", ["t in ms", *TIMES], ["F in kN", *KN], ["t in ms", *TIMES], ["F in kN", *KN])
+    found = said(tmp_path / "a.csv", units)
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "form", ["{2},{3},{1:+010.4f}kg", "{0} {2},{3},{1:+010.4f} kg", "{0},{2},{3},{1:+.4f} kg", "S {4} {1:10.4f} kg"]
+)
+def test_flags_of_a_weighing_indicator_are_no_names(form, tmp_path):
+    stamped = [f"10:02:03.{50 * k // 1000:03d}{50 * k % 1000:03d}" for k in range(COUNT)]
+    weights, step = FORCE / 9.80665, np.abs(np.diff(FORCE, prepend=0.0)) < 1.0
+    flags = [("ST" if still else "US", "GS", "S" if still else "D") for still in step]
+    rows = [form.format(t, w, *f) for t, w, f in zip(stamped, weights, flags, strict=True)]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(rows))
+    hints = Hints(observe=f"column {2 if '{0}' in form else 1} [kgf]")
+    stated = Stated(rate=None if "{0}" in form else "20 kHz")
+    (run,) = init.found_in(path, init.Said(stated=stated, hints=hints)).records
+    np.testing.assert_allclose(run.readings["N"], FORCE, atol=1e-3)
+
+
+def test_a_letter_before_numbers_is_no_unit_behind_one(tmp_path):
+    text = "\n".join(f"A {t} {f:.3f}" for t, f in zip(TIMES, FORCE, strict=True))
+    with pytest.raises(InputError, match="column 1, column 2, column 3"):
+        said(tmp_path / "a.txt", text)
+
+
+def test_a_value_within_an_object_has_its_name_and_unit(tmp_path):
+    rows = [f'{{"t_us": {50 * k}, "load": {{"value": {f:.4f}, "unit": "N"}}}}' for k, f in enumerate(FORCE)]
+    found = said(tmp_path / "a.jsonl", "\n".join(rows))
+    assert found.columns == {"N": "load value [N]"}
+
+
+def test_what_has_few_levels_is_not_offered_as_a_reading(tmp_path):
+    with pytest.raises(InputError, match=r'--observe "Channel 0 \[N\]"'):
+        said(
+            tmp_path / "a.csv", lines("Time [s],Channel 0,Channel 1", STEP * np.arange(COUNT), FORCE, 3.3 * (FORCE > 9))
+        )
+
+
+def test_a_place_that_is_noise_gives_no_speed(tmp_path):
+    noise = 4.0 + 1e-3 * np.random.default_rng(0).normal(size=COUNT)
+    head = "Vitesse d'impact : 0.55 m/s\n\n"
+    found = said(tmp_path / "a.csv", head + lines("t [ms],F [N],Depl [mm]", TIMES, FORCE, noise))
+    assert found.records[0].speeds() is None and found.speeds == (0.55,)
+    moves = lines("t [ms],F [N],Depl [mm]", TIMES, FORCE, noise + 0.55 * 0.05 * np.arange(COUNT))
+    assert said(tmp_path / "a.csv", moves).records[0].speeds()[0] == pytest.approx(0.55, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("line", "mass"),
+    [
+        ("Impactor weight: 11 lb", 4.98952), ("Masse tombante : 25 kg", 25.0), ("Mass of the hammer: 2 kg", 2.0),
+        ("[落下質量],10 kg", 10.0), ("Specimen mass: 3 kg", None), ("Drop weight: 50 N", None),
+    ],
+)  # fmt: skip
+def test_the_mass_of_what_strikes_in_other_words(line, mass, tmp_path):
+    found = said(tmp_path / "a.csv", f"{line}\n\n" + lines("t [ms],F [N]", TIMES, FORCE)).mass
+    assert found == (pytest.approx(mass) if mass else None)
+
+
+def test_settings_in_brackets_and_rules_of_a_wiki_are_no_names(tmp_path):
+    rows = lines("", *[[f"{x:.4f}" for x in c] for c in (FORCE / 1e3, 0 * FORCE)])
+    head = "[サンプリング周波数(Hz)],20000\n[CH名称],荷重計,変位計\n[単位],kN,mm\n[レンジ],50kN,100mm\n[データ]"
+    found = said(tmp_path / "a.csv", head + rows)
+    assert found.columns == {"N": "荷重計 [kN]", "m": "変位計 [mm]"}
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, atol=0.06)
+    wiki = [f"| {t} | {f:.3f} |" for t, f in zip(TIMES, FORCE, strict=True)]
+    assert said(tmp_path / "a.txt", "\n".join(["| t (ms) | F (N) |", "|-----:|---:|", *wiki])).time == "t (ms)"
+
+
+def test_units_that_stand_beside_a_matrix_and_a_clock_of_durations(tmp_path):
+    data = {"Data": np.c_[-FORCE / 4.4482216, FORCE], "ChanNames": np.array(["Load", "Trig"], object), "Fs": 20e3}
+    savemat(tmp_path / "a.mat", data | {"ChanUnits": np.array(["lbf", "V"], object)})
+    found = init.found_in(tmp_path / "a.mat", init.Said())
+    np.testing.assert_allclose(found.records[0].readings["N"], FORCE, rtol=1e-6)
+    ticks = np.arange(0, 50_000 * COUNT, 50_000).astype("timedelta64[ns]")
+    table = Record(tmp_path / "a", ("elapsed", "F [N]"), (ticks, FORCE), np.arange(COUNT))
+    assert table.clock == "elapsed" and not table.bare("elapsed")
+
+
+def test_of_two_ranges_of_one_sensor_the_one_that_clips_is_not_offered(tmp_path):
+    with pytest.raises(InputError, match=r'--observe "F 20kN \[N\]"'):
+        said(
+            tmp_path / "a.csv", lines("t [ms],F 1kN [N],F 20kN [N]", TIMES, np.minimum(FORCE, 0.4 * FORCE.max()), FORCE)
+        )
