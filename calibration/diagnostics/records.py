@@ -140,16 +140,14 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
         for channel in experiment.channels:
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)
-            contact = channel.observes.partition(".")[0]
-            touching, durations = np.zeros(own.size, dtype=bool), np.zeros(0)
-            own_contacts = [c for c in seen if c.experiment == i]
-            # A body feels every contact.
+            clock, contacts = np.asarray(model.data.times)[i, own], [c for c in seen if c.experiment == i]
+            touching, durations = np.full(own.size, everywhere), np.zeros(0)
             if everywhere:
-                touching, durations = np.ones(own.size, dtype=bool), _half_a_wave(experiment.times, channel.values)
-            elif felt := [c for c in own_contacts if c.name == contact] or own_contacts:
+                durations = _half_a_wave(experiment.times, channel.values)
+            # A body feels every contact.
+            elif felt := [c for c in contacts if c.name == channel.observes.partition(".")[0]] or contacts:
                 mine = together(felt)
-                clock = np.asarray(model.data.times)[i, own] - mine.offset
-                touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
+                touching = np.interp(clock - mine.offset, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
                 durations = mine.durations
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
             peak = size(channel.observes, values[i, j, own])
@@ -168,7 +166,7 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
                     estimated=channel.sigma is None,
                     integrator=channel.observes in noise.integrator
                     or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
-                    clock=np.asarray(model.data.times)[i, own],
+                    clock=clock,
                     values=values[i, j, own],
                     weights=weights[i, j, own],
                 )

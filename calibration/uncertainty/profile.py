@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bcfj_jax.xla.threads import each
-from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.search.descent import Evaluate
 from calibration.search.evaluate import evaluator
@@ -90,18 +89,8 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
             lower, width = (x[k] for x in one.box)
             target = Target(name, k, lower, width, one.coordinates[k].log, bool(least_of(one)[k] >= lower))
             place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
-            asked.append(Asked(target, rise_allowed(at.spread, slopes[name]), evaluator(one), place))
+            asked.append(Asked(target, at.spread.rise_allowed(slopes[name]), evaluator(one), place))
     return {p.name: p for p in profiles(asked, labels=at.labels, at_once=budget(model).apart)}
-
-
-def rise_allowed(quality: Spread, slope: np.ndarray) -> float:
-    """Rise of the cost that bounds the 95 % interval of a combination of coordinates (P,).
-
-    The square of the covariance interval's quantile: chi-square of 1 degree of freedom for stated noise, F(1, freedom)
-    for estimated, whose deviation the weights know; a robust loss multiplies it.
-    """
-    quantile = quality.quantile if quality.covariance is None else quality.quantile_of(slope)
-    return quantile**2 * quality.rise
 
 
 class Asked(NamedTuple):

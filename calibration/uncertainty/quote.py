@@ -17,7 +17,7 @@ from calibration.diagnostics.fit_tests import WORST_CONDITION
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
-from calibration.forward.model import evaluation
+from calibration.forward.model import residuals_and_jacobian
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
 from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, evaluated, merged, nearest
@@ -108,27 +108,20 @@ def quoted(
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
     """
     how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
-    begin = _around(at, *linear(at, errors, how.slopes, free))
-    last, found = _led(begin, free, None if bound else anew)
-    known = _lines(last.lin, last.errors, found, how)
+    lin, every = linear(at, errors, free)
+    last, found = _led(_Around(at, lin, every, evaluated(lin, every)), free, None if bound else anew)
+    known, beyond = _lines(last.lin, last.errors, found, how), found.beyond()
+    ends, expected = found.ends(), found.weights @ found.means
     if bound:
-        half = [
-            QUANTILE * last.lin.student * np.sqrt(found.variance) * np.linalg.norm(row)
-            + sum(line.moves[name] for line in known)
-            for name, row in zip(how.names, _rows(last.lin), strict=True)
-        ]
-        ends, expected = np.array([[-h, h] for h in half]), np.zeros(len(half))
-    else:
-        ends, expected = found.ends(), found.weights @ found.means
+        half = QUANTILE * lin.student * np.sqrt(found.variance) * np.linalg.norm(_rows(lin), axis=1)
+        half += np.sum([list(line.moves.values()) for line in known], axis=0)
+        ends, expected, beyond = np.column_stack([-half, half]), np.zeros(half.size), None
     combined, type_a, type_b = found.combined()
     factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
-    columns = zip(
-        how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
-    )
-    return Quoted(
-        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known,
-        "" if bound or (k := found.beyond()) is None else last.errors[k].name,
-    )  # fmt: skip
+    columns = (x.tolist() for x in (type_a, type_b, combined, factors))
+    standard = ((name, Uncertainty(*rest)) for name, *rest in zip(how.names, *columns, how.log, strict=True))
+    standard = {name: own for name, own in standard if own.type_a > 0.0}
+    return Quoted(how.names, ends, expected, standard, known, "" if beyond is None else last.errors[beyond].name)
 
 
 class _Around(NamedTuple):
@@ -143,10 +136,6 @@ class _Around(NamedTuple):
         """The shortest move of the coordinates that moves what is quoted as a set does."""
         size = np.maximum(np.linalg.norm(self.lin.rows, axis=1), 1e-300)
         return np.linalg.lstsq(self.lin.rows / size[:, None], self.sets.means[i] / size)[0]
-
-
-def _around(at: Optimum, lin: Linear, errors: list[Error], variance: float | None = None) -> _Around:
-    return _Around(at, lin, errors, evaluated(lin, errors, variance))
 
 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
@@ -168,7 +157,7 @@ def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, 
             at, _, log = nearest(own, own, "log")
             return points[at[np.argmax(log)]], found
         if len(points) == 1:
-            points = [_around(begin.at, begin.lin, begin.errors, following.sets.variance)]
+            points = [begin._replace(sets=evaluated(begin.lin, begin.errors, following.sets.variance))]
         points.append(following)
 
 
@@ -199,8 +188,7 @@ def _following(
     point = np.array(here.at.end.point, dtype=float)
     point[free] += here.moves(i)
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
-    one = evaluation(here.at.model)(point[None])
-    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
+    residuals, jacobian = residuals_and_jacobian(here.at.model, point)
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return None
     if np.linalg.cond(jacobian[:, free]) >= WORST_CONDITION:
@@ -211,12 +199,12 @@ def _following(
         return None
     rows = moving(there).slopes[:, free]
     lin = here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows)
-    return _around(there, lin, errors, variance)
+    return _Around(there, lin, errors, evaluated(lin, errors, variance))
 
 
-def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
+def linear(at: Optimum, errors: Sequence[Error], free: np.ndarray) -> tuple[Linear, list[Error]]:
     """The fit as readings that are linear in coordinates and errors; least squares over these rows is a step of a robust loss."""
-    best, spread, loss = at.end, at.spread, at.model.loss
+    best, spread, loss, slopes = at.end, at.spread, at.model.loss, moving(at).slopes
     psi, bend = influence(loss, best.residuals)
     root = np.sqrt(np.maximum(bend, 1e-3))
     data, jacobian, rows = -psi / root, root[:, None] * best.jacobian[:, free], slopes[:, free]

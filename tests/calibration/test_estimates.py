@@ -47,7 +47,7 @@ def at(built, point, known: Spread) -> Optimum:
 
 def spread(seed: int) -> Spread:
     root = 0.004 * np.random.default_rng(seed).standard_normal((3, 3))
-    return Spread(root @ root.T, 1.96, 17, np.zeros(3), 1.0)
+    return Spread(root @ root.T, 17, np.zeros(3), 1.0)
 
 
 def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
@@ -186,6 +186,7 @@ def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
     assert list(asked) == ["exponent"]
     # The square of the interval's quantile, times what a robust loss makes of the rise.
     known = known._replace(rise=1.5)
-    assert profile.rise_allowed(known, np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
-    wide = known._replace(covariance=None, quantile=2.5)
-    assert profile.rise_allowed(wide, np.ones(3)) == pytest.approx(1.5 * 6.25)
+    assert known.rise_allowed(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    assert known._replace(covariance=None).rise_allowed(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    # Student's t of 5 degrees of freedom, from tables.
+    assert known._replace(student=5.0).rise_allowed(np.ones(3)) == pytest.approx(1.5 * 2.570582**2)
