@@ -148,20 +148,15 @@ def agreement(
         same = [a or (b and e.cost - lowest < RIVAL_COST) for a, b, e in zip(same, near, good, strict=True)]
     close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
     rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
-    count = int(sum(same))
-    return [
-        Test(
-            "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
-            f"{count} of {len(ends)} starts reached the best optimum; at least {AGREEING_STARTS} are needed"
-            + (f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
-               if 2.0 * doubt > ALIKE[1] else "")
-            if best.converged else "the best start stopped before it converged",
-        ),
-        Test(
-            "no rival optimum", len(rivals), 0, not rivals,
-            f"{len(rivals)} starts ended elsewhere with a cost that the data do not distinguish from the best",
-        ),
-    ]  # fmt: skip
+    count, enough = int(sum(same)), AGREEING_STARTS
+    reason = f"{count} of {len(ends)} starts reached the best optimum; at least {enough} are needed"
+    if 2.0 * doubt > ALIKE[1]:
+        reason += f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
+    if not best.converged:
+        reason = "the best start stopped before it converged"
+    other = f"{len(rivals)} starts ended elsewhere with a cost that the data do not distinguish from the best"
+    agreed = Test("agreement of starts", count, enough, count >= enough and best.converged, reason)
+    return [agreed, Test("no rival optimum", len(rivals), 0, not rivals, other)]
 
 
 def basis_of(jacobian: np.ndarray) -> np.ndarray:

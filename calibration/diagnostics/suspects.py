@@ -150,25 +150,23 @@ def _scanned(at: _Folds, name: str, scene: Scene, tests: int) -> Found | None:
     """A suspect's best shape, and what it explains of held-out samples, the shape sought in each training part."""
     suspect = SUSPECTS[name]
     grid = suspect.sought(scene)
-    points = [dict(zip(grid, map(float, values), strict=True)) for values in product(*grid.values())]
     tried: list[tuple[dict[str, float], _Errors]] = []
 
-    def attempt(values: dict[str, float]) -> None:
-        errors = at.tried(suspect.columns(scene, **values), suspect.given)
-        if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
-            tried.append((values, errors))
+    def attempt(grid: dict[str, np.ndarray]) -> None:
+        for numbers in product(*grid.values()):
+            values = _within(dict(zip(grid, map(float, numbers), strict=True)))
+            errors = at.tried(suspect.columns(scene, **values), suspect.given)
+            if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
+                tried.append((values, errors))
 
-    for values in points:
-        attempt(values)
+    attempt(grid)
     if not tried:
         return None
     # Steps of the grid as ratios, halved from round to round.
     ratios = {key: (v[-1] / v[0]) ** (1.0 / max(v.size - 1, 1)) for key, v in grid.items()}
     for _ in range(_ROUNDS if grid else 0):
         centre = min(tried, key=lambda t: t[1].whole)[0]
-        spread = {key: centre[key] * ratio ** np.linspace(-1.0, 1.0, _POINTS) for key, ratio in ratios.items()}
-        for values in product(*spread.values()):
-            attempt(_within(dict(zip(spread, map(float, values), strict=True))))
+        attempt({key: centre[key] * ratio ** np.linspace(-1.0, 1.0, _POINTS) for key, ratio in ratios.items()})
         ratios = {key: ratio**0.4 for key, ratio in ratios.items()}
     values, best = min(tried, key=lambda t: t[1].whole)
     chosen = np.argmin([errors.trained for _, errors in tried], axis=0)
@@ -179,7 +177,8 @@ def _scanned(at: _Folds, name: str, scene: Scene, tests: int) -> Found | None:
         size = np.linalg.norm(columns[at.order, 0])
         values = {**values, suspect.amplitude: float(best.amplitudes[-1] / size)}
     explained = 1.0 - held / float(at.plain.held_out.sum())
-    chance = _chance(at.plain.whole, best.whole, more, at.count) * len(points) * tests
+    points = int(np.prod([v.size for v in grid.values()]))
+    chance = _chance(at.plain.whole, best.whole, more, at.count) * points * tests
     return Found(name, explained, min(chance, 1.0), values, columns, suspect.given, more)
 
 

@@ -120,23 +120,22 @@ class Mixture(NamedTuple):
         return self._replace(log=np.where(kept, self.log, -np.inf)) if kept.any() else self
 
 
-def nearest(every: Sequence[Mixture], of: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
+def nearest(every: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
     """Of every set the point that it leads away from least, how far, in deviations of the first point's noise, and what is
     found there.
     """
     unit = np.maximum(every[0].type_a[0], 1e-300)
     reach = np.array([np.max(np.abs(e.means) / unit, axis=1) for e in every])
     k = np.argmin(reach, axis=0)
-    return k, *(x[k, np.arange(k.size)] for x in (reach, *(np.stack([getattr(e, n) for e in of]) for n in names)))
+    return k, *(x[k, np.arange(k.size)] for x in (reach, *(np.stack([getattr(e, n) for e in every]) for n in names)))
 
 
 def merged(every: Sequence[Mixture], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
     """Of every set that counts what was found about the point that it leads away from least; (Q,) where each point is."""
-    names = ("log", "means", "type_a", "type_b")
-    there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
-    found = dict(zip(names, nearest(every, there, *names)[2:], strict=True)) | {"members": every[0].members}
-    kept = found["log"] > found["log"].max() + np.log(_LEAST)
-    return every[0]._replace(**{name: x[kept] for name, x in found.items()})
+    k, _, log, means, *deviations = nearest(every, "log", "means", "type_a", "type_b")
+    kept, means = log > log.max() + np.log(_LEAST), means + np.reshape(origins, (len(every), -1))[k]
+    found = (x[kept] for x in (log, every[0].members, means, *deviations))
+    return Mixture(*found, every[0].variance, every[0].prior)
 
 
 def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:

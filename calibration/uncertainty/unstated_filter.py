@@ -107,20 +107,16 @@ class _Sampled:
         self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
         self.filters = FILTERS if sum(self.counts) <= _MOST else FILTERS[::2]
         self.weights, self.values = np.asarray(d.weights), np.asarray(d.values)
-        bare = eqx.tree_at(
-            lambda m: (m.data.values, m.data.weights, m.data.memory),
-            model,
-            (np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(d.memory)),
-        )
+        plain = np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(d.memory)
+        bare = eqx.tree_at(lambda m: (m.data.values, m.data.weights, m.data.memory), model, plain)
         times = np.asarray(d.times)
         between = np.zeros_like(times)
         for i, count in enumerate(self.counts):
             own = np.diff(times[i, :count])
             between[i, : count - 1], between[i, count - 1] = own, np.median(own)
         self.clocks = [times + between * k / self.parts for k in range(self.parts)]
-        self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
         # Asked some hundred times: which program each needs is found once.
-        self.evaluations = [evaluation(model) for model in self.models]
+        self.evaluations = [evaluation(eqx.tree_at(lambda m: m.data.times, bare, clock)) for clock in self.clocks]
 
     def read(self, point: np.ndarray) -> Read:
         """Readings and their derivatives at a point, at every clock, without a filter."""
