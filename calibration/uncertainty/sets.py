@@ -132,10 +132,10 @@ def nearest(every: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
 
 def merged(every: Sequence[Mixture], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
     """Of every set that counts what was found about the point that it leads away from least; (Q,) where each point is."""
-    k, _, log, means, *deviations = nearest(every, "log", "means", "type_a", "type_b")
-    kept, means = log > log.max() + np.log(_LEAST), means + np.reshape(origins, (len(every), -1))[k]
-    found = (x[kept] for x in (log, every[0].members, means, *deviations))
-    return Mixture(*found, every[0].variance, every[0].prior)
+    k, _, log, means, type_a, type_b = nearest(every, "log", "means", "type_a", "type_b")
+    kept, means = log > log.max() + np.log(_LEAST), means + np.stack(origins).reshape(len(every), -1)[k]
+    log, members, means, type_a, type_b = (x[kept] for x in (log, every[0].members, means, type_a, type_b))
+    return Mixture(log, members, means, type_a, type_b, every[0].variance, every[0].prior)
 
 
 def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:

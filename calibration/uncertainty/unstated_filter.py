@@ -209,7 +209,7 @@ def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
     chains = _chains(_Sampled(at.model, at.experiments, max(longest)), plain, series, max(longest))
     best = min((one for chain in chains for one in chain), key=lambda one: one.square)
     low, high = np.full(halves.size, np.inf), np.full(halves.size, -np.inf)
-    slowest, own = None, _scaled(at, plain)[1]
+    allowed, own = list[Tried](), _scaled(at, plain)[1]
     for chain in chains:
         places, deviations = map(np.stack, zip(*(_scaled(at, one) for one in chain), strict=True))
         excess = np.array([_excess(one, best, series) for one in chain])
@@ -221,10 +221,10 @@ def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
         reach = halves * (between(deviations) / own) * np.sqrt(1.0 - np.minimum(over, ALLOWED) / ALLOWED)[:, None]
         low = np.min([low, *(between(places) - reach)[kept]], axis=0)
         high = np.max([high, *(between(places) + reach)[kept]], axis=0)
-        allowed = [one for one, over in zip(chain[1:], excess[1:], strict=True) if over < ALLOWED]
-        slowest = min([*([slowest] if slowest else []), *allowed], key=lambda one: one.cutoff, default=None)
+        allowed += [one for one, over in zip(chain[1:], excess[1:], strict=True) if over < ALLOWED]
         if excess[-1] < ALLOWED:
             low, high = np.full(halves.size, -np.inf), np.full(halves.size, np.inf)
+    slowest = min(allowed, key=lambda one: one.cutoff, default=None)
     return Ambiguity(best, _excess(plain, best, series), low, high, slowest)
 
 
