@@ -34,13 +34,13 @@ from calibration.forward.model import Model, build, evaluation
 from calibration.forward.runs import Contact, commonest_failure, contacts, failure
 from calibration.noise.averaging import averaged, stepped
 from calibration.noise.estimation import settle
-from calibration.problem import NUISANCES, Problem, nuisances
+from calibration.problem import NUISANCES, Problem
 from calibration.search.evaluate import evaluator, loosened
 from calibration.search.refinement import End
 from calibration.search.starts import Screen, by_cost, referred, screen, search
 from calibration.solver_budget import budget
 from calibration.uncertainty import intervals, quote, systematic, unstated_filter
-from calibration.uncertainty.estimates import REFERENCE, estimates, moving
+from calibration.uncertainty.estimates import REFERENCE, estimates, moving, quantity_of
 from calibration.uncertainty.estimates import Parameter as Parameter
 from calibration.uncertainty.estimates import Reference as Reference
 from calibration.uncertainty.intervals import BOUND, Evidence, check_kind, half, headlined, revised
@@ -215,9 +215,8 @@ def fit(problem: Problem, **settings: Unpack[FittingKeys]) -> Fit:
 
 def _untested(at: Optimum, ends: tuple[End, ...], asked: _Asked) -> Fit:
     """The best end's values and residuals, of which nothing is known yet."""
-    axes = zip(at.labels, at.model.coordinates, at.model.values(at.end.point), strict=True)
-    known = {**at.model.scene.quantities, **nuisances(at.model.channels)}
-    parameters = {label: Parameter(float(x), known[axis.name].unit, None, True, "") for label, axis, x in axes}
+    axes = zip(at.labels, at.model.coordinates, at.model.values(at.end.point).tolist(), strict=True)
+    parameters = {n: Parameter(x, quantity_of(at.model, axis).unit, None, True, "") for n, axis, x in axes}
     records = records_of(at.model, at.experiments, at.end.point, False)
     return Fit(UNTESTED, parameters, **_shown(at, ends, asked, parameters, records), records=records, stage=UNTESTED)
 
@@ -307,9 +306,9 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
     if not asked or problem.loss != "linear" or budget(problem).rough or at.noise.integrator:
         return found
     # At a bound a filter may explain what the bound does.
-    if any(p.at_bound for p in found.parameters.values()):
+    if found.search.answer != "converged" or any(p.at_bound for p in found.parameters.values()):
         return found
-    if found.search.answer != "converged" or sensor & {"bandwidth", "resonance"} or model.data.features.size:
+    if sensor & {"bandwidth", "resonance"} or model.data.features.size:
         return found
     how, every = moving(at), found.every
     # What filters leave open is of the noise; a shape that the law misses is another matter.
@@ -343,10 +342,11 @@ def _with_filters(problem: Problem, found: Fit) -> Fit:
             every[name] = replace(p, ci95=hull, headline=unstated_filter.KIND)
     if not (what or open_.decisive):
         return replace(found, **_estimating(every))
-    text = f"{unstated_filter.said(open_)}: {', '.join(what)}. {unstated_filter.REMEDY}"
+    said, condition = unstated_filter.said(open_)
+    text = f"{said}: {', '.join(what)}. {unstated_filter.REMEDY}"
     if open_.decisive:
-        return replace(_refused(found, text, ""), conditional=Conditional(unstated_filter.there(open_), there, None))
-    return _refused(found, text, unstated_filter.NONE)
+        return replace(_refused(found, text, ""), conditional=Conditional(condition, there, None))
+    return _refused(found, text, condition)
 
 
 def _of_law(axis: Coordinate) -> bool:

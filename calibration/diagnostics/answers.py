@@ -126,10 +126,8 @@ def contacts_met(records: Sequence[Record]) -> Test:
             high = seen & (values > max(_HIGH * peak, _NOISY * scatter(values[seen])))
             if peak > 0.0 and high.any():
                 worst = max(worst, float(np.mean(np.abs(record.prediction[name][high]) < _LOW * peak)))
-    reason = (
-        f"{worst:.0%} of the samples that read a contact are predicted apart: the search ended beside the contacts; "
-        "give more starts, narrower bounds, or a start"
-    )
+    reason = f"{worst:.0%} of the samples that read a contact are predicted apart: the search ended beside the contacts"
+    reason += "; give more starts, narrower bounds, or a start"
     return Test("contacts met", worst, _MOST_UNMET, worst <= _MOST_UNMET, reason)
 
 
@@ -165,11 +163,8 @@ def whole_contact_test(model: Model, seen: list[Contact], peaks_inside: bool) ->
     if model.scene.traits.turning or not model.channels or not of_contacts(model):
         return []
     touched = any(c.touching.any() for c in seen)
-    reason = (
-        "the record ends before the force has reached its peak: the data are shorter than a contact"
-        if touched
-        else "no contact begins within the records"
-    )
+    short = "the record ends before the force has reached its peak: the data are shorter than a contact"
+    reason = short if touched else "no contact begins within the records"
     return [Test("a contact in the record", float(peaks_inside), 1.0, touched and peaks_inside, reason)]
 
 

@@ -159,9 +159,8 @@ def _each(scene: Scene, adds: Callable[[Series, np.ndarray], np.ndarray]) -> np.
 
 def _hum(scene: Scene, hum_frequency: float) -> np.ndarray:
     """Of a hum's sine and cosine, in every record others."""
-    return np.hstack(
-        [_each(scene, lambda s, x, f=f: f(2.0 * np.pi * hum_frequency * s.clock)) for f in (np.sin, np.cos)]
-    )
+    waves = [lambda s, x, f=f: f(2.0 * np.pi * hum_frequency * s.clock) for f in (np.sin, np.cos)]
+    return np.hstack([_each(scene, wave) for wave in waves])
 
 
 # Of the law.

@@ -52,7 +52,6 @@ class Spread(NamedTuple):
     """
 
     covariance: np.ndarray | None
-    quantile: float  # the largest that an interval of a single coordinate takes
     freedom: int  # samples less parameters
     # weakest, condition: direction that the data determine least, and largest over least singular value.
     weakest: np.ndarray
@@ -68,12 +67,18 @@ class Spread(NamedTuple):
         freedom = 2 v^2 / var(v), v the variance of the combination. The normal one where all noise is stated; with one
         estimated deviation, that of samples less parameters.
         """
-        assert self.covariance is not None
-        if np.isfinite(self.student):
-            return float(special.stdtrit(self.student, 0.975))
-        variance = slope @ self.covariance @ slope
-        doubt = sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
-        return float(special.stdtrit(2.0 * variance**2 / doubt, 0.975) if doubt > 0 else special.ndtri(0.975))
+        freedom, doubt = self.student, sum((slope @ change @ slope) ** 2 * own for change, own in self.moved)
+        if self.covariance is not None and np.isinf(freedom) and doubt > 0:
+            freedom = 2.0 * (slope @ self.covariance @ slope) ** 2 / doubt
+        return float(special.stdtrit(freedom, 0.975))
+
+    def rise_allowed(self, slope: np.ndarray) -> float:
+        """Rise of the cost that bounds the 95 % interval of a combination of coordinates (P,).
+
+        The square of its quantile: chi-square of 1 degree of freedom for stated noise, F(1, freedom) for estimated, whose
+        deviation the weights know; a robust loss multiplies it.
+        """
+        return self.quantile_of(slope) ** 2 * self.rise
 
     def half_width(self, slope: np.ndarray) -> float:
         """Half of the 95 % interval of a combination of coordinates; infinite where the data leave it free."""
@@ -91,27 +96,22 @@ def spread(
     (Huber 1981, 7.6). Coordinates that are not ``free`` (P,) stay where they are, without any covariance.
     """
     free = np.ones(end.jacobian.shape[1], bool) if free is None else free
-    own, place = end.jacobian[:, free], np.eye(free.size)[free]
-    count = own.shape[1]
+    own, count = end.jacobian[:, free], int(np.count_nonzero(free))
     freedom = samples - count
     _, singular, directions = np.linalg.svd(own, full_matrices=False)
-    directions = directions @ place
+    directions = directions @ np.eye(free.size)[free]
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     if condition >= WORST_CONDITION:
-        return Spread(None, float(special.ndtri(0.975)), freedom, directions[-1], condition)
+        return Spread(None, freedom, directions[-1], condition)
     factor, mean = 1.0, 1.0
     if loss != "linear":
-        informed = np.abs(own).max(axis=1) > 0
-        informed |= end.residuals != 0
-        psi, bend = (a[informed] for a in influence(loss, end.residuals))
+        psi, bend = (a[own.any(axis=1) | (end.residuals != 0)] for a in influence(loss, end.residuals))
         mean = max(float(np.mean(bend)), 1e-3)
-        factor = (
-            (1.0 + count / samples * float(np.var(bend)) / mean**2) ** 2 * float(np.sum(psi**2)) / freedom / mean**2
-        )
+        widened = 1.0 + count / samples * float(np.var(bend)) / mean**2
+        factor = widened**2 * float(np.sum(psi**2)) / freedom / mean**2
     covariance = factor * (directions.T / singular**2) @ directions
     changes = tuple((-covariance @ change @ covariance / factor, variance) for change, variance in moved)
-    found = Spread(covariance, 0.0, freedom, directions[-1], condition, changes, factor * mean)
-    return found._replace(quantile=max(found.quantile_of(unit) for unit in place))
+    return Spread(covariance, freedom, directions[-1], condition, changes, factor * mean)
 
 
 def shown(stated: Spread, end: End) -> Spread:
@@ -148,20 +148,21 @@ def agreement(
         same = [a or (b and e.cost - lowest < RIVAL_COST) for a, b, e in zip(same, near, good, strict=True)]
     close = [e for e in good if e.converged and e.cost - best.cost < RIVAL_COST]
     rivals = [e for e in close if np.any(np.abs(e.point - best.point) > 4.0 * sigma)]
-    count = int(sum(same))
-    return [
-        Test(
-            "agreement of starts", count, AGREEING_STARTS, count >= AGREEING_STARTS and best.converged,
-            f"{count} of {len(ends)} starts reached the best optimum; at least {AGREEING_STARTS} are needed"
-            + (f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
-               if 2.0 * doubt > ALIKE[1] else "")
-            if best.converged else "the best start stopped before it converged",
-        ),
-        Test(
-            "no rival optimum", len(rivals), 0, not rivals,
-            f"{len(rivals)} starts ended elsewhere with a cost that the data do not distinguish from the best",
-        ),
-    ]  # fmt: skip
+    count, enough = int(sum(same)), AGREEING_STARTS
+    reason = f"{count} of {len(ends)} starts reached the best optimum; at least {enough} are needed"
+    if 2.0 * doubt > ALIKE[1]:
+        reason += f"; the integrator leaves costs uncertain by {2.0 * doubt:.2g}: ask for a smaller accuracy"
+    if not best.converged:
+        reason = "the best start stopped before it converged"
+    other = f"{len(rivals)} starts ended elsewhere with a cost that the data do not distinguish from the best"
+    agreed = Test("agreement of starts", count, enough, count >= enough and best.converged, reason)
+    return [agreed, Test("no rival optimum", len(rivals), 0, not rivals, other)]
+
+
+def basis_of(jacobian: np.ndarray) -> np.ndarray:
+    """(N, K) orthonormal columns that span those of a Jacobian (N, P)."""
+    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
+    return left[:, singular * WORST_CONDITION > singular[0]]
 
 
 def shift(errors: np.ndarray, jacobian: np.ndarray) -> float:
@@ -169,8 +170,7 @@ def shift(errors: np.ndarray, jacobian: np.ndarray) -> float:
 
     A covariance (J^T J)^-1 and a shift J^+ e: at most |Q^T e| deviations, Q an orthonormal basis of J's columns.
     """
-    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return float(np.linalg.norm(left[:, singular > 1e-10 * singular[0]].T @ errors))
+    return float(np.linalg.norm(basis_of(jacobian).T @ errors))
 
 
 def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
@@ -182,11 +182,10 @@ def integration_test(errors: np.ndarray, jacobian: np.ndarray) -> Test:
     return Test("error of the integrator", moved, MOST_BLUR, moved < MOST_BLUR, reason)
 
 
-def rank_test(singular: Spread) -> Test:
+def rank_test(known: Spread) -> Test:
     """Whether every combination of the parameters moves the data, to numerical accuracy."""
-    passed = singular.covariance is not None
     reason = "a combination of the parameters moves no residual at all"
-    return Test("rank of the Jacobian", singular.condition, WORST_CONDITION, passed, reason)
+    return Test("rank of the Jacobian", known.condition, WORST_CONDITION, known.covariance is not None, reason)
 
 
 def held_out_test(square: float, freedom: int, quality: Spread) -> Test:

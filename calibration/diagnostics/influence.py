@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -102,9 +103,8 @@ def at_start(
 
 def weak_direction(names: list[str], direction: np.ndarray, singular: float) -> dict[str, Any]:
     """A direction of the box that the data hardly determine, in words: who trades against whom, and what separates them."""
-    most = float(np.max(np.abs(direction)))
-    part = [k for k in np.argsort(-np.abs(direction), kind="stable") if abs(direction[k]) > _PART * most]
-    own = [names[k] for k in part]
+    size = np.abs(direction)
+    own = [names[k] for k in np.argsort(-size, kind="stable") if size[k] > _PART * size.max()]
     moved = f"from end to end of its range this moves the data by {singular:.2g} of the noise"
     if len(own) == 1:
         text = f"the data hardly depend on {own[0]} here: {moved}"
@@ -117,9 +117,6 @@ def weak_direction(names: list[str], direction: np.ndarray, singular: float) -> 
 
 def separation(names: list[str]) -> str:
     """What would separate parameters that trade against each other."""
-    found = [
-        remedy
-        for (a, b), remedy in _APART
-        if any(a in one and b in other for one in names for other in names if one != other)
-    ]
+    pairs = list(permutations(names, 2))
+    found = [remedy for (a, b), remedy in _APART if any(a in one and b in other for one, other in pairs)]
     return "; ".join(dict.fromkeys(found[:2])) or _ELSE

@@ -140,50 +140,37 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
         for channel in experiment.channels:
             j = model.channels.index(channel.observes)
             own = np.flatnonzero(weights[i, j] > 0)
-            contact = channel.observes.partition(".")[0]
-            touching, durations = np.zeros(own.size, dtype=bool), np.zeros(0)
-            own_contacts = [c for c in seen if c.experiment == i]
-            # A body feels every contact.
+            clock, contacts = np.asarray(model.data.times)[i, own], [c for c in seen if c.experiment == i]
+            touching, longest = np.full(own.size, everywhere), np.inf
             if everywhere:
-                touching, durations = np.ones(own.size, dtype=bool), _half_a_wave(experiment.times, channel.values)
-            elif felt := [c for c in own_contacts if c.name == contact] or own_contacts:
+                longest = _half_a_wave(experiment.times, channel.values)
+            # A body feels every contact.
+            elif felt := [c for c in contacts if c.name == channel.observes.partition(".")[0]] or contacts:
                 mine = together(felt)
-                clock = np.asarray(model.data.times)[i, own] - mine.offset
-                touching = np.interp(clock, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
-                durations = mine.durations
+                touching = np.interp(clock - mine.offset, mine.times, mine.touching.astype(float), left=0.0) >= 0.5
+                longest = float(mine.durations.max()) if mine.durations.size else np.inf
             memory = noise.correlation.get(channel.observes) if channel.correlation is None else channel.correlation
             peak = size(channel.observes, values[i, j, own])
             rows = np.ravel_multi_index((np.full(own.size, i), np.full(own.size, j), own), shape)
             # A flight before contact has a deviation of its own.
             least = float(weights[i, j, own[int(np.argmax(touching)) :]].max()) if own.size else 0.0
             share = 1.0 / (least * peak) if peak > 0 else 0.0
-            series.append(
-                Series(
-                    rows=rows,
-                    touching=touching,
-                    share=share,
-                    longest=float(durations.max()) if durations.size else np.inf,
-                    memory=float(memory or 0.0),
-                    declared=channel.correlation != 0.0,
-                    estimated=channel.sigma is None,
-                    integrator=channel.observes in noise.integrator
-                    or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0),
-                    clock=np.asarray(model.data.times)[i, own],
-                    values=values[i, j, own],
-                    weights=weights[i, j, own],
-                )
-            )
+            solvers = channel.observes in noise.integrator
+            solvers = solvers or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0)
+            whose = {"declared": channel.correlation != 0.0, "estimated": channel.sigma is None, "integrator": solvers}
+            read = {"clock": clock, "values": values[i, j, own], "weights": weights[i, j, own]}
+            series.append(Series(rows, touching, share, longest, float(memory or 0.0), **whose, **read))
     return series
 
 
-def _half_a_wave(times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What takes the place of a contact's duration where none has a part: pi rms(f)/rms(f'), half the period of a wave (1,)."""
+def _half_a_wave(times: np.ndarray, values: np.ndarray) -> float:
+    """What takes the place of a contact's duration where none has a part: pi rms(f)/rms(f'), half the period of a wave [s]."""
     seen = np.isfinite(values)
     if np.count_nonzero(seen) < 3:
-        return np.zeros(0)
+        return np.inf
     steep = float(np.sqrt(np.mean(np.gradient(values[seen], times[seen]) ** 2)))
     wave = np.pi * float(np.sqrt(np.mean(values[seen] ** 2))) / steep if steep > 0.0 else np.inf
-    return np.array([min(wave, float(np.ptp(times[seen])))])
+    return min(wave, float(np.ptp(times[seen])))
 
 
 def features_of(
@@ -191,14 +178,10 @@ def features_of(
 ) -> dict[str, dict[str, float]]:
     """Every feature as measured and as fitted (SI), from the fit's residuals (N,)."""
     own = residuals[model.data.values.size :].reshape(model.data.features.shape)
+    every = [(e.name, seen, float(own[i, k])) for i, e in enumerate(experiments) for k, seen in enumerate(e.features)]
     return {
-        f"{experiment.name} {seen.feature}": {
-            "measured": seen.value,
-            "fitted": seen.value + float(own[i, k]) * seen.sigma,
-            "sigma": seen.sigma,
-        }
-        for i, experiment in enumerate(experiments)
-        for k, seen in enumerate(experiment.features)
+        f"{name} {seen.feature}": {"measured": seen.value, "fitted": seen.value + x * seen.sigma, "sigma": seen.sigma}
+        for name, seen, x in every
     }
 
 

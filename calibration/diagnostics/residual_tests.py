@@ -15,7 +15,7 @@ from scipy.integrate import quad
 from scipy.sparse import csr_array
 
 from bcfj_jax.core.quantities import percent, rounded
-from calibration.diagnostics.fit_tests import LEVEL, Test
+from calibration.diagnostics.fit_tests import LEVEL, Test, basis_of
 from calibration.noise.noise_model import OUTLYING
 from calibration.problem import ADEQUATE
 
@@ -27,8 +27,6 @@ _FEW = 300
 MOST_OUTLIERS, LONGEST_MEMORY = 0.1, 0.2
 # Share of the stated noise below which residuals show no more than that it was stated too large.
 _OVERSTATED = 0.5
-
-
 _NONE = np.zeros(0)
 
 
@@ -72,24 +70,18 @@ def residual_tests(series: list[Series], residuals: np.ndarray, jacobian: np.nda
     inside = np.abs(residuals) < OUTLYING if robust else np.ones(residuals.size, dtype=bool)
     tested = np.concatenate([s.rows for s in series]) if series else np.zeros(0, dtype=int)
     others = np.setdiff1d(np.flatnonzero((residuals != 0) | (np.abs(jacobian).max(axis=1) > 0)), tested)
-    left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-    basis = left[:, singular > 1e-10 * singular[0]]
-    stated = [s.rows for s in series if not s.estimated]
+    basis, stated = basis_of(jacobian), [s.rows for s in series if not s.estimated]
     if stated or others.size:
         tests.append(_size_test(residuals, basis, np.concatenate([*stated, others]), inside))
     if not series:
         return tests
     heard = [s for s in series if not s.integrator and not overstated(s, residuals)]
     kept = [s._replace(rows=s.rows[inside[s.rows]], touching=s.touching[inside[s.rows]]) for s in heard]
-    inside_only = all(s.touching.all() for s in series)
-    for place, touching in (("in contact", True), ("apart", False))[: 1 if inside_only else 2]:
-        parts = [s.rows[s.touching == touching] for s in kept]
-        tests.append(_runs_test(place, parts, kept, residuals))
-        tests.append(_correlation_test(place, touching, kept, residuals, basis))
-    if inside_only:
-        tests = [
-            t._replace(name=t.name.removesuffix(" in contact"), reason=t.reason.removeprefix("in contact, "))
-            for t in tests
+    everywhere = all(s.touching.all() for s in series)
+    for place, touching in (("in contact", True), ("apart", False))[: 1 if everywhere else 2]:
+        found = [_runs_test(touching, kept, residuals), _correlation_test(touching, kept, residuals, basis)]
+        tests += [
+            t if everywhere else t._replace(name=f"{t.name} {place}", reason=f"{place}, {t.reason}") for t in found
         ]
     if any(s.declared for s in heard):
         tests.append(_memory_test(heard))
@@ -127,22 +119,19 @@ def _size_test(residuals: np.ndarray, basis: np.ndarray, rows: np.ndarray, insid
     rows = rows[inside[rows]]
     freedom = max(rows.size - float(np.sum(basis[rows] ** 2)), 1.0)
     square = float(np.sum(residuals[rows] ** 2))
-    p = float(special.chdtrc(freedom, square))
-    return Test(
-        "residual size", p, LEVEL, p > LEVEL, f"residuals are {np.sqrt(square / freedom):.3g} times the stated noise"
-    )
+    p, reason = float(special.chdtrc(freedom, square)), f"{np.sqrt(square / freedom):.3g} times the stated noise"
+    return Test("residual size", p, LEVEL, p > LEVEL, f"residuals are {reason}")
 
 
-def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residuals: np.ndarray) -> Test:
+def _runs_test(touching: bool, series: list[Series], residuals: np.ndarray) -> Test:
     """One-sided test for too few changes of sign, pooled over records: binomial(n - 1, 1/2) for white residuals.
 
     Unlike the test of Wald and Wolfowitz it is not conditional on the number of signs, so that residuals all of one
     sign fail it; but where their size was fitted to them, their median is taken for zero.
     """
-    changes = chances = 0
-    share = 0.0
-    for rows, s in zip(parts, series, strict=True):
-        own = residuals[rows]
+    changes, chances, share = 0, 0, 0.0
+    for s in series:
+        own = residuals[s.rows[s.touching == touching]]
         if not own.size:
             continue
         share = max(share, float(np.sqrt(np.mean(own**2))) * s.share)
@@ -151,21 +140,14 @@ def _runs_test(place: str, parts: list[np.ndarray], series: list[Series], residu
         changes += int(np.count_nonzero(np.diff(signs)))
         chances += max(signs.size - 1, 0)
     p = float(special.bdtr(changes, chances, 0.5)) if chances else 1.0
-    reason = (
-        f"{place}, residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
-    )
-    if p <= LEVEL / 2:
-        reason += f": the model misses a shape ({percent(share, 2)} of the peak, rms)"
-    return Test(f"order of residuals {place}", p, LEVEL / 2, p > LEVEL / 2, reason)
+    reason = f"residuals change their sign {changes} times; without a pattern they would {chances // 2} times or so"
+    reason += f": the model misses a shape ({percent(share, 2)} of the peak, rms)"
+    return Test("order of residuals", p, LEVEL / 2, p > LEVEL / 2, reason)
 
 
-def _correlation_test(
-    place: str, touching: bool, series: list[Series], residuals: np.ndarray, basis: np.ndarray
-) -> Test:
+def _correlation_test(touching: bool, series: list[Series], residuals: np.ndarray, basis: np.ndarray) -> Test:
     """One-sided test of the correlation of successive residuals, or of the next three where the first is modelled."""
-    firsts, seconds, rows = [], [], []
-    if not series:
-        return Test(f"correlation of residuals {place}", 1.0, CORRELATION_LEVEL / 2, True, "")
+    firsts, seconds, rows = ([np.zeros(0, dtype=int)] for _ in range(3))
     for s in series:
         mine = s.touching == touching
         rows.append(s.rows[mine])
@@ -175,12 +157,10 @@ def _correlation_test(
             seconds.append(s.rows[lag:][both])
     a, b, inside = (np.concatenate(parts) for parts in (firsts, seconds, rows))
     correlation, p = correlation_of(residuals, basis, a, b, inside)
-    again = "beyond what its correlation time explains" if any(s.declared for s in series) else ""
-    reason = (
-        f"{place}, residuals of successive samples correlate by {min(correlation, 1.0):.2f} {again}".rstrip()
-        + ": the sensor has a memory, or the law misses a shape"
-    )
-    return Test(f"correlation of residuals {place}", p, CORRELATION_LEVEL / 2, p > CORRELATION_LEVEL / 2, reason)
+    again = " beyond what its correlation time explains" if any(s.declared for s in series) else ""
+    reason = f"residuals of successive samples correlate by {min(correlation, 1.0):.2f}{again}"
+    reason += ": the sensor has a memory, or the law misses a shape"
+    return Test("correlation of residuals", p, CORRELATION_LEVEL / 2, p > CORRELATION_LEVEL / 2, reason)
 
 
 def correlation_of(

@@ -132,9 +132,8 @@ def _told(model: Model, way: np.ndarray, axes: _Axes) -> dict[str, Any]:
     if fixed:
         alone = {axes.names[k]: _alone(axes, k) if beside else way for k in fixed}
         said = [f"{with_it.format(beside)} and moves {_moves(_shared(axes, way, kept))}"] if beside else []
-        said += [
-            f"1 % of {n}{' alone' * bool(beside)} moves {_moves(_shared(axes, x, kept))}" for n, x in alone.items()
-        ]
+        one = " alone" if beside else ""
+        said += [f"1 % of {n}{one} moves {_moves(_shared(axes, x, kept))}" for n, x in alone.items()]
         what, known = ", ".join(dict.fromkeys(axes.names[k] for k in kept)), " and ".join(f"the {n}" for n in names)
         text = f"{_channels(model)} alone determine {what} only for {known} given: {'; '.join(said)}"
     else:
@@ -182,8 +181,8 @@ def _remedy(names: list[str], model: Model, one: bool) -> str:
     speed = "measure the speed (light gate, high-speed camera)"
     known |= {n: "measure the height" if n in _LENGTHS else speed for n in names if n not in known}
     wanted = list(dict.fromkeys(known[n] for n in names))
-    forces = all(unit_of(c) in ("N", "N m") for c in model.channels)
-    motions = not any(unit_of(c) in ("N", "N m") for c in model.channels)
-    more = "read a position, velocity or acceleration as well" if forces else "read a force as well" if motions else ""
+    forces = [unit_of(c) in ("N", "N m") for c in model.channels]
+    more = "" if any(forces) else "read a force as well"
+    more = "read a position, velocity or acceleration as well" if all(forces) else more
     first = (" or " if one else " and ").join(wanted)
     return f"{first}; or {more}" if more else first

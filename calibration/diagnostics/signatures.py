@@ -239,11 +239,11 @@ def of_force(scene: Scene, force: Callable[[Motion], np.ndarray]) -> np.ndarray:
 
 def _of_motion(scene: Scene, change: Callable[[Motion], np.ndarray]) -> np.ndarray:
     """Changes (T, 3) of each motion's force, depth and rate, as a column (N, 1) of readings."""
-    errors = []
-    for s, held in zip(scene.series, scene.motions, strict=True):
-        moved = change(held.motion) @ held.follows if held else np.zeros(0)
-        known = np.interp(s.clock - held.offset, held.motion.times, moved, left=0.0) if held else np.zeros(s.rows.size)
-        errors.append(known)
+    errors = [np.zeros(s.rows.size) for s in scene.series]
+    for k, (s, held) in enumerate(zip(scene.series, scene.motions, strict=True)):
+        if held:
+            moved = change(held.motion) @ held.follows
+            errors[k] = np.interp(s.clock - held.offset, held.motion.times, moved, left=0.0)
     return of_readings(scene, errors)
 
 

@@ -53,18 +53,14 @@ def corrected(model: Model, best: End, errors: np.ndarray) -> Corrected:
         model, best, errors, rounds = finer, end, left, rounds + 1
         now = shift(errors, best.jacobian)
         log.info("refined at a tighter tolerance: chi2 %.6g", best.cost)
-    notes = []
+    notes, error = [], "the integrator's error"
     if rounds:
-        times = budget(model).tighter ** rounds
-        notes.append(
-            f"at the accuracy asked for, the integrator's error would move the estimates by {first:.2g} of their "
-            f"deviation: the fit went on at a tolerance {times:g} times tighter"
-        )
+        on = f"the fit went on at a tolerance {budget(model).tighter ** rounds:g} times tighter"
+        moved = f"{error} would move the estimates by {first:.2g} of their deviation"
+        notes.append(f"at the accuracy asked for, {moved}: {on}")
     if now > LITTLE:
-        notes.append(
-            f"the integrator's error may move an estimate by {now:.2g} of its deviation: then an interval of 95 % "
-            f"covers {100.0 * covered(now):.0f} %"
-        )
+        covers = f"an interval of 95 % covers {100.0 * covered(now):.0f} %"
+        notes.append(f"{error} may move an estimate by {now:.2g} of its deviation: then {covers}")
     return Corrected(model, best, errors, notes)
 
 

@@ -10,6 +10,7 @@ the same.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -120,17 +121,16 @@ class _Folds:
 
 
 def ranked(
-    scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: tuple[str, ...] = (),
-    taken: frozenset[str] = frozenset(),
-) -> list[Found]:  # fmt: skip
+    scene: Scene, residuals: np.ndarray, jacobian: np.ndarray, laws: Sequence[str] = (), taken: Collection[str] = ()
+) -> list[Found]:
     """Every suspect, the best first; one that predicts held-out samples worse explains less than nothing.
 
     ``laws``: suspects of the law that may be tried; ``taken``: suspects that the model has in it already.
     """
     scene = thinned(scene, _SAMPLES)
     at = _Folds(scene, residuals, jacobian)
-    tried = [name for name, s in SUSPECTS.items() if not s.law or (name in laws and any(scene.motions))]
-    tried = [name for name in tried if name not in taken]
+    free = {name: s for name, s in SUSPECTS.items() if name not in taken}
+    tried = [name for name, s in free.items() if not s.law or (name in laws and any(scene.motions))]
     tests = len(tried) + len(NOISES)
     found = [f for name in tried if (f := _scanned(at, name, scene, tests))]
     found += [_jitter(at, scene, tests), _quantised(at, scene), *_saturated(at, scene, tests)]
@@ -150,37 +150,35 @@ def _scanned(at: _Folds, name: str, scene: Scene, tests: int) -> Found | None:
     """A suspect's best shape, and what it explains of held-out samples, the shape sought in each training part."""
     suspect = SUSPECTS[name]
     grid = suspect.sought(scene)
-    points = [dict(zip(grid, map(float, values), strict=True)) for values in product(*grid.values())]
     tried: list[tuple[dict[str, float], _Errors]] = []
 
-    def attempt(values: dict[str, float]) -> None:
-        errors = at.tried(suspect.columns(scene, **values), suspect.given)
-        if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
-            tried.append((values, errors))
+    def attempt(grid: dict[str, np.ndarray]) -> None:
+        for numbers in product(*grid.values()):
+            values = _within(dict(zip(grid, map(float, numbers), strict=True)))
+            errors = at.tried(suspect.columns(scene, **values), suspect.given)
+            if errors is not None and (suspect.sign == 0 or errors.amplitudes[-1] > 0.0):
+                tried.append((values, errors))
 
-    for values in points:
-        attempt(values)
+    attempt(grid)
     if not tried:
         return None
     # Steps of the grid as ratios, halved from round to round.
     ratios = {key: (v[-1] / v[0]) ** (1.0 / max(v.size - 1, 1)) for key, v in grid.items()}
     for _ in range(_ROUNDS if grid else 0):
         centre = min(tried, key=lambda t: t[1].whole)[0]
-        spread = {key: centre[key] * ratio ** np.linspace(-1.0, 1.0, _POINTS) for key, ratio in ratios.items()}
-        for values in product(*spread.values()):
-            attempt(_within(dict(zip(spread, map(float, values), strict=True))))
+        attempt({key: centre[key] * ratio ** np.linspace(-1.0, 1.0, _POINTS) for key, ratio in ratios.items()})
         ratios = {key: ratio**0.4 for key, ratio in ratios.items()}
     values, best = min(tried, key=lambda t: t[1].whole)
-    folds = np.arange(at.starts.size)
     chosen = np.argmin([errors.trained for _, errors in tried], axis=0)
-    held = sum(float(tried[c][1].held_out[f]) for c, f in zip(chosen, folds, strict=True))
+    held = sum(float(tried[c][1].held_out[f]) for f, c in enumerate(chosen))
     columns = suspect.columns(scene, **values)
     more = len(grid) + (0 if suspect.given else int(np.count_nonzero(np.any(columns, axis=0))))
     if suspect.amplitude:
         size = np.linalg.norm(columns[at.order, 0])
         values = {**values, suspect.amplitude: float(best.amplitudes[-1] / size)}
     explained = 1.0 - held / float(at.plain.held_out.sum())
-    chance = _chance(at.plain.whole, best.whole, more, at.count) * len(points) * tests
+    points = int(np.prod([v.size for v in grid.values()]))
+    chance = _chance(at.plain.whole, best.whole, more, at.count) * points * tests
     return Found(name, explained, min(chance, 1.0), values, columns, suspect.given, more)
 
 
@@ -235,9 +233,8 @@ def _jitter(at: _Folds, scene: Scene, tests: int) -> Found:
     sigma = level / float(np.median(np.concatenate([s.weights for s in scene.series])))
     uneven = min(float(square.sum()) / float(at.residuals @ at.residuals), 1.0)
     explained = uneven * (1.0 - float(np.exp(-2.0 * gain / at.order.size)))
-    return Found(
-        "clock jitter", explained, min(chance, 1.0), {"jitter": float(level * np.sqrt(scales[best])), "sigma": sigma}
-    )
+    values = {"jitter": float(level * np.sqrt(scales[best])), "sigma": sigma}
+    return Found("clock jitter", explained, min(chance, 1.0), values)
 
 
 def _second(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -247,12 +244,9 @@ def _second(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 def _quantised(at: _Folds, scene: Scene) -> Found:
     """Share of the residuals' variance that steps of the readings have: step^2/12."""
-    share, widest = 0.0, 0.0
-    for s in scene.series:
-        step = lattice(s.values)
-        share += float(np.sum((step * s.weights) ** 2)) / 12.0
-        widest = max(widest, step)
-    explained = min(share / float(np.sum(at.residuals**2)), 1.0)
+    steps = [lattice(s.values) for s in scene.series]
+    share = sum(float(np.sum((q * s.weights) ** 2)) / 12.0 for q, s in zip(steps, scene.series, strict=True))
+    explained, widest = min(share / float(np.sum(at.residuals**2)), 1.0), max(steps, default=0.0)
     return Found("quantisation", explained, 0.0 if widest else 1.0, {"step": widest})
 
 
@@ -271,14 +265,13 @@ def lattice(values: np.ndarray) -> float:
 def _saturated(at: _Folds, scene: Scene, tests: int) -> list[Found]:
     """What is left without the samples that equal the largest reading."""
     level = max((float(np.abs(s.values).max()) for s in scene.series), default=0.0)
-    clipped = np.zeros(scene.size, dtype=bool)
+    keep = np.ones(scene.size)
     for s in scene.series:
-        clipped[s.rows] = np.abs(s.values) >= level * (1.0 - 1e-9)
-    rows = clipped[at.order]
-    count = int(rows.sum())
+        keep[s.rows] = np.abs(s.values) < level * (1.0 - 1e-9)
+    keep = keep[at.order]
+    count = int(keep.size - keep.sum())
     if count < _EQUAL:
         return []
-    keep = np.where(rows, 0.0, 1.0)
     errors = at.errors(at.jacobian * keep[:, None], at.residuals * keep)
     before = at.plain.held_out.sum() / at.order.size
     explained = 1.0 - float(errors.held_out.sum() / (at.order.size - count) / before)

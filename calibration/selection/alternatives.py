@@ -81,7 +81,7 @@ def solve(path: Path, problem: Problem, base: scenefile.SceneFile, **options: An
         problem, base = chosen.problem, chosen.base
     found = with_errors(problem, choice.fit, options.get("intervals") == BOUND) if choice else fit(problem, **options)
     found = with_doubts_right(problem, with_contacts_apart(problem, found), options.get("starts", 12))
-    planned = candidates(path, problem)
+    choice, planned = choice and choice.reported(found), candidates(path, problem)
     return Outcome(found, problem, base, choice, next_experiment(problem, found, planned) if planned else [])
 
 

@@ -97,6 +97,16 @@ class Choice:
         """The chosen model's fit."""
         return next(rival.fit for rival in self.rivals if rival.name == self.chosen)
 
+    def reported(self, found: Fit) -> Choice:
+        """With the verdict that the chosen model's fit ends with: models are compared by what residuals show alone."""
+        before, own = self.fit.verdict, {"verdict": found.verdict, "reasons": found.reasons}
+        if found.verdict == before:
+            return self
+        rivals = (replace(r, fit=replace(r.fit, **own)) if r.name == self.chosen else r for r in self.rivals)
+        said = f"residuals alone call '{self.chosen}' {before}, as they call the others what the table says"
+        said += f"; what they do not show makes it {found.verdict}"
+        return replace(self, rivals=tuple(rivals), reasons=[*self.reasons, said])
+
 
 def choose(
     models: Sequence[tuple[str, Problem]], *, journal: Journal | None = None,

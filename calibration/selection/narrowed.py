@@ -20,13 +20,13 @@ from calibration.diagnostics import fit_tests
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.records import series_of
 from calibration.fit import Fit
-from calibration.forward.model import build, evaluation
+from calibration.forward.model import build, predictions, residuals_and_jacobian
 from calibration.forward.runs import contacts
 from calibration.problem import Experiment, Problem
 from calibration.search.refinement import End
 from calibration.solver_budget import budget
 from calibration.uncertainty import quote, systematic
-from calibration.uncertainty.estimates import REFERENCE
+from calibration.uncertainty.intervals import half
 from calibration.uncertainty.sets import Error, Linear, mixture
 
 _DRAWS = 5
@@ -68,16 +68,12 @@ def narrowed(
     # makes anything less known (4.3.1: all the information that there is).
     each = [_after(problem, at, planned, runs, known) for known in ([{}, said] if said else [{}])]
     then = {name: min(one[name] for one in each) for name in each[0]}
-    ends = {name: p.ci95 for name, p in found.parameters.items()} | {
-        REFERENCE: found.reference and found.reference.ci95
-    }
-    log = dict(zip(how.names, how.log, strict=True))
-    halves = {}
-    for name, own in ends.items():
+    log, halves = dict(zip(how.names, how.log, strict=True)), {}
+    for name, p in found.every.items():
         # Values of one record alone stay what they are.
-        if own and now.get(name) and name in then:
-            half = 0.5 * float(np.log(own[1] / own[0]) if log[name] else own[1] - own[0])
-            halves[name] = Half(half, half * then[name] / float(now[name]), log[name])
+        if p.ci95 and now.get(name) and name in then:
+            own = half(p.ci95, log[name])
+            halves[name] = Half(own, own * then[name] / float(now[name]), log[name])
     return halves
 
 
@@ -100,8 +96,7 @@ def _known(e: Experiment, said: Mapping[str, Any], where: str) -> Experiment:
 
 
 def _evaluated(problem: Problem, at: Optimum) -> tuple[Linear, list[Error]]:
-    free = np.ones(at.end.point.size, bool)
-    return quote.linear(at, systematic.every(problem, at), quote.moving(at).slopes, free)
+    return quote.linear(at, systematic.every(problem, at), np.ones(at.end.point.size, bool))
 
 
 def _halves(lin: Linear, errors: list[Error]) -> np.ndarray:
@@ -124,10 +119,9 @@ def _extended(problem: Problem, at: Optimum, planned: Experiment, runs: int) -> 
     usual = {axis.name: value for axis, value in pairs} | {"time_offset": 0.0}
     own = [known.get((axis.name, axis.experiment or 0), usual[axis.name]) for axis in model.coordinates]
     point = model.point(np.array(own))
-    values[count:] = evaluation(model)(point[None]).readings[0][count:]
+    values[count:] = predictions(model, point)[count:]
     model = eqx.tree_at(lambda m: (m.data.values, m.data.weights, m.data.memory), model, (values, weights, memory))
-    one = evaluation(model)(point[None])
-    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
+    residuals, jacobian = residuals_and_jacobian(model, point)
     end = End(point, point, float(residuals @ residuals), residuals, jacobian, True)
     spread = fit_tests.spread(end, sum(e.samples for e in every), [], model.loss)
     there = Optimum(model, every, end, at.noise, spread)
@@ -141,13 +135,8 @@ def _drawn(at: Optimum, there: Optimum, lin: Linear, errors: list[Error]) -> np.
     old = np.concatenate([s.rows for s, i in zip(there.series, place, strict=True) if i < count])
     new = np.concatenate([s.rows for s, i in zip(there.series, place, strict=True) if i >= count])
     seen = np.any(lin.jacobian[old] != 0.0, axis=0)
-    base = lin._replace(
-        data=lin.data[old],
-        jacobian=lin.jacobian[old][:, seen],
-        rows=lin.rows[:, seen],
-        freedom=at.spread.freedom,
-        series=(),
-    )
+    data, jacobian = lin.data[old], lin.jacobian[old][:, seen]
+    base = Linear(data, jacobian, lin.rows[:, seen], lin.floor, at.spread.freedom, (), lin.student, lin.ceiling)
     found = mixture(base, [e._replace(columns=e.columns[old]) for e in errors])
     halves = []
     for _ in range(_DRAWS):

@@ -105,19 +105,14 @@ class Moving(NamedTuple):
 
 def moving(at: Optimum) -> Moving:
     """The estimates of an optimum."""
-    model = at.model
-    z, slopes = placed(model, at.end)
-    known = Moving(
-        at.labels, z, slopes, tuple(axis.log for axis in model.coordinates),
-        np.array([[axis.lower, axis.upper] for axis in model.coordinates]),
-    )  # fmt: skip
-    if not model.referenced:
-        return known
-    (lower, width), k = model.box, model.pair()[0]
-    return Moving(
-        (*known.names, REFERENCE), np.append(z, lower[k] + at.end.point[k] * width[k]),
-        np.vstack([slopes, np.diag(width)[k]]), (*known.log, True), np.vstack([known.limits, [-np.inf, np.inf]]),
-    )  # fmt: skip
+    model, (lower, width) = at.model, at.model.box
+    names, (z, slopes), log = at.labels, placed(model, at.end), tuple(axis.log for axis in model.coordinates)
+    limits = [(axis.lower, axis.upper) for axis in model.coordinates]
+    if model.referenced:
+        k = model.pair()[0]
+        names, log, limits = (*names, REFERENCE), (*log, True), [*limits, (-np.inf, np.inf)]
+        z, slopes = np.append(z, lower[k] + at.end.point[k] * width[k]), np.vstack([slopes, np.diag(width)[k]])
+    return Moving(names, z, slopes, log, np.array(limits))
 
 
 def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
@@ -125,11 +120,10 @@ def placed(model: Model, best: End) -> tuple[np.ndarray, np.ndarray]:
 
     A stiffness that is searched as a reference force goes from ln F_ref to ln K = ln F_ref - n ln d_ref.
     """
-    values = model.values(best.point)
     lower, width = model.box
-    slopes, z, pair = np.diag(width), lower + best.point * width, model.pair() if model.referenced else None
-    if pair:
-        k, n = pair
+    slopes, z = np.diag(width), lower + best.point * width
+    if model.referenced:
+        (k, n), values = model.pair(), model.values(best.point)
         z[k] -= values[n] * model.log_depth
         slopes[k, n] = -model.log_depth * (values[n] if model.coordinates[n].log else 1.0) * width[n]
     return z, slopes
@@ -151,13 +145,13 @@ def estimates(at: Optimum) -> Estimates:
         known = bool(half < fit_tests.widest(axis))
         # Of many decades the lowest are no thousandth of the range.
         margin = 1e-3 * (min(axis.upper - axis.lower, value) if axis.decades else axis.upper - axis.lower)
-        at_bound = "lower" if z < axis.lower + margin else "upper" if z > axis.upper - margin else ""
-        at_bound = "" if at_bound == "lower" and least[i] > axis.lower - margin else at_bound
+        low = z < axis.lower + margin and not least[i] > axis.lower - margin
+        at_bound = "lower" if low else "upper" if z > axis.upper - margin else ""
         kind = "derived" if model.referenced and i == model.pair()[0] else "fitted"
-        unit = _quantity(model, axis).unit
-        parameters[label] = Parameter(value, unit, ends[label] if known else None, known, at_bound, kind)
-        tests.append(fit_tests.determined_test(label, half, axis))
+        unit, own = quantity_of(model, axis).unit, ends[label] if known else None
+        parameters[label] = Parameter(value, unit, own, known, at_bound, kind)
         inside = f"{label} is at its {at_bound} bound"
+        tests.append(fit_tests.determined_test(label, half, axis))
         tests.append(fit_tests.Test(f"{label} inside its bounds", 0, 0, not at_bound, inside))
     if all(t.passed for t in tests):  # Else no interval is given, and the ends of most lie where nothing simulates.
         asked = [axis.experiment is None or budget(model).bends for axis in model.coordinates]
@@ -171,10 +165,9 @@ def estimates(at: Optimum) -> Estimates:
         reason += f"; what would separate them: {separation(names)}" if len(names) > 1 else ""
         tests.append(fit_tests.Test("weak direction", spread.condition, 0, False, reason))
     if model.referenced:
-        own, force = ends[REFERENCE], float(np.exp(how.z[-1]))
-        parameters[REFERENCE] = Reference(
-            force, "N", own, own is not None, "", intervals={"noise": own}, penetration=float(np.exp(model.log_depth))
-        )
+        own, (force, depth) = ends[REFERENCE], np.exp([how.z[-1], model.log_depth]).tolist()
+        by_kind = {"noise": own}
+        parameters[REFERENCE] = Reference(force, "N", own, own is not None, "", intervals=by_kind, penetration=depth)
     return Estimates(parameters, tests)
 
 
@@ -186,7 +179,7 @@ def ends_of(at: Optimum) -> dict[str, Ends | None]:
         half, reach, widest = at.spread.half_width(slope), 1.0, np.log(fit_tests.WIDEST_FACTOR)
         if name != REFERENCE:
             axis, widest = at.model.coordinates[k], np.inf
-            reach = _reach(axis, _quantity(at.model, axis), values[k], half)
+            reach = _reach(axis, quantity_of(at.model, axis), values[k], half)
         found[name] = in_si(z - reach * half, z + half, log, how.limits[k]) if half < widest else None
     return found
 
@@ -196,13 +189,14 @@ def _reach(axis: Coordinate, quantity: Quantity, value: float, half: float) -> f
     return 1.0 if axis.log or not 0.0 < half < np.inf else min(1.0, (value - quantity.low) / half)
 
 
-def _quantity(model: Model, axis: Coordinate) -> Quantity:
+def quantity_of(model: Model, axis: Coordinate) -> Quantity:
+    """What a coordinate is of: a parameter of the scene, or a nuisance."""
     return {**model.scene.quantities, **nuisances(model.channels)}[axis.name]
 
 
 def least_of(model: Model) -> np.ndarray:
     """(P,) what each coordinate's quantity is at least, on the coordinate's scale."""
-    lowest = np.array([_quantity(model, axis).low for axis in model.coordinates])
+    lowest = np.array([quantity_of(model, axis).low for axis in model.coordinates])
     with np.errstate(divide="ignore"):
         return np.where([axis.log for axis in model.coordinates], np.log(np.maximum(lowest, 0.0)), lowest)
 
@@ -213,8 +207,8 @@ def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     An end is nearer where a quantity could not be, as an exponent below 1; one that is no way off has no information.
     """
     assert at.spread.covariance is not None
-    quantile, along, model, best = at.spread.quantile_of(slope), at.spread.covariance @ slope, at.model, at.end
-    whole = quantile * along / np.sqrt(slope @ along)
+    along, model, best = at.spread.covariance @ slope, at.model, at.end
+    whole = at.spread.quantile_of(slope) * along / np.sqrt(slope @ along)
     least = least_of(model)
     room, moves = how.z[: least.size] - least, how.slopes[: least.size] @ whole
     ends = [
@@ -224,8 +218,7 @@ def _curvature(at: Optimum, how: Moving, slope: np.ndarray) -> float:
     shares = np.array([end for end in ends if abs(end) > _NEAR])
     if not shares.size:
         return 1.0
-    expected = quantile**2 * at.spread.rise * shares**2
-    steps = shares[:, None] * whole
+    expected, steps = at.spread.rise_allowed(slope) * shares**2, shares[:, None] * whole
     residuals, jacobians = evaluator(model)(best.point + steps)
     base, _ = straightened(model.loss, best.residuals, best.jacobian)
     if at.noise.integrator or budget(model).rough:

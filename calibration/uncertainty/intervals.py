@@ -48,20 +48,12 @@ def as_json(evidence: Evidence) -> dict[str, Any]:
     """What ``fit.json`` holds of it: "profiles" by parameter, and "posterior"."""
     content: dict[str, Any] = {}
     if evidence.profiles:
-        content["profiles"] = {
-            name: {
-                "shape": p.shape, "ends": p.ends, "threshold": p.threshold,
-                "values": p.values, "rises": p.rises, "notes": p.notes,
-            }
-            for name, p in evidence.profiles.items()
-        }  # fmt: skip
-    if evidence.posterior:
-        p = evidence.posterior
-        content["posterior"] = {
-            "rhat": dict(zip(p.labels, p.rhat.tolist(), strict=True)),
-            "effective": dict(zip(p.labels, p.effective.tolist(), strict=True)),
-            "draws": p.draws[..., 0].size, "divergences": p.divergences, "refusal": p.refusal,
-        }  # fmt: skip
+        kept = ("shape", "ends", "threshold", "values", "rises", "notes")
+        content["profiles"] = {n: {key: getattr(p, key) for key in kept} for n, p in evidence.profiles.items()}
+    if p := evidence.posterior:
+        by_label = {key: dict(zip(p.labels, getattr(p, key).tolist(), strict=True)) for key in ("rhat", "effective")}
+        counts = {"draws": p.draws[..., 0].size, "divergences": p.divergences}
+        content["posterior"] = {**by_label, **counts, "refusal": p.refusal}
     return content
 
 
@@ -89,20 +81,16 @@ def revised(kind: str, at: Optimum, found: Estimates, seed: int) -> tuple[Estima
         if at.spread.covariance is None:  # The sampler has no metric, and the test of the rank has spoken.
             return found, Evidence()
         drawn = posterior.of_optimum(at, Chains(seed))
-        why = dict.fromkeys(at.labels, drawn.refusal)
-        worst, content = float(np.max(drawn.rhat)), f"posterior: {drawn.refusal}"
-        mixed = fit_tests.Test("chains of the posterior", worst, WORST_RHAT, not drawn.refusal, content)
-        found = replaced(kind, at, found, drawn.intervals, why)
+        found = replaced(kind, at, found, drawn.intervals, dict.fromkeys(at.labels, drawn.refusal))
+        worst, why = float(np.max(drawn.rhat)), f"posterior: {drawn.refusal}"
+        mixed = fit_tests.Test("chains of the posterior", worst, WORST_RHAT, not drawn.refusal, why)
         return found._replace(tests=[*found.tests, mixed]), Evidence(posterior=drawn)
     failed = {t.name for t in found.tests if not t.passed}
     bent = {name for name in at.labels if f"interval of {name}" in failed}
     # Where more fails no interval will be given, whatever a profile says; and a rough cost makes it a profile of noise.
     if kind == "covariance" and (len(failed) > len(bent) or budget(at.model).rough):
         return found, Evidence()
-    names = [*at.labels, "reference_force"] if kind == "profile" else sorted(bent)
-    if not names:
-        return found, Evidence()
-    profiles = profile.of_optimum(at, only=names)
+    profiles = profile.of_optimum(at, only=None if kind == "profile" else sorted(bent))
     ends = {name: p.interval for name, p in profiles.items()}
     why = {name: f"the profile of {name} is {p.shape}: {'; '.join(p.notes)}" for name, p in profiles.items()}
     return replaced("profile", at, found, ends, why), Evidence(profiles)
@@ -115,13 +103,12 @@ def replaced(kind: str, at: Optimum, found: Estimates, ends: ByName, why: Mappin
     """
     parameters, tests = dict(found.parameters), []
     for axis, name in zip(at.model.coordinates, at.labels, strict=True):
-        if name not in ends:
-            continue
-        reason = why.get(name, "") if ends[name] is None else ""
-        tests.append(fit_tests.determined_test(name, half(ends[name], axis.log), axis, reason))
-        known = tests[-1].passed
-        own = ends[name] if known else None
-        parameters[name] = replace(parameters[name], ci95=own, identifiable=known, interval_kind=kind)
+        if name in ends:
+            own, reason = ends[name], "" if ends[name] else why.get(name, "")
+            test = fit_tests.determined_test(name, half(own, axis.log), axis, reason)
+            tests.append(test)
+            own = own if test.passed else None
+            parameters[name] = replace(parameters[name], ci95=own, identifiable=test.passed, interval_kind=kind)
     if REFERENCE in parameters and "reference_force" in ends:
         own = ends["reference_force"]
         own = own if half(own, True) < np.log(fit_tests.WIDEST_FACTOR) else None
@@ -182,8 +169,8 @@ def of_integrator(noise: Estimate) -> list[str]:
 def of_spanning(at: Optimum, parameters: dict[str, Parameter]) -> list[str]:
     """Of intervals to quote that span more than a factor of two."""
     log = {name for name, axis in zip(at.labels, at.model.coordinates, strict=True) if axis.log}
-    wide = {n: p.ci95[1] / p.ci95[0] for n, p in parameters.items() if n in log and p.ci95 and p.ci95[0] > 0.0}
-    wide = [f"{n} (a factor of {rounded(x)} from end to end)" for n, x in wide.items() if x > fit_tests.WIDEST_FACTOR]
+    ratios = {n: p.ci95[1] / p.ci95[0] for n, p in parameters.items() if n in log and p.ci95 and p.ci95[0] > 0.0}
+    wide = [f"{n} (a factor of {rounded(x)} from end to end)" for n, x in ratios.items() if x > fit_tests.WIDEST_FACTOR]
     return [f"{SPANNING} {' and '.join(wide)}"] if wide else []
 
 

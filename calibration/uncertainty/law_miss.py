@@ -51,11 +51,10 @@ def misses(at: Optimum) -> dict[str, Mapping[str, Ends | None]]:
     model, best, spread = at.model, at.end, at.spread
     if spread.covariance is None or model.loss != "linear" or at.noise.integrator:
         return {}
-    shape, found = model.data.weights.shape, {}
-    readings = np.arange(best.residuals.size) < int(np.prod(shape))
+    found, shape = {}, model.data.weights.shape
     if all(axis.experiment is None for axis in model.coordinates):
-        runs = np.arange(best.residuals.size) // int(np.prod(shape[1:])) if shape[1] else np.zeros(best.residuals.size)
-        found = clustered(runs[readings], best.residuals[readings], best.jacobian[readings], spread)
+        runs = np.repeat(np.arange(shape[0]), int(np.prod(shape[1:])))
+        found = clustered(runs, best.residuals[: runs.size], best.jacobian[: runs.size], spread)
     given = (at.series, best.residuals, best.jacobian, spread)
     found = {"robust": neighbouring(*given), **found, "discrepancy": discrepancy(*given)}
     return {kind: ends_of(replace(at, spread=own)) for kind, own in found.items() if own}

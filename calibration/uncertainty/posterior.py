@@ -21,8 +21,8 @@ from calibration.diagnostics.optimum import Optimum
 from calibration.forward.losses import loss_of
 from calibration.forward.model import Model
 
-# Gelman and Rubin's statistic above which chains have not mixed.
-WORST_RHAT = 1.01
+# Gelman and Rubin's statistic above which chains have not mixed, and how many there are.
+WORST_RHAT, _CHAINS = 1.01, 4
 # The sampler's.
 LIBRARY = "numpyro.infer"
 
@@ -31,7 +31,6 @@ class Chains(NamedTuple):
     """What the sampler does; ``warmup`` and ``draws`` are a chain's."""
 
     seed: int = 0
-    count: int = 4
     warmup: int = 300
     draws: int = 1000
 
@@ -65,13 +64,13 @@ class Posterior:
         return {name: (float(low), float(high)) for name, (low, high) in zip(self.labels, ends, strict=True)}
 
 
-def of_optimum(at: Optimum, chains: Chains | None = None) -> Posterior:
+def of_optimum(at: Optimum, chains: Chains) -> Posterior:
     """Sample a problem's parameters around its optimum; with a reference force, that follows the others."""
     assert at.spread.covariance is not None
     model, names = at.model, at.labels
     owners = _owners(model, list(at.noise.sigma))
     around = Around(at.end.point, at.spread.covariance, names)
-    found = sample(model.residuals, around, owners=owners, loss=model.loss, chains=chains)
+    found = sample(model.residuals, around, owners, model.loss, chains)
     values = model.values(found.draws)
     if model.referenced:
         k, n = model.pair()
@@ -81,20 +80,19 @@ def of_optimum(at: Optimum, chains: Chains | None = None) -> Posterior:
 
 
 def sample(
-    residuals: Callable[[Array], Array], around: Around, *, owners: np.ndarray | None = None, loss: str = "linear",
-    chains: Chains | None = None,
-) -> Posterior:  # fmt: skip
+    residuals: Callable[[Array], Array], around: Around, owners: np.ndarray, loss: str, chains: Chains
+) -> Posterior:
     """Sample unit-box coordinates with density exp(-cost/2), and cost^(-n/2) for samples whose deviation is estimated.
 
     Args:
         residuals: weighted residuals (N,) of a point (P,), which JAX can differentiate forwards.
-        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample. None: all are stated.
+        owners: (N,) which estimated deviation each residual has, 0 to K - 1; -1: stated; -2: no sample.
 
     Raises:
         InputError: where NumPyro is not installed.
     """
     infer = library(LIBRARY, "intervals = posterior", "uq")
-    energy, chains = _energy(residuals, owners, loss), chains or Chains()
+    energy = _energy(residuals, owners, loss)
 
     def potential(z: Array) -> Array:
         u = jax.nn.sigmoid(z)
@@ -105,15 +103,11 @@ def sample(
     stretch = 1.0 / (centre * (1.0 - centre))
     metric = around.covariance * np.outer(stretch, stretch)
     # Starts wider apart than the posterior, without which agreement of the chains would mean little.
-    wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, chains.count)
-    kernel = infer.NUTS(
-        potential_fn=potential, inverse_mass_matrix=jnp.asarray(metric), dense_mass=True,
-        forward_mode_differentiation=True,
-    )  # fmt: skip
-    sampler = infer.MCMC(
-        kernel, num_warmup=chains.warmup, num_samples=chains.draws, num_chains=chains.count,
-        chain_method="vectorized", progress_bar=False,
-    )  # fmt: skip
+    wide = np.random.default_rng(chains.seed).multivariate_normal(np.zeros(centre.size), 4.0 * metric, _CHAINS)
+    how = {"inverse_mass_matrix": jnp.asarray(metric), "dense_mass": True, "forward_mode_differentiation": True}
+    counts = {"num_warmup": chains.warmup, "num_samples": chains.draws, "num_chains": _CHAINS}
+    kernel = infer.NUTS(potential_fn=potential, **how)
+    sampler = infer.MCMC(kernel, **counts, chain_method="vectorized", progress_bar=False)
     first = jnp.asarray(np.log(centre / (1 - centre)) + wide)
     sampler.run(jax.random.key(chains.seed), init_params=first, extra_fields=("diverging",))
     points = np.asarray(jax.nn.sigmoid(sampler.get_samples(group_by_chain=True)))
@@ -128,13 +122,11 @@ def _owners(model: Model, estimated: Sequence[str]) -> np.ndarray:
     return np.concatenate([readings.ravel(), np.full(model.data.features.size, -1)])
 
 
-def _energy(residuals: Callable[[Array], Array], owners: np.ndarray | None, loss: str) -> Callable[[Array], Array]:
+def _energy(residuals: Callable[[Array], Array], owners: np.ndarray, loss: str) -> Callable[[Array], Array]:
     """Negative log-likelihood of a point (P,)."""
 
     def energy(u: Array) -> Array:
         costs = loss_of(loss, jnp.square(residuals(u)))[0]
-        if owners is None:
-            return 0.5 * jnp.sum(costs)
         whole = 0.5 * jnp.sum(jnp.where(owners == -1, costs, 0.0))
         for k in range(owners.max() + 1):
             own = owners == k

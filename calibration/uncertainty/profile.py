@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bcfj_jax.xla.threads import each
-from calibration.diagnostics.fit_tests import Spread
 from calibration.diagnostics.optimum import Optimum
 from calibration.search.descent import Evaluate
 from calibration.search.evaluate import evaluator
@@ -31,18 +30,18 @@ _LONGEST, _LEAP = 1.0 / 8.0, 0.2
 _BETTER = 0.01
 
 
-class Target(NamedTuple):
-    """What a profile holds: a coordinate u of the unit box, whose parameter is lower + width u, or the exponential of that.
-
-    ``ends``: whether its quantity ends at the lower bound by nature, as an exponent at 1.
-    """
+class Asked(NamedTuple):
+    """What to profile: a coordinate u of the unit box, whose parameter is lower + width u, or the exponential of that."""
 
     name: str
     index: int
+    threshold: float  # rise of the sum of squares that bounds its interval
+    residuals: Evaluate  # and Jacobians of points of the unit box (B, P), NaN where a simulation fails
+    place: np.ndarray  # (P,) the optimum
     lower: float = 0.0
     width: float = 1.0
     log: bool = False
-    ends: bool = False
+    ends: bool = False  # whether its quantity ends at the lower bound by nature, as an exponent at 1
 
     def physical(self, u: float) -> float:
         """The parameter's value, SI."""
@@ -88,37 +87,16 @@ def of_optimum(at: Optimum, only: Sequence[str] | None = None) -> dict[str, Prof
     for name, k, one in every:
         if only is None or name in only:
             lower, width = (x[k] for x in one.box)
-            target = Target(name, k, lower, width, one.coordinates[k].log, bool(least_of(one)[k] >= lower))
             place = np.asarray(at.end.point, float) if one is model else one.point(model.values(at.end.point))
-            asked.append(Asked(target, rise_allowed(at.spread, slopes[name]), evaluator(one), place))
+            scale = lower, width, one.coordinates[k].log, bool(least_of(one)[k] >= lower)
+            asked.append(Asked(name, k, at.spread.rise_allowed(slopes[name]), evaluator(one), place, *scale))
     return {p.name: p for p in profiles(asked, labels=at.labels, at_once=budget(model).apart)}
-
-
-def rise_allowed(quality: Spread, slope: np.ndarray) -> float:
-    """Rise of the cost that bounds the 95 % interval of a combination of coordinates (P,).
-
-    The square of the covariance interval's quantile: chi-square of 1 degree of freedom for stated noise, F(1, freedom)
-    for estimated, whose deviation the weights know; a robust loss multiplies it.
-    """
-    quantile = quality.quantile if quality.covariance is None else quality.quantile_of(slope)
-    return quantile**2 * quality.rise
-
-
-class Asked(NamedTuple):
-    """What to profile: the rise of the sum of squares that bounds its interval; residuals of points of the unit box (B, P), NaN
-    where a simulation fails; and the optimum (P,).
-    """
-
-    target: Target
-    threshold: float
-    residuals: Evaluate
-    place: np.ndarray
 
 
 def profiles(
     asked: Sequence[Asked], *, labels: Sequence[str], at_once: bool = False, scouts: int = 3
 ) -> tuple[Profile, ...]:
-    """Profile likelihood of every target around an optimum; ``at_once``: as many as there are cores.
+    """Profile likelihood of everything that is asked for; ``at_once``: as many as there are cores.
 
     ``scouts``: looks beyond an interval's end, evenly up to the range's, for another region as good.
     """
@@ -159,21 +137,20 @@ def _best(one: Asked) -> tuple[_Point, float]:
     residuals, jacobian = (a[0] for a in one.residuals(one.place[None]))
     if not np.isfinite(residuals).all():
         raise ValueError("the simulation fails at the optimum itself")
-    others, held = np.delete(jacobian, one.target.index, axis=1), jacobian[:, one.target.index]
+    others, held = np.delete(jacobian, one.index, axis=1), jacobian[:, one.index]
     slope = float(np.linalg.norm(held - others @ np.linalg.lstsq(others, held)[0]))
-    return _Point(one.place[one.target.index], one.place, float(residuals @ residuals)), slope
+    return _Point(one.place[one.index], one.place, float(residuals @ residuals)), slope
 
 
 def _side(one: Asked, best: _Point, slope: float, scouts: int, sign: float) -> _Side:
     """Along constrained optima from the best to the threshold or the end of the range."""
-    goal, limit, physical = float(np.sqrt(one.threshold)), float(sign > 0), one.target.physical
+    goal, limit = float(np.sqrt(one.threshold)), float(sign > 0)
     step = least = min(goal / _POINTS / slope, _LONGEST) if slope > 0 else _LONGEST
     trail = [best]
     while len(trail) < _MOST_POINTS:
         at = trail[-1]
         if sign * (limit - at.c) <= 0:
-            closed = one.target.ends and sign < 0
-            return _Side(trail, at.c) if closed else _Side(trail, None, "it reaches its bound")
+            return _Side(trail, at.c) if one.ends and sign < 0 else _Side(trail, None, "it reaches its bound")
         c = at.c + sign * step if step < sign * (limit - at.c) else limit
         try:
             found = _relaxed(one, best, c, _ahead(trail, c))
@@ -183,7 +160,7 @@ def _side(one: Asked, best: _Point, slope: float, scouts: int, sign: float) -> _
                 return _lost(one, trail)
             continue
         if found.cost < best.cost - _BETTER * one.threshold:
-            return _Side([*trail, found], None, f"a better optimum lies near {physical(c):.4g}", True)
+            return _Side([*trail, found], None, f"a better optimum lies near {one.physical(c):.4g}", True)
         if found.root >= goal * (1 - 1e-9):
             return _ended(one, trail, found, scouts, limit)
         trail.append(found)
@@ -212,14 +189,13 @@ def _ended(one: Asked, trail: list[_Point], outside: _Point, scouts: int, limit:
         with suppress(_Lost):
             found = _relaxed(one, best, c, found.place, _SCOUT_TRIES)
             if found.cost < best.cost + one.threshold:
-                why = f"the data fit as well near {one.target.physical(c):.4g}"
-                return _Side([*trail, pinned], None, why, True)
+                return _Side([*trail, pinned], None, f"the data fit as well near {one.physical(c):.4g}", True)
     return _Side([*trail, pinned], end)
 
 
 def _lost(one: Asked, trail: list[_Point]) -> _Side:
-    where = one.target.physical(trail[-1].c)
-    return _Side(trail, None, f"no simulation succeeds, or no optimum is found, beyond {where:.4g}")
+    where = f"{one.physical(trail[-1].c):.4g}"
+    return _Side(trail, None, f"no simulation succeeds, or no optimum is found, beyond {where}")
 
 
 def _relaxed(one: Asked, best: _Point, c: float, place: np.ndarray, tries: int = _TRIES) -> _Point:
@@ -228,19 +204,18 @@ def _relaxed(one: Asked, best: _Point, c: float, place: np.ndarray, tries: int =
     Raises:
         _Lost: where nothing simulates, or none is found in all tries.
     """
-    index = one.target.index
 
     def evaluate(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobian = (a[0] for a in one.residuals(np.insert(rest, index, c)[None]))
-        return residuals, np.delete(jacobian, index, axis=1)
+        residuals, jacobian = (a[0] for a in one.residuals(np.insert(rest, one.index, c)[None]))
+        return residuals, np.delete(jacobian, one.index, axis=1)
 
     precise = dict.fromkeys(("xtol", "ftol", "gtol"), _PRECISE)
-    begin = np.clip(np.delete(place, index), 0.0, 1.0)
+    begin = np.clip(np.delete(place, one.index), 0.0, 1.0)
     found = trust_region(evaluate, begin, method="dogbox", max_nfev=tries, **precise)
     if found.failed or not (found.converged or tries == _SCOUT_TRIES):
         raise _Lost
     cost = float(found.residuals @ found.residuals)
-    return _Point(c, np.insert(found.point, index, c), cost, float(np.sqrt(max(cost - best.cost, 0.0))))
+    return _Point(c, np.insert(found.point, one.index, c), cost, float(np.sqrt(max(cost - best.cost, 0.0))))
 
 
 def _ahead(trail: list[_Point], c: float) -> np.ndarray:
@@ -252,30 +227,29 @@ def _ahead(trail: list[_Point], c: float) -> np.ndarray:
 
 def _profile(one: Asked, slope: float, sides: Sequence[_Side], labels: Sequence[str]) -> Profile:
     """Both sides as one curve, its shape in a word, and what there is to say of its ends."""
-    target, (below, above) = one.target, sides
+    below, above = sides
     trail, best = [*below.trail[:0:-1], *above.trail], above.trail[0]
     rises = np.array([p.cost for p in trail]) - best.cost
     with np.errstate(divide="ignore", over="ignore"):
         half = np.sqrt(one.threshold) / np.float64(slope)
-        quadratic = (target.physical(best.c - half), target.physical(best.c + half))
-    notes = [f"{where} {target.name}: {s.why}" for where, s in zip(("below", "above"), sides, strict=True) if s.why]
+        quadratic = (one.physical(best.c - half), one.physical(best.c + half))
+    notes = [f"{where} {one.name}: {s.why}" for where, s in zip(("below", "above"), sides, strict=True) if s.why]
     for where, side in zip(("lower", "upper"), sides, strict=True):
         place = side.trail[-1].place
-        resting = [n for i, (n, u) in enumerate(zip(labels, place, strict=True)) if not 0 < u < 1 and i != target.index]
+        resting = [n for i, (n, u) in enumerate(zip(labels, place, strict=True)) if not 0 < u < 1 and i != one.index]
         if side.end is not None and resting:
-            notes.append(f"the {where} end of {target.name} rests on the bound of {' and '.join(resting)}")
-    low, high = (None if side.end is None else target.physical(side.end) for side in sides)
-    values = np.array([target.physical(p.c) for p in trail])
+            notes.append(f"the {where} end of {one.name} rests on the bound of {' and '.join(resting)}")
+    low, high = (None if side.end is None else one.physical(side.end) for side in sides)
+    values = np.array([one.physical(p.c) for p in trail])
     return Profile(
-        target.name, values, rises, target.physical(best.c), one.threshold, (low, high), quadratic,
-        _shape(below, above, rises, one.threshold), target.log, tuple(notes),
+        one.name, values, rises, one.physical(best.c), one.threshold, (low, high), quadratic,
+        _shape(below, above, rises, one.threshold), one.log, tuple(notes),
     )  # fmt: skip
 
 
 def _shape(below: _Side, above: _Side, rises: np.ndarray, threshold: float) -> str:
-    falls = [
-        -np.diff(side).min(initial=0.0) for side in (rises[: len(below.trail)][::-1], rises[len(below.trail) - 1 :])
-    ]
+    sides = rises[: len(below.trail)][::-1], rises[len(below.trail) - 1 :]
+    falls = [-np.diff(side).min(initial=0.0) for side in sides]
     if below.other or above.other or max(falls) > _DIP * threshold:
         return "multimodal"
     return ("flat", "one-sided", "bounded")[(below.end is not None) + (above.end is not None)]

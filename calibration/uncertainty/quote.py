@@ -17,7 +17,7 @@ from calibration.diagnostics.fit_tests import WORST_CONDITION
 from calibration.diagnostics.optimum import Optimum
 from calibration.diagnostics.residual_tests import overstated
 from calibration.forward.losses import influence
-from calibration.forward.model import evaluation
+from calibration.forward.model import residuals_and_jacobian
 from calibration.solver_budget import budget
 from calibration.uncertainty.estimates import Moving, Parameter, in_si, moving
 from calibration.uncertainty.sets import QUANTILE, Error, Linear, Mixture, evaluated, merged, nearest
@@ -108,27 +108,20 @@ def quoted(
         anew: errors about another point; where None, or of a rough cost or a robust loss, the optimum's stay.
     """
     how, free = moving(at), np.ones(at.end.point.size, bool) if free is None else free
-    begin = _around(at, *linear(at, errors, how.slopes, free))
-    last, found = _led(begin, free, None if bound else anew)
-    known = _lines(last.lin, last.errors, found, how)
+    lin, every = linear(at, errors, free)
+    last, found = _led(_Around(at, lin, every, evaluated(lin, every)), free, None if bound else anew)
+    known, beyond = _lines(last.lin, last.errors, found, how), found.beyond()
+    ends, expected = found.ends(), found.weights @ found.means
     if bound:
-        half = [
-            QUANTILE * last.lin.student * np.sqrt(found.variance) * np.linalg.norm(row)
-            + sum(line.moves[name] for line in known)
-            for name, row in zip(how.names, _rows(last.lin), strict=True)
-        ]
-        ends, expected = np.array([[-h, h] for h in half]), np.zeros(len(half))
-    else:
-        ends, expected = found.ends(), found.weights @ found.means
+        half = QUANTILE * lin.student * np.sqrt(found.variance) * np.linalg.norm(_rows(lin), axis=1)
+        half += np.sum([list(line.moves.values()) for line in known], axis=0)
+        ends, expected, beyond = np.column_stack([-half, half]), np.zeros(half.size), None
     combined, type_a, type_b = found.combined()
     factors = 0.5 * (ends[:, 1] - ends[:, 0]) / np.maximum(combined, 1e-300)
-    columns = zip(
-        how.names, type_a.tolist(), type_b.tolist(), combined.tolist(), factors.tolist(), how.log, strict=True
-    )
-    return Quoted(
-        how.names, ends, expected, {name: Uncertainty(*rest) for name, *rest in columns if rest[0] > 0.0}, known,
-        "" if bound or (k := found.beyond()) is None else last.errors[k].name,
-    )  # fmt: skip
+    columns = (x.tolist() for x in (type_a, type_b, combined, factors))
+    standard = ((name, Uncertainty(*rest)) for name, *rest in zip(how.names, *columns, how.log, strict=True))
+    standard = {name: own for name, own in standard if own.type_a > 0.0}
+    return Quoted(how.names, ends, expected, standard, known, "" if beyond is None else last.errors[beyond].name)
 
 
 class _Around(NamedTuple):
@@ -139,36 +132,24 @@ class _Around(NamedTuple):
     errors: list[Error]
     sets: Mixture
 
-    def moves(self, i: int) -> np.ndarray:
-        """The shortest move of the coordinates that moves what is quoted as a set does."""
-        size = np.maximum(np.linalg.norm(self.lin.rows, axis=1), 1e-300)
-        return np.linalg.lstsq(self.lin.rows / size[:, None], self.sets.means[i] / size)[0]
-
-
-def _around(at: Optimum, lin: Linear, errors: list[Error], variance: float | None = None) -> _Around:
-    return _Around(at, lin, errors, evaluated(lin, errors, variance))
-
 
 def _led(begin: _Around, free: np.ndarray, anew: Anew | None) -> tuple[_Around, Mixture]:
     """The point that the most probable set leads to, and the moves of all sets from the first."""
     points, origin, model = [begin], moving(begin.at).z, begin.at.model
-    if anew is not None and (model.loss != "linear" or budget(model).rough):
-        anew = None
+    anew = None if model.loss != "linear" or budget(model).rough else anew
     while True:
         places = [moving(p.at).z - origin for p in points]
         own = [p.sets for p in points]
         found = merged(own, places)
-        leading = _leading(own, found, begin, places) if len(points) < _POINTS else None
-        following = None
-        if anew is not None and leading is not None:
-            # The noise is what the most probable set leaves about a point where one leads, once there is such a point.
-            variance = points[0].sets.variance if len(points) > 1 else None
-            following = _following(points[leading[0]], leading[1], begin, free, anew, variance)
+        leading = _leading(own, found, begin, places) if anew and len(points) < _POINTS else None
+        # The noise is what the most probable set leaves about a point where one leads, once there is such a point.
+        variance = points[0].sets.variance if len(points) > 1 else None
+        following = leading and anew and _following(points[leading[0]], leading[1], begin, free, anew, variance)
         if following is None:
-            at, _, log = nearest(own, own, "log")
+            at, _, log = nearest(own, "log")
             return points[at[np.argmax(log)]], found
         if len(points) == 1:
-            points = [_around(begin.at, begin.lin, begin.errors, following.sets.variance)]
+            points = [begin._replace(sets=evaluated(begin.lin, begin.errors, following.sets.variance))]
         points.append(following)
 
 
@@ -178,7 +159,7 @@ def _leading(
     """The point and the most probable of the sets that lead further than a line reaches, where no point is yet; None of few."""
     how, ends = moving(begin.at), found.ends()
     size = np.where(how.log, 1.0, np.maximum(np.abs(how.z), 1e-300))
-    at, reach, log, means = nearest(own, own, "log", "means")
+    at, reach, log, means = nearest(own, "log", "means")
     target, unit = means + np.stack(places)[at], np.maximum(own[0].type_a[0], 1e-300)
     apart = np.min([np.max(np.abs(target - place) / unit, axis=1) for place in places], axis=0)
     far = np.any(means**2 > _FAR * 0.5 * (ends[:, 1] - ends[:, 0]) * size, axis=1) & (apart > 0.5 * reach)
@@ -196,11 +177,12 @@ def _following(
     The motion of the point does not know the error, that of the optimum follows the record and does. What an error of the law
     changes between the two is its slope midway, to third order.
     """
-    point = np.array(here.at.end.point, dtype=float)
-    point[free] += here.moves(i)
+    point, rows = np.array(here.at.end.point, dtype=float), here.lin.rows
+    size = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    # The shortest move of the coordinates that moves what is quoted as the set does.
+    point[free] += np.linalg.lstsq(rows / size[:, None], here.sets.means[i] / size)[0]
     point = np.clip(point, 1e-9, 1.0 - 1e-9)
-    one = evaluation(here.at.model)(point[None])
-    residuals, jacobian = np.asarray(one.residuals[0]), np.asarray(one.jacobians[0])
+    residuals, jacobian = residuals_and_jacobian(here.at.model, point)
     if not (np.isfinite(residuals).all() and np.isfinite(jacobian).all()):
         return None
     if np.linalg.cond(jacobian[:, free]) >= WORST_CONDITION:
@@ -209,14 +191,13 @@ def _following(
     errors = list(anew(there, 0.5 * (point + begin.at.end.point)))
     if [e.name for e in errors] != [e.name for e in here.errors]:
         return None
-    rows = moving(there).slopes[:, free]
-    lin = here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=rows)
-    return _around(there, lin, errors, variance)
+    lin = here.lin._replace(data=-residuals, jacobian=jacobian[:, free], rows=moving(there).slopes[:, free])
+    return _Around(there, lin, errors, evaluated(lin, errors, variance))
 
 
-def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.ndarray) -> tuple[Linear, list[Error]]:
+def linear(at: Optimum, errors: Sequence[Error], free: np.ndarray) -> tuple[Linear, list[Error]]:
     """The fit as readings that are linear in coordinates and errors; least squares over these rows is a step of a robust loss."""
-    best, spread, loss = at.end, at.spread, at.model.loss
+    best, spread, loss, slopes = at.end, at.spread, at.model.loss, moving(at).slopes
     psi, bend = influence(loss, best.residuals)
     root = np.sqrt(np.maximum(bend, 1e-3))
     data, jacobian, rows = -psi / root, root[:, None] * best.jacobian[:, free], slopes[:, free]
@@ -226,7 +207,7 @@ def linear(at: Optimum, errors: Sequence[Error], slopes: np.ndarray, free: np.nd
     floor = 0.0 if large or (loss == "linear" and not any(stated)) else 1.0
     series, ceiling = ([s.rows for s in at.series], np.inf) if loss == "linear" else ([], 1.0)
     lin = Linear(data, jacobian, rows, floor, max(spread.freedom, 1), series, ceiling=ceiling)
-    alone, halves = (np.array(x) for x in (np.linalg.norm(_rows(lin), axis=1), [spread.half_width(s) for s in slopes]))
+    alone, halves = np.linalg.norm(_rows(lin), axis=1), np.array([spread.half_width(s) for s in slopes])
     moved = (alone > 0.0) & np.isfinite(halves) & (halves > 0.0)
     if moved.any() and free.all():
         lin = lin._replace(student=float(np.max(halves[moved] / alone[moved])) / QUANTILE / np.sqrt(share))
@@ -286,8 +267,6 @@ def with_errors(p: Parameter, k: int, how: Moving, by: Quoted, moved: bool, kept
     value = in_si(z + by.expected[k], np.inf, log, limits)[0] if moved else p.value
     low, high = p.ci95 if kept else (p.value, p.value) if by.beyond else (value, value)
     ends = (min(own[0], low, value), max(own[1], high, value))
-    headline = p.headline if kept and ends != own else KIND
-    intervals = {**p.intervals, KIND: own}
-    return replace(
-        p, value=value, least_squares=p.value, ci95=ends, with_budget=ends, headline=headline, intervals=intervals
-    )
+    kind, kinds = p.headline if kept and ends != own else KIND, {**p.intervals, KIND: own}
+    found = {"value": value, "least_squares": p.value, "ci95": ends, "with_budget": ends}
+    return replace(p, **found, headline=kind, intervals=kinds)

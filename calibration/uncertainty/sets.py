@@ -92,12 +92,10 @@ class Mixture(NamedTuple):
         weights = np.exp(self.log - self.log.max())
         return weights / weights.sum()
 
-    def ends(self, level: float = 0.95) -> np.ndarray:
-        """(Q, 2) ends of the interval, as moves from the optimum."""
-        spread = np.hypot(self.type_a, self.type_b)
-        tails = 0.5 * (1.0 - level), 0.5 * (1.0 + level)
-        parts = zip(self.means.T, spread.T, strict=True)
-        return np.array([[_quantile(m, s, self.weights, q) for q in tails] for m, s in parts])
+    def ends(self) -> np.ndarray:
+        """(Q, 2) ends of the interval of 95 %, as moves from the optimum."""
+        parts = zip(self.means.T, np.hypot(self.type_a, self.type_b).T, strict=True)
+        return np.array([[_quantile(m, s, self.weights, q) for q in (0.025, 0.975)] for m, s in parts])
 
     @property
     def chances(self) -> np.ndarray:
@@ -122,23 +120,22 @@ class Mixture(NamedTuple):
         return self._replace(log=np.where(kept, self.log, -np.inf)) if kept.any() else self
 
 
-def nearest(every: Sequence[Mixture], of: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
+def nearest(every: Sequence[Mixture], *names: str) -> tuple[np.ndarray, ...]:
     """Of every set the point that it leads away from least, how far, in deviations of the first point's noise, and what is
     found there.
     """
     unit = np.maximum(every[0].type_a[0], 1e-300)
     reach = np.array([np.max(np.abs(e.means) / unit, axis=1) for e in every])
     k = np.argmin(reach, axis=0)
-    return k, *(x[k, np.arange(k.size)] for x in (reach, *(np.stack([getattr(e, n) for e in of]) for n in names)))
+    return k, *(x[k, np.arange(k.size)] for x in (reach, *(np.stack([getattr(e, n) for e in every]) for n in names)))
 
 
 def merged(every: Sequence[Mixture], origins: Sequence[np.ndarray | float] = (0.0,)) -> Mixture:
     """Of every set that counts what was found about the point that it leads away from least; (Q,) where each point is."""
-    names = ("log", "means", "type_a", "type_b")
-    there = [e._replace(means=e.means + o) for e, o in zip(every, origins, strict=True)]
-    found = dict(zip(names, nearest(every, there, *names)[2:], strict=True)) | {"members": every[0].members}
-    kept = found["log"] > found["log"].max() + np.log(_LEAST)
-    return every[0]._replace(**{name: x[kept] for name, x in found.items()})
+    k, _, log, means, type_a, type_b = nearest(every, "log", "means", "type_a", "type_b")
+    kept, means = log > log.max() + np.log(_LEAST), means + np.stack(origins).reshape(len(every), -1)[k]
+    log, members, means, type_a, type_b = (x[kept] for x in (log, every[0].members, means, type_a, type_b))
+    return Mixture(log, members, means, type_a, type_b, every[0].variance, every[0].prior)
 
 
 def mixture(at: Linear, errors: Sequence[Error]) -> Mixture:
@@ -209,7 +206,7 @@ def evaluated(
             break
         variance = seen
     log = np.concatenate(found) + own.log if log is None else log
-    members = np.concatenate([b.members for b in every])
+    members, chance = (np.concatenate(x) for x in zip(*((b.members, np.exp(b.prior)) for b in every), strict=True))
     # Where a set without weight leads, which takes most of the time, nobody asks; of the first, without errors, all do.
     kept = log > log.max() + np.log(_NONE)
     kept[0] = True
@@ -217,13 +214,8 @@ def evaluated(
     moments = [_moments(own, b.some(k), variance) for b, k in zip(every, parts, strict=True) if k.any()]
     means, type_a, type_b = (np.full((log.size, at.rows.shape[0]), np.inf) for _ in range(3))
     means[kept], type_a[kept], type_b[kept] = map(np.concatenate, zip(*moments, strict=True))
-    deviations = np.sqrt(np.maximum(type_a, 0.0)), np.sqrt(type_b)
-    return Mixture(np.where(kept, log, -np.inf), members, means, *deviations, variance, _prior(every))
-
-
-def _prior(every: Sequence[_Batch]) -> np.ndarray:
-    chance, members = np.exp(np.concatenate([b.prior for b in every])), np.concatenate([b.members > 0.0 for b in every])
-    return chance @ members / chance.sum()
+    deviations, prior = (np.sqrt(np.maximum(type_a, 0.0)), np.sqrt(type_b)), chance @ (members > 0.0) / chance.sum()
+    return Mixture(np.where(kept, log, -np.inf), members, means, *deviations, variance, prior)
 
 
 def _sums(at: Linear, errors: Sequence[Error], variance: float) -> _Sums:
@@ -281,15 +273,9 @@ def _sets(sizes: tuple[int, ...], kinds: tuple[str, ...], chances: tuple[float, 
             index = np.concatenate([np.zeros(0, int), *(np.arange(ends[k] - sizes[k], ends[k]) for k in chosen)])
             members = np.zeros((len(scales), len(sizes)))
             members[:, chosen] = scales
-            own = [sizes[k] for k in chosen]
-            found.setdefault((sum(own), sum(own[:1])), []).append(
-                (
-                    np.tile(index, (len(scales), 1)),
-                    np.repeat(scales, own, axis=1),
-                    members,
-                    chance + np.log([odds[k] for k in chosen]).sum(),
-                )
-            )
+            own, prior = [sizes[k] for k in chosen], chance + np.log([odds[k] for k in chosen]).sum()
+            sets = np.tile(index, (len(scales), 1)), np.repeat(scales, own, axis=1), members, prior
+            found.setdefault((sum(own), sum(own[:1])), []).append(sets)
     return tuple(_Batch(head, *map(np.concatenate, zip(*rows, strict=True))) for (_, head), rows in found.items())
 
 

@@ -50,9 +50,7 @@ def every(problem: Problem, at: Optimum, moved: np.ndarray | None = None) -> lis
     fixed = free | model.data.fixed.keys()
     if rough or not any(_shows(s) for s in at.series):
         return found
-    if (
-        "approach_speed" in fixed and "gravity" not in fixed
-    ):  # A body that strikes at a speed, of a scene without weight.
+    if "approach_speed" in fixed and "gravity" not in fixed:  # A body strikes at a speed, in a scene without weight.
         found.append(Error("gravity", f"of {GRAVITY} m/s^2", 1.0, weight(scene, GRAVITY)[:, None]))
     slow = [1.0 / (2.0 * np.pi * own["bandwidth"].value) for own in known if "bandwidth" in own]
     slowest = max(slow) if len(slow) == len(known) else np.inf
@@ -93,10 +91,8 @@ def of_sensor(scene: Scene, taken: Collection[str], known: _Known = ()) -> list[
 
 def of_channels(scene: Scene, own: Sensor) -> np.ndarray:
     """A unit of an error of the sensor (N, 1), in series that have a contact."""
-    read = zip(scene.series, scene.read, scene.peaks, strict=True)
-    errors = [
-        own.adds(s, x, max(peak, 1e-300), scene.contact) if _shows(s) else np.zeros(x.size) for s, x, peak in read
-    ]
+    read = zip(scene.series, scene.read, np.maximum(scene.peaks, 1e-300), strict=True)
+    errors = [own.adds(s, x, peak, scene.contact) if _shows(s) else np.zeros(x.size) for s, x, peak in read]
     return signatures.of_readings(scene, errors)
 
 
@@ -129,13 +125,12 @@ def _amplitude(key: str, limit: Limit, s: Series, peak: float, duration: float) 
 
 def _steps(scene: Scene, known: _Known) -> list[Error]:
     """Rounding to steps of q by its first harmonic, which has the variance q^2/12 and a phase that nobody knows."""
-    steps = [said["resolution"].value * (peak if said["resolution"].share else 1.0) if "resolution" in said else 0.0
-             for said, peak in zip(known, scene.peaks, strict=True)]  # fmt: skip
+    said = [(own.get("resolution", Limit(0.0)), peak) for own, peak in zip(known, scene.peaks, strict=True)]
+    steps = [limit.value * (peak if limit.share else 1.0) for limit, peak in said]
     if not any(steps):
         return []
-    waves = [
-        [f(2.0 * np.pi * x / (q or 1.0)) * q for x, q in zip(scene.read, steps, strict=True)] for f in (np.sin, np.cos)
-    ]
+    read = list(zip(scene.read, steps, strict=True))
+    waves = [[f(2.0 * np.pi * x / (q or 1.0)) * q for x, q in read] for f in (np.sin, np.cos)]
     columns = np.hstack([signatures.of_readings(scene, wave) for wave in waves]) * QUANTILE / np.sqrt(12.0)
     return [Error("resolution, as stated", "of its step", 1.0, columns, stated=True)]
 
@@ -149,16 +144,13 @@ def of_fixed(
     each.
     """
     point, found = np.asarray(best.point)[None], []
-    free = {axis.name for axis in model.coordinates}
+    free, ranges = {axis.name for axis in model.coordinates}, model.scene.quantities
     plain = evaluation(model)(point).residuals[0]
-    every = [("fixed", name) for name in model.data.fixed] + [
-        ("chain", name) for name in model.data.chain if name in stated
-    ]
+    every = [("fixed", n) for n in model.data.fixed] + [("chain", n) for n in model.data.chain if n in stated]
     for table, name in every:
         own, known = np.asarray(getattr(model.data, table)[name], dtype=float), tolerances.get(name)
         # What may be 0, such as a place where a body starts, has no share of itself.
-        own_range = None if name in CATALOGUE else model.scene.quantities.get(name)
-        signed = own_range is not None and own_range.low < 0.0
+        signed = name not in CATALOGUE and name in ranges and ranges[name].low < 0.0
         if name in free or (known is None and (signed or budget(model).rough)):
             continue
         tolerance = (_GRAVITY if name == "gravity" else _SHARE) * np.abs(own) if known is None else known

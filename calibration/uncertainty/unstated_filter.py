@@ -107,20 +107,16 @@ class _Sampled:
         self.parts = max(1, min(wanted, _MOST // sum(self.counts)))
         self.filters = FILTERS if sum(self.counts) <= _MOST else FILTERS[::2]
         self.weights, self.values = np.asarray(d.weights), np.asarray(d.values)
-        bare = eqx.tree_at(
-            lambda m: (m.data.values, m.data.weights, m.data.memory),
-            model,
-            (np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(d.memory)),
-        )
+        plain = np.zeros_like(self.values), np.ones_like(self.weights), np.zeros_like(d.memory)
+        bare = eqx.tree_at(lambda m: (m.data.values, m.data.weights, m.data.memory), model, plain)
         times = np.asarray(d.times)
         between = np.zeros_like(times)
         for i, count in enumerate(self.counts):
             own = np.diff(times[i, :count])
             between[i, : count - 1], between[i, count - 1] = own, np.median(own)
         self.clocks = [times + between * k / self.parts for k in range(self.parts)]
-        self.models = [eqx.tree_at(lambda m, t=clock: m.data.times, bare, clock) for clock in self.clocks]
         # Asked some hundred times: which program each needs is found once.
-        self.evaluations = [evaluation(model) for model in self.models]
+        self.evaluations = [evaluation(eqx.tree_at(lambda m: m.data.times, bare, clock)) for clock in self.clocks]
 
     def read(self, point: np.ndarray) -> Read:
         """Readings and their derivatives at a point, at every clock, without a filter."""
@@ -133,17 +129,16 @@ class _Sampled:
 
     def passed(self, rows: list[np.ndarray], passed: Filter, cutoff: float) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N,) and their Jacobian (N, P) of what was ``read``; not finite where the simulation failed."""
-        count, shape = rows[0].shape[-1] - 1, self.weights.shape
+        size, count, channels = self.weights.size, rows[0].shape[-1], self.weights.shape[1]
         if not all(np.isfinite(row).all() for row in rows):
-            return np.full(int(np.prod(shape)), np.nan), np.zeros((int(np.prod(shape)), count))
-        read = np.zeros((*shape, count + 1))
+            return np.full(size, np.nan), np.zeros((size, count - 1))
+        read = np.zeros((*self.weights.shape, count))
         for i, own in enumerate(self.counts):
             clock = np.stack([c[i, :own] for c in self.clocks], axis=1).ravel()
-            values = np.stack([row[i, :, :own] for row in rows], axis=2).reshape(shape[1], own * self.parts, -1)
+            values = np.stack([row[i, :, :own] for row in rows], axis=2).reshape(channels, own * self.parts, -1)
             read[i, :, :own] = _passed(clock, values, self.clocks[0][i, :own], passed, cutoff)
         read[..., 0] -= self.values
-        each = [self.model.data.white(read[..., k]).ravel() for k in range(count + 1)]
-        white = np.stack(each, axis=1)
+        white = np.stack([self.model.data.white(read[..., k]).ravel() for k in range(count)], axis=1)
         return white[:, 0], white[:, 1:]
 
     def fitted(self, near: Read, passed: Filter, cutoff: float) -> tuple[Tried, Read]:
@@ -182,12 +177,9 @@ class _Sampled:
 
 def _passed(clock: np.ndarray, values: np.ndarray, times: np.ndarray, passed: Filter, cutoff: float) -> np.ndarray:
     """Values (C, N, M) at a clock (N,) behind a filter without its delay, at times (T,): (C, T, M); at rest outside."""
-    step, beyond = float(np.median(np.diff(clock))), 2.0 / cutoff
-    span = float(clock[-1] - clock[0])
-    beyond = min(beyond, span)
+    step, beyond = float(np.median(np.diff(clock))), min(2.0 / cutoff, float(clock[-1] - clock[0]))
     even = np.arange(clock[0] - beyond, clock[-1] + beyond + step, step)
-    signal = _at(even, clock, values)
-    signal = _once(signal, passed, cutoff, step)
+    signal = _once(_at(even, clock, values), passed, cutoff, step)
     if passed.zero_phase:
         signal = _once(signal[:, ::-1], passed, cutoff, step)[:, ::-1]
     return _at(times + passed.delay / cutoff, even, signal)
@@ -225,8 +217,7 @@ def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
     chains = _chains(_Sampled(at.model, at.experiments, max(longest)), plain, series, max(longest))
     best = min((one for chain in chains for one in chain), key=lambda one: one.square)
     low, high = np.full(halves.size, np.inf), np.full(halves.size, -np.inf)
-    slowest: Tried | None = None
-    own = _scaled(at, plain)[1]
+    allowed, own = list[Tried](), _scaled(at, plain)[1]
     for chain in chains:
         places, deviations = map(np.stack, zip(*(_scaled(at, one) for one in chain), strict=True))
         excess = np.array([_excess(one, best, series) for one in chain])
@@ -238,11 +229,10 @@ def ambiguity(at: Optimum, halves: np.ndarray) -> Ambiguity | None:
         reach = halves * (between(deviations) / own) * np.sqrt(1.0 - np.minimum(over, ALLOWED) / ALLOWED)[:, None]
         low = np.min([low, *(between(places) - reach)[kept]], axis=0)
         high = np.max([high, *(between(places) + reach)[kept]], axis=0)
-        for one, over_it in zip(chain[1:], excess[1:], strict=True):
-            if over_it < ALLOWED and (slowest is None or one.cutoff < slowest.cutoff):
-                slowest = one
+        allowed += [one for one, over in zip(chain[1:], excess[1:], strict=True) if over < ALLOWED]
         if excess[-1] < ALLOWED:
             low, high = np.full(halves.size, -np.inf), np.full(halves.size, np.inf)
+    slowest = min(allowed, key=lambda one: one.cutoff, default=None)
     return Ambiguity(best, _excess(plain, best, series), low, high, slowest)
 
 
@@ -251,22 +241,21 @@ def _chains(sampled: _Sampled, plain: Tried, series: list[Series], duration: flo
     count = int(np.log(_FASTEST / _SLOWEST) / np.log(_RATIO)) + 1
     chains, best, unfiltered = [], plain, sampled.read(plain.point)
     for passed in sampled.filters:
-        chains.append([plain])
-        near = unfiltered
+        chain, near = [plain], unfiltered
         for cutoff in _FASTEST / duration / _RATIO ** np.arange(count):
             found, near = sampled.fitted(near, passed, float(cutoff))
-            chains[-1].append(found)
-            best = min(best, chains[-1][-1], key=lambda one: one.square)
-            if _excess(chains[-1][-1], best, series) > _HOPELESS:
+            chain.append(found)
+            best = min(best, found, key=lambda one: one.square)
+            if _excess(found, best, series) > _HOPELESS:
                 break
+        chains.append(chain)
     return chains
 
 
 def _excess(one: Tried, best: Tried, series: list[Series]) -> float:
     """D of one fit against the best."""
     rows = [s.rows for s in series]
-    kept = min(max(neighbours(best.residuals, rows), 0.0), 0.999)
-    samples = sum(r.size for r in rows)
+    kept, samples = min(max(neighbours(best.residuals, rows), 0.0), 0.999), sum(r.size for r in rows)
     count = max(samples * (1.0 - kept) / (1.0 + kept), min(_FEWEST, samples))
     by_size = count * float(np.log(max(one.square, 1e-300) / max(best.square, 1e-300)))
     return by_size if any(s.estimated for s in series) else min(by_size, one.square - best.square)
@@ -277,8 +266,7 @@ def _scaled(at: Optimum, one: Tried) -> tuple[np.ndarray, np.ndarray]:
     how = moving(replace(at, end=replace(at.end, point=one.point)))
     size = np.linalg.norm(one.jacobian, axis=0)
     size = np.where(size > 0, size, 1.0)
-    covariance = np.linalg.pinv((one.jacobian / size).T @ (one.jacobian / size), rcond=1e-12) / np.outer(size, size)
-    return how.z, np.sqrt(np.einsum("kp,pq,kq->k", how.slopes, covariance, how.slopes))
+    return how.z, np.linalg.norm(how.slopes / size @ np.linalg.pinv(one.jacobian / size, rcond=1e-6), axis=1)
 
 
 REMEDY = (
@@ -287,23 +275,18 @@ REMEDY = (
 )
 
 
-# On what condition the estimates of a fit without a filter hold.
-NONE = "the record passed no low-pass"
-
-
-def there(found: Ambiguity) -> str:
-    """On what condition those of a fit with the best filter hold."""
-    return f"the record passed a low-pass like {_named(found.best)}"
-
-
 def _named(one: Tried) -> str:
     return f"a {one.filter} at {format_si(one.cutoff, 'Hz', 2)}"
 
 
-def said(found: Ambiguity) -> str:
-    """In words what the record says: the filter that explains it better than none, or the slowest that does so as well."""
+def said(found: Ambiguity) -> tuple[str, str]:
+    """In words what the record says, and on what condition estimates hold: the filter that explains it better than none, or the
+    slowest that does so as well, and none.
+    """
     if found.decisive:
-        better = f"{_named(found.best)} explains it decisively better than the law alone"
-        return f"the record shows a filter, or a law that looks like one: {better}"
+        best = _named(found.best)
+        better = f"a law that looks like one: {best} explains it decisively better than the law alone"
+        return f"the record shows a filter, or {better}", f"the record passed a low-pass like {best}"
     slow = _named(found.slowest) if found.slowest else "a filter"
-    return f"the record does not distinguish a filter from the law: {slow} explains it as well as none"
+    text = f"the record does not distinguish a filter from the law: {slow} explains it as well as none"
+    return text, "the record passed no low-pass"

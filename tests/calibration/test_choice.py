@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -128,6 +130,27 @@ def test_the_cheapest_model_that_is_kept_is_chosen(rivals, chosen, said):
     scores = [r.held_out if r.held_out is not None else r.likelihood.bic for r in choice.rivals]
     assert scores == sorted(scores)
     assert [row[-1] for row in table(choice)].count("chosen") == 1
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a choice asks of a fit."""
+
+    verdict: str
+    labels: tuple[str, ...] = ("a",)
+    reasons: tuple[str, ...] = ()
+
+
+def test_the_table_of_models_has_the_verdict_that_the_chosen_one_ends_with():
+    """Where a filter that nobody stated may hide the law, as in a record of a thin pad; other models keep theirs."""
+    rivals = [replace(scored("one", bic=10.1), fit=Judged("misfit")), replace(scored("two"), fit=Judged("adequate"))]
+    choice: Any = decided(rivals)
+    ended = choice.reported(Judged("not_identified", reasons=("a filter",)))
+    verdicts = {row[0]: row[1] for row in table(ended)}
+    assert verdicts["two"] == "not_identified" == ended.fit.verdict and verdicts["one"] == "misfit"
+    assert ended.chosen == choice.chosen == "two" and ended.reasons[:-1] == choice.reasons
+    assert "call 'two' adequate" in ended.reasons[-1] and "makes it not_identified" in ended.reasons[-1]
+    assert choice.reported(Judged("adequate")) is choice
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def at(built, point, known: Spread) -> Optimum:
 
 def spread(seed: int) -> Spread:
     root = 0.004 * np.random.default_rng(seed).standard_normal((3, 3))
-    return Spread(root @ root.T, 1.96, 17, np.zeros(3), 1.0)
+    return Spread(root @ root.T, 17, np.zeros(3), 1.0)
 
 
 def test_estimates_move_with_the_unit_box_as_their_scales_do(built):
@@ -165,7 +165,7 @@ def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
     asked = {}
 
     def drawn(every, **more):
-        asked.update({one.target.name: (one.target, one.place, one.threshold) for one in every})
+        asked.update({one.name: one for one in every})
         return ()
 
     monkeypatch.setattr(profile, "profiles", drawn)
@@ -174,11 +174,11 @@ def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
     assert list(asked) == ["stiffness", "reference_force", "exponent", "mass"]
     values = dict(zip(NAMES, built.values(point), strict=True))
     values["reference_force"] = values["stiffness"] * DEPTH ** values["exponent"]
-    for name, (t, place, rise) in asked.items():
-        assert t.physical(place[t.index]) == pytest.approx(values[name], rel=1e-9)
-        assert t.log == (name != "mass" and (name != "exponent" or built.coordinates[1].log))
-        assert rise == pytest.approx(1.959964**2)
-    ends = {name: (t.physical(0.0), t.physical(1.0)) for name, (t, _, _) in asked.items()}
+    for name, one in asked.items():
+        assert one.physical(one.place[one.index]) == pytest.approx(values[name], rel=1e-9)
+        assert one.log == (name != "mass" and (name != "exponent" or built.coordinates[1].log))
+        assert one.threshold == pytest.approx(1.959964**2)
+    ends = {name: (one.physical(0.0), one.physical(1.0)) for name, one in asked.items()}
     assert ends["stiffness"] == pytest.approx((1e7, 1e9)) and ends["exponent"] == pytest.approx((1.0, 2.5))
     assert ends["mass"] == pytest.approx((0.05, 0.2))
     asked.clear()
@@ -186,6 +186,7 @@ def test_what_a_profile_holds_is_the_value_of_its_name(built, monkeypatch):
     assert list(asked) == ["exponent"]
     # The square of the interval's quantile, times what a robust loss makes of the rise.
     known = known._replace(rise=1.5)
-    assert profile.rise_allowed(known, np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
-    wide = known._replace(covariance=None, quantile=2.5)
-    assert profile.rise_allowed(wide, np.ones(3)) == pytest.approx(1.5 * 6.25)
+    assert known.rise_allowed(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    assert known._replace(covariance=None).rise_allowed(np.ones(3)) == pytest.approx(1.5 * 1.959964**2)
+    # Student's t of 5 degrees of freedom, from tables.
+    assert known._replace(student=5.0).rise_allowed(np.ones(3)) == pytest.approx(1.5 * 2.570582**2)

@@ -28,7 +28,7 @@ SLOPES = np.stack([PULSE, np.r_[np.zeros(30), np.sin(np.pi * PHASE) ** 2, np.zer
 
 def noise_of(jacobian: np.ndarray) -> Spread:
     covariance = np.linalg.inv(jacobian.T @ jacobian)
-    return Spread(covariance, 1.96, len(jacobian) - jacobian.shape[1], np.zeros(jacobian.shape[1]), 1.0)
+    return Spread(covariance, len(jacobian) - jacobian.shape[1], np.zeros(jacobian.shape[1]), 1.0)
 
 
 def series(values: np.ndarray, weights: np.ndarray, **more) -> Series:

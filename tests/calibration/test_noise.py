@@ -337,7 +337,7 @@ def test_held_out_prediction_has_its_level():
     rng, inside, outside = np.random.default_rng(8), np.linspace(0, 1, 12), np.linspace(5, 6, 12)
     design, far = (np.stack([np.ones(12), x], axis=1) for x in (inside, outside))
     covariance = np.linalg.inv(design.T @ design)
-    quality = fit_tests.Spread(covariance, 1.96, 10, np.zeros(2), 1.0)
+    quality = fit_tests.Spread(covariance, 10, np.zeros(2), 1.0)
     failed = plain = 0
     for _ in range(2000):
         error = covariance @ design.T @ rng.standard_normal(12)

@@ -24,7 +24,7 @@ MATRIX = 60 * RNG.standard_normal((12, 3)) @ np.array([[1.0, 0.9, 0.0], [0.0, 1.
 BEST = np.array([0.4, 0.5, 0.6])
 NOISE = RNG.standard_normal(12)
 NOISE -= MATRIX @ np.linalg.lstsq(MATRIX, NOISE)[0]
-NAMES = ("a", "b", "c")
+NAMES, STATED = ("a", "b", "c"), np.full(12, -1)
 
 
 def linear(u):
@@ -47,7 +47,7 @@ def test_the_density_is_that_of_stated_and_estimated_deviations():
         steps = 1e-6 * np.eye(3)
         slope = [(wanted(at + step) - wanted(at - step)) / 2e-6 for step in steps]
         assert np.asarray(jax.grad(energy)(at)) == pytest.approx(slope, rel=1e-6)
-    plain = posterior._energy(linear, None, "linear")
+    plain = posterior._energy(linear, STATED, "linear")
     assert float(plain(BEST)) == pytest.approx(0.5 * NOISE @ NOISE)
 
 
@@ -75,9 +75,9 @@ def test_linear_problem_has_the_covariance_intervals(estimated):
     freedom, before = 12 - 3, jax.config.values.copy()
     scale = float(NOISE @ NOISE) / freedom if estimated else 1.0
     quantile = float(t.ppf(0.975, freedom) if estimated else norm.ppf(0.975))
-    owners = np.zeros(12, dtype=int) if estimated else None
+    owners = np.zeros(12, dtype=int) if estimated else STATED
     covariance = scale * np.linalg.inv(MATRIX.T @ MATRIX)
-    found = posterior.sample(linear, Around(BEST, covariance, NAMES), owners=owners, chains=Chains(draws=1500))
+    found = posterior.sample(linear, Around(BEST, covariance, NAMES), owners, "linear", Chains(draws=1500))
     assert not found.refusal and found.divergences == 0
     assert np.all(found.rhat < 1.01) and np.all(found.effective > 2000)
     for k, name in enumerate(NAMES):
@@ -94,7 +94,7 @@ def test_residuals_whose_tangents_come_together_can_be_sampled():
 
     joint = together(lambda u: (linear(u), jnp.zeros(())), ahead)
     around, few = Around(BEST, np.linalg.inv(MATRIX.T @ MATRIX), NAMES), Chains(warmup=50, draws=50)
-    found, plain = (posterior.sample(f, around, chains=few) for f in (lambda u: joint(u)[0], linear))
+    found, plain = (posterior.sample(f, around, STATED, "linear", few) for f in (lambda u: joint(u)[0], linear))
     assert found.draws == pytest.approx(plain.draws, rel=1e-6)
 
 
@@ -102,9 +102,8 @@ def test_residuals_whose_tangents_come_together_can_be_sampled():
 def test_two_modes_are_refused():
     # Chains that begin on either side of a ridge of 200 sigma squared stay there.
     twin = lambda u: jnp.array([2000 * (u[0] - 0.4) * (u[0] - 0.6)])  # noqa: E731
-    found = posterior.sample(
-        twin, Around(np.array([0.5]), np.array([[0.02]]), ("a",)), chains=Chains(warmup=200, draws=200)
-    )
+    around = Around(np.array([0.5]), np.array([[0.02]]), ("a",))
+    found = posterior.sample(twin, around, STATED[:1], "linear", Chains(warmup=200, draws=200))
     assert found.refusal and found.intervals == {"a": None}
     assert np.all(found.rhat > posterior.WORST_RHAT)
 
@@ -113,7 +112,6 @@ def test_two_modes_are_refused():
 def test_failing_simulations_are_refused():
     # A tenth of a sigma from the optimum nothing simulates.
     half = lambda u: jnp.where(u < 0.501, 100 * (u - 0.5), jnp.nan)  # noqa: E731
-    found = posterior.sample(
-        half, Around(np.array([0.5]), np.array([[1e-4]]), ("a",)), chains=Chains(1, warmup=200, draws=200)
-    )
+    around = Around(np.array([0.5]), np.array([[1e-4]]), ("a",))
+    found = posterior.sample(half, around, STATED[:1], "linear", Chains(1, warmup=200, draws=200))
     assert found.divergences > 0 and "diverged" in found.refusal and found.intervals == {"a": None}

@@ -43,11 +43,12 @@ def analytic(function, jacobian):
 
 def found_by(residuals, targets, best, **more):
     """Profiles with the threshold of stated noise."""
-    return profile.profiles([profile.Asked(target, THRESHOLD, residuals, best) for target in targets], **more)
+    every = [profile.Asked(name, k, THRESHOLD, residuals, best, *scale) for name, k, *scale in targets]
+    return profile.profiles(every, **more)
 
 
 def box(count):
-    return [profile.Target(f"u{i}", i) for i in range(count)]
+    return [(f"u{i}", i) for i in range(count)]
 
 
 def test_linear_problem_has_the_covariance_interval():
@@ -105,8 +106,7 @@ def test_derived_stiffness_follows_its_own_profile():
 
     best = least_squares(lambda u: split(u)[0], [0.46, 0.33], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
     cost = float(np.sum(split(best)[0] ** 2))
-    stiffness = profile.Target("stiffness", 0, lower[0], width[0], True)
-    exponent = profile.Target("n", 1, lower[1], width[1])
+    stiffness, exponent = ("stiffness", 0, lower[0], width[0], True), ("n", 1, lower[1], width[1])
     both = analytic(lambda u: split(u)[0], jacobian)
     k, n = found_by(both, [stiffness, exponent], best, labels=("K", "n"))
     assert (k.shape, n.shape) == ("bounded", "bounded")
@@ -134,7 +134,7 @@ def test_banana_is_one_sided():
     assert u0.ends[0] is None and u0.notes == ("below u0: it reaches its bound",)
     assert u0.ends[1] == pytest.approx(0.3 + np.sqrt(np.sqrt(THRESHOLD) / 9), abs=1e-5)
     # A quantity that ends there by nature has an interval up to it.
-    (closed,) = found_by(analytic(curve, slope), [box(1)[0]._replace(ends=True)], best, labels=("u0", "u1"))
+    (closed,) = found_by(analytic(curve, slope), [("u0", 0, 0.0, 1.0, False, True)], best, labels=("u0", "u1"))
     assert closed.shape == "bounded" and closed.interval == (0.0, u0.ends[1]) and not closed.notes
     # Downwards u0 follows to its bound and stays there, so that 20 (0.42 - u1) = 1.96; upwards along the banana.
     assert u1.shape == "bounded"
@@ -236,7 +236,7 @@ def test_bent_interval_gives_way_to_its_profile(profiled_fit):
 @pytest.mark.slow
 def test_posterior_of_a_well_conditioned_fit_has_the_covariance_s_intervals(profiled_fit):
     pytest.importorskip("numpyro", reason="NumPyro is the extra uq")
-    drawn = posterior.of_optimum(profiled_fit.optimum)
+    drawn = posterior.of_optimum(profiled_fit.optimum, posterior.Chains())
     assert not drawn.refusal, drawn.refusal
     for name, found in profiled_fit.evidence.profiles.items():
         low, high = found.quadratic

@@ -195,7 +195,7 @@ def test_how_far_a_set_leads_does_not_depend_on_how_well_its_point_knows():
         one._replace(means=np.full_like(one.means, move), type_a=one.type_a * wide)
         for move, wide in ((2.0, 1.0), (3.0, 9.0))
     ]
-    k, reach, log = sets.nearest(points, points, "log")
+    k, reach, log = sets.nearest(points, "log")
     assert not k.any() and reach == pytest.approx(np.max(2.0 / one.type_a[0])) and np.array_equal(log, one.log)
 
 

@@ -175,13 +175,13 @@ def test_a_line_is_what_a_fit_together_with_the_prior_lets_pass():
     start = np.linalg.lstsq(jacobian, readings)[0]
     left = jacobian @ start - readings
     end = End(np.full(2, 0.5), np.full(2, 0.5), float(left @ left), left, jacobian, True)
-    spread = Spread(np.linalg.inv(jacobian.T @ jacobian), 1.96, 58, np.zeros(2), 1.0)
+    spread = Spread(np.linalg.inv(jacobian.T @ jacobian), 58, np.zeros(2), 1.0)
     at = Optimum(Model(), (), end, Estimate({}, {}, []), spread)
     found = quote.quoted(at, [Error("a", "", 2.0, signature)])
     (line,) = found.lines
     assert line.says == "acts" and line.chance > 0.999 and line.cost["one"] == 1.0
     # Of three deviations of the prior the noise that the set leaves is 1 or so, and never below what was stated.
-    lin, errors = quote.linear(at, [Error("a", "", 2.0, signature)], np.diag([10.0, 10.0]), np.ones(2, bool))
+    lin, errors = quote.linear(at, [Error("a", "", 2.0, signature)], np.ones(2, bool))
     variance = mixture(lin, errors).variance
     rows = np.block([[jacobian, signature], [np.zeros((1, 2)), np.array([[np.sqrt(variance) * QUANTILE / 2.0]])]])
     solution = np.linalg.lstsq(rows, np.r_[-left, 0.0])[0]
@@ -203,14 +203,11 @@ def test_a_set_that_leads_where_a_direction_is_lost_is_not_followed(monkeypatch)
     readings = 3.0 * signature[:, 0] + rng.standard_normal(60)
     left = jacobian @ np.linalg.lstsq(jacobian, readings)[0] - readings
     end = End(np.full(2, 0.5), np.full(2, 0.5), float(left @ left), left, jacobian, True)
-    spread = Spread(np.linalg.inv(jacobian.T @ jacobian), 1.96, 58, np.zeros(2), 1.0)
+    spread = Spread(np.linalg.inv(jacobian.T @ jacobian), 58, np.zeros(2), 1.0)
     at, errors, asked = Optimum(Model(), (), end, Estimate({}, {}, []), spread), [Error("a", "", 2.0, signature)], []
 
-    def evaluation(model):
-        there = SimpleNamespace(residuals=left[None], jacobians=(jacobian * [1.0, 0.0])[None])
-        return lambda points: asked.append(points) or there
-
-    monkeypatch.setattr(quote, "evaluation", evaluation)
+    there = left, jacobian * [1.0, 0.0]
+    monkeypatch.setattr(quote, "residuals_and_jacobian", lambda model, point: asked.append(point) or there)
     led = quote.quoted(at, errors, anew=lambda at, moved: errors)
     assert asked
     np.testing.assert_array_equal(led.ends, quote.quoted(at, errors).ends)
