@@ -157,9 +157,11 @@ def series_of(at: Optimum, seen: list[Contact], errors: np.ndarray, accuracy: fl
             share = 1.0 / (least * peak) if peak > 0 else 0.0
             solvers = channel.observes in noise.integrator
             solvers = solvers or integration.own(residuals[rows], errors[rows], accuracy, 1.0 / share if share else 0.0)
-            whose = {"declared": channel.correlation != 0.0, "estimated": channel.sigma is None, "integrator": solvers}
-            read = {"clock": clock, "values": values[i, j, own], "weights": weights[i, j, own]}
-            series.append(Series(rows, touching, share, longest, float(memory or 0.0), **whose, **read))
+            series.append(Series(
+                rows, touching, share, longest, memory=float(memory or 0.0), declared=channel.correlation != 0.0,
+                estimated=channel.sigma is None, integrator=solvers, clock=clock, values=values[i, j, own],
+                weights=weights[i, j, own],
+            ))  # fmt: skip
     return series
 
 
