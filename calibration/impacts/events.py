@@ -33,9 +33,9 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
-# Of places: times [s] over which a fall and a push are told, the share of a record that is a fall, how near gravity it is, and by
-# how much more of these stretches bend one way than the other.
-_FLIGHT, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.02, 0.3, 0.15, 0.6
+# Of places: times [s] over which a fall, of low bounces the second, and a push are told, the share of a record that is a fall, how
+# near gravity it is, and by how much more of these stretches bend one way than the other.
+_FLIGHTS, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = (0.08, 0.02), 0.02, 0.3, 0.15, 0.6
 
 
 class Event(NamedTuple):
@@ -107,18 +107,23 @@ def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 
 
     Parabolas through successive stretches have the second derivative -g in free flight, and 0 at rest.
     """
+    for span in _FLIGHTS:
+        bends = bent(times, values, span) / GRAVITY
+        for unit in units:
+            near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
+            if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
+                return -float(np.sign(near.sum())) * unit
+    return 0.0
+
+
+def bent(times: np.ndarray, values: np.ndarray, span: float) -> np.ndarray:
+    """Second derivatives (k,) of readings (T,) by parabolas through successive stretches of a length [s]."""
     seen = np.isfinite(values)
     clock, places = times[seen], values[seen]
     step = float(np.median(np.diff(clock))) if clock.size > _FEW else 0.0
-    count = max(_FEW, round(_FLIGHT / step)) if step > 0.0 else clock.size + 1
+    count = max(_FEW, round(span / step)) if step > 0.0 else clock.size + 1
     starts = range(0, clock.size - count + 1, max(count // 2, clock.size // 400))
-    fits = [np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts]
-    bends = 2.0 * np.array(fits) / GRAVITY
-    for unit in units:
-        near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
-        if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
-            return -float(np.sign(near.sum())) * unit
-    return 0.0
+    return 2.0 * np.array([np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts])
 
 
 def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
