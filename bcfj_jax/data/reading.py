@@ -9,6 +9,7 @@ A file may hold several tables: groups, structs and clocks, named by their path,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -42,8 +43,19 @@ def read(path: Path, where: str, inside: str | None = None, stated: Stated | Non
         _unknown(path, where, b"")
     head = opening.head(path, where, _missing(where))
     sensors = Sensitivities(stated.sensitivity or "", stated.full_scale or "", where)
-    found = with_stated(_turned(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors)))
+    found = _whole(replace(_read(path, kind, head, where, inside, stated), sensitivities=sensors))
+    found = with_stated(_turned(found))
     return found if stated.rate is None else _clocked(found, stated.rate, where)
+
+
+def _whole(table: Record) -> Record:
+    """A table with the clock whose whole seconds and nanoseconds stand in two columns, as ``stamp.sec``, ``stamp.nanosec``."""
+    names = {column(h)[0].lower(): h for h in table.header}
+    for parts in (m for n in names if (m := _NANO.fullmatch(n))):
+        if whole := next((names[n] for n in names if re.fullmatch(rf"{re.escape(parts[1])}sec(?:ond)?s?", n)), ""):
+            seconds, nano = (table.numbers(h, "1", table.name, False) for h in (whole, names[parts[0]]))
+            return table.beside("time [s]", seconds - seconds[0] + 1e-9 * nano)
+    return table
 
 
 def _turned(table: Record) -> Record:
@@ -65,7 +77,8 @@ def _turned(table: Record) -> Record:
         seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
         turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3)))
     else:
-        bare = column(angles[0])[1] is None
+        vector = "rvec" in angles[0].lower()
+        bare = column(angles[0])[1] is None and not vector
         cells = np.array([table.numbers(h, "1" if bare else "rad", table.name, True) for h in angles])
         seen = np.isfinite(cells).all(axis=0)
         # Angles without a unit are degrees if they are larger than a turn; else nothing says.
@@ -78,10 +91,11 @@ def _turned(table: Record) -> Record:
         }
         odd = {said: _unsteady(way[seen]) for said, way in ways.items()}
         said, other = sorted(ways, key=lambda w: odd[w])[:2]
-        if (bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0):
+        if not vector and ((bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0)):
             return table
+        said = "are a rotation vector" if vector else said
         turned = ways[said]
-        note = f"angles {said}: its spin is then {rounded(odd[other] / max(odd[said], 1e-6))} times steadier"
+        note = "" if vector else f"angles {said}: its spin is then {rounded(odd[other] / max(odd[said], 1e-6))} times steadier"
         table = replace(table, found="; ".join(filter(None, (table.found, note))))
     parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
@@ -269,10 +283,12 @@ def _header(name: str, column: Column) -> str:
     return name if column.unit is None else f"{name} [{column.unit}]"
 
 
+_NANO = re.compile(r"(.*?)n(?:ano)?sec(?:ond)?s?")
 # How far the determinant of a rotation matrix that is rounded may be from 1.
 _TURNS = 0.05
-# Names of angles about x, y, z; how much steadier one order makes the spin than another; changes of spin that tell it.
-_ANGLES, _STEADIER, _FEW_TURNS = (("roll", "pitch", "yaw"), ("rx", "ry", "rz")), 3.0, 8
+# Names of angles about x, y, z, or of a rotation vector; how much steadier one order makes the spin than another; changes of spin that tell it.
+_ANGLES = (("roll", "pitch", "yaw"), ("rx", "ry", "rz"), ("rvec 1", "rvec 2", "rvec 3"), ("rvec_x", "rvec_y", "rvec_z"))
+_STEADIER, _FEW_TURNS = 3.0, 8
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

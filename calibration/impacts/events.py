@@ -36,6 +36,9 @@ _DEPARTED = 0.1
 # Of places: times [s] over which a fall, of low bounces the second, and a push are told, the share of a record that is a fall, how
 # near gravity it is, and by how much more of these stretches bend one way than the other.
 _FLIGHTS, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = (0.08, 0.02), 0.02, 0.3, 0.15, 0.6
+# Stretches of a record by which an even pull is told, how near to it most of them are, and how near to gravity it is gravity; a
+# body that bounces is pushed by more than so many times its pull.
+_PARTS, _CLOSE, _MOST, _BACK = 20.0, 0.2, 0.5, 3.0
 
 
 class Event(NamedTuple):
@@ -126,6 +129,23 @@ def bent(times: np.ndarray, values: np.ndarray, span: float) -> np.ndarray:
     return 2.0 * np.array([np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts])
 
 
+def even_pull(clock: np.ndarray, readings: dict[str, np.ndarray]) -> tuple[float, bool]:
+    """The even acceleration [m/s^2] of a body over most of a record, 0 of none or of gravity, and whether it is thrown back.
+
+    clock (N,) [s], readings (N,) by unit, of which the place or else the velocity tells it.
+    """
+    seen = np.flatnonzero(np.isfinite(values := readings.get("m", readings.get("m/s", np.zeros(0)))))
+    if seen.size < 2 * _PARTS:
+        return 0.0, False
+    times, values = clock[seen], values[seen]
+    places = values if "m" in readings else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
+    bends = bent(times, places, float(np.ptp(times)) / _PARTS)
+    pull = float(np.median(bends))
+    if not np.mean(np.abs(bends - pull) < _CLOSE * abs(pull)) > _MOST or abs(abs(pull) / GRAVITY - 1.0) < _CLOSE:
+        return 0.0, False
+    return pull, bool((-np.sign(pull) * bends).max() > _BACK * abs(pull))
+
+
 def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     """By how much more than twice its weight a body that falls is pushed (T,) [m/s^2]; None of one that does not fall.
 
@@ -186,6 +206,12 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
             loose = 0.5 * _PUSHED if thrown else (width - 1) * step
             found.append(event(*ends, float(rises[first : last + 1].max()), loose))
     return found
+
+
+def paced(events: list[Event], pace: float) -> list[Event]:
+    """Events that were found on a clock at a pace, on the record's own."""
+    times = ("before", "begin", "end", "step", "loose")
+    return [e._replace(**{name: getattr(e, name) / pace for name in times}) for e in events]
 
 
 def apart(clock: np.ndarray, events: list[Event]) -> list[tuple[int, np.ndarray]]:

@@ -15,7 +15,7 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.quantities import rounded
 from bcfj_jax.data.record import Record
-from bcfj_jax.io.units import format_si
+from bcfj_jax.io.units import column, format_si
 from calibration.impacts.events import contacts, quantity, rest, told
 from calibration.impacts.headers import read_unit
 from calibration.impacts.preparation import Prepared
@@ -42,13 +42,28 @@ def effective(mass: float, struck: float | None) -> float:
 
 
 def one_of_two(
-    found: Understood, s: Sizes, masses: tuple[float, float], speed: float | None
+    found: Understood, s: Sizes, masses: tuple[float | None, float | None], speed: float | None, said: bool
 ) -> tuple[Understood, Sizes]:
-    """What was understood of one body's acceleration, of two free ones m, M [kg]: which one's, and sizes of their approach.
+    """What was understood of one body's motion, of two free ones m, M [kg]: which one's, and sizes of their approach.
 
     Of that the striking body has M/(m + M), the struck one m/(m + M). An approach at v changes by v to 2 v; else a name says.
+    ``said``: whether the struck body is. Where a second column is of it, or it alone moves, it has to be.
     """
-    ways = {"body": sum(masses) / masses[1], "struck": sum(masses) / masses[0]}
+    header, (mass, other) = next(iter(found.columns.values())).removeprefix("-"), masses
+    beside = [h for h in found.others if TARGET.search(h) and column(h)[1] == column(header)[1]]
+    if found.body == "struck" and (mass is None or other is None):
+        how = f"'{header}' begins at rest, as of a body that is struck (of one that is let go begin shortly before it strikes)"
+    else:
+        how = f"'{header}' and '{beside[0]}' are of two bodies" if beside and not said and column(header)[1] else ""
+    if how:
+        raise InputError(str(found.path), how, 'give --mass "0.8 kg" of what strikes and --struck-mass "4.8 kg"')
+    if mass is None or other is None or not {"m/s^2"} & found.columns.keys() and found.body == "body":
+        return found, s
+    ways = {"body": (mass + other) / other, "struck": (mass + other) / mass}
+    if found.body == "struck":  # Its speed behind the contact is what it changed by.
+        changed = [abs(float(np.nanmean(r.readings["m/s"][-max(3, r.clock.size // 20) :]))) for r in found.records]
+        ends = ways["struck"] * min(changed), ways["struck"] * max(changed)
+        return found, s._replace(impulse=float(np.mean(ends)), impulses=ends, speed=None)
     fits = [b for b, x in ways.items() if speed and 0.95 <= x * s.impulse / speed <= 2.05]
     which = fits[0] if len(fits) == 1 else "struck" if TARGET.search(str(found.columns)) else "body"
     peak, impulse, *ends = ways[which] * np.array([s.peak, s.impulse, *s.impulses])

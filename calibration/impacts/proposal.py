@@ -22,7 +22,7 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, pushes, rest, wrong
+from calibration.impacts.events import Event, contacts, even_pull, paced, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
@@ -36,8 +36,8 @@ _MARKER = re.compile(r"(?i)\b[xyz]\d*$")
 _WHOLE = {"m/s": 1.5, "m": 4.0}
 # Times the noise from which on a contact is seen; a load that keeps so much of its greatest is no impact's.
 _SEEN, _SUSTAINED = 12.0, 0.5
-# Readings that are a channel.
-_FEWEST = 3
+# Readings that are a channel; a speed before contact below that share of the one behind it is that of a body that is struck.
+_FEWEST, _STRUCK = 3, 0.1
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
-    body: str = "body"  # whose acceleration is read, or "struck"
+    pull: float = GRAVITY  # what they fall by [m/s^2], less of a body on a slope
+    body: str = "body"  # whose acceleration or velocity is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
     vague: bool = False  # whether one height is stated, and no word says that the body fell from it
     doubt: str = ""  # a statement that is not used, since the impulse is not as it says
@@ -173,18 +174,24 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     if "N" not in found and all(_of_places(*one) for one in raw):
         found, raw = {"m": found["m"]}, [(clock, {"m": r["m"]}) for clock, r in raw]
-    signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
+    pulls = [even_pull(*one) for one in raw] if "N" not in found else []
+    pull = float(np.median([abs(p) for p, _ in pulls])) if pulls and all(thrown for _, thrown in pulls) else GRAVITY
+    if pull != GRAVITY:  # An acceleration beside such places is derived, or reads nothing between contacts.
+        kept = "m" if "m" in found else "m/s"
+        found, raw = {kept: found[kept]}, [(clock, {kept: r[kept]}) for clock, r in raw]
+    pace = float(np.sqrt(pull / GRAVITY))  # On a clock that goes so much slower it falls by gravity.
+    signs = {u: _sign(u, [(pace * clock, r[u]) for clock, r in raw]) for u in found}
     unit = next(u for u in headers.READ if u in found)
     records = []
     for (label, _), (clock, readings) in zip(parts, raw, strict=True):
-        records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
+        records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit, pace))
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one, or another column by --observe")
         event = records[-1].events[0]
         if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
             raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
-    fallen = any(_fallen(unit, r.clock, r.readings[unit]) for r in records)
+    fallen = any(_fallen(unit, pace * r.clock, r.readings[unit]) for r in records)
     if time and table.bare(time):
         whole = 1.0 if fallen else _WHOLE.get(unit, 1.0)
         headers.seconds(where, time, whole * float(np.median([r.events[0].duration for r in records])))
@@ -206,21 +213,23 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         speeds=speeds,
         mass=headers.stated_mass(table),
         falls=fallen,
+        pull=pull,
+        body="body" if fallen or unit != "m/s" or not all(_is_struck(r.readings[unit]) for r in records) else "struck",
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
 
-def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str) -> Run:
-    """A run with its contacts, by the reading of a unit; wrong samples of what pulses are blanked."""
+def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str, pace: float) -> Run:
+    """A run with its contacts, by the reading of a unit on a clock at a pace; wrong samples of what pulses are blanked."""
     pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
     for u, sign in pulses.items():
         readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
     kind = "contact.normal" if unit in pulses else headers.READ[unit]
     if unit == "m/s^2":
         readings[unit] = np.where(np.arange(clock.size) < _released(readings[unit]), np.nan, readings[unit])
-    return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
+    return Run(label, clock, readings, paced(contacts(kind, pace * clock, pulses.get(unit, 1.0) * readings[unit]), pace))
 
 
 def _released(read: np.ndarray) -> int:
@@ -420,7 +429,7 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
         if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
             return float(np.median(np.gradient(seen)))
         if unit == "m/s":
-            return float(seen[: max(3, values.size // 20)].mean())
+            return -_ends(seen)[1] if _is_struck(seen) else _ends(seen)[0]
         if unit == "m":  # Upwards at first, before it turns?
             return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
         # A wrong sample has no vote, as far as a contact is seen without: of each three the middle one.
@@ -431,6 +440,18 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
     upwards = np.nansum(np.sign([vote(*record) for record in records])) >= 0
     return 1.0 if upwards != (unit == "m/s^2") else -1.0
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    """The means of the first and of the last twentieth of readings (N,)."""
+    count = max(3, values.size // 20)
+    return float(np.nanmean(values[:count])), float(np.nanmean(values[-count:]))
+
+
+def _is_struck(speeds: np.ndarray) -> bool:
+    """Whether velocities (N,) begin at rest, and do not end so: as of a body that is struck."""
+    before, after = _ends(speeds)
+    return abs(before) < _STRUCK * abs(after)
 
 
 class Sizes(NamedTuple):

@@ -8,14 +8,17 @@ from shlex import quote
 import numpy as np
 
 from bcfj_jax import InputError
+from bcfj_jax.core.quantities import GRAVITY
 from bcfj_jax.io.units import column
+from calibration.impacts.events import bent
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
 from calibration.impacts.proposal import Run, Understood
 from calibration.noise.scatter import scatter
 
-# A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
-_LONG, _LOST = 1.0, 0.1
+# A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed, and before
+# contact its speed changes by less than that share of how it does in contact.
+_LONG, _LOST, _LED = 1.0, 0.1, 0.3
 # A force that pulls: its ends are alike but for this share of its range, and this share of the samples is near each.
 _ALIKE, _PULLS = 0.33, 0.1
 # Friction takes at least this share of the power that goes to and fro; a spring none.
@@ -100,7 +103,18 @@ def is_slow(run: Run) -> bool:
         t, x = (values[rows][np.isfinite(place[rows])] for values in (run.clock, place))
         speeds.append(abs(float(np.polyfit(t, x, 1)[0])) if t.size >= _FEW else 0.0)
     at_first = speeds[1] if speeds[0] < 0.8 * speeds[1] else speeds[0]
-    return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0)
+    return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0) or _is_led(run)
+
+
+def _is_led(run: Run) -> bool:
+    """Whether a place bends before a contact about as in it, and does not fall: a machine moves the body to and fro."""
+    event, place, span = run.events[0], run.readings["m"], run.events[0].duration / 2.0
+    if min(event.first, event.last - event.first) < 4 * _FEW:
+        return False
+    pieces = slice(0, event.first + 1), slice(event.first, event.last + 1)
+    before, inside = (float(np.median(np.abs(bent(run.clock[p], place[p], span)))) for p in pieces)
+    noise = 2.0 * scatter(place[np.isfinite(place)]) * np.sqrt(180.0 * event.step / span) / span**2
+    return bool(before > max(_LED * inside, 3.0 * noise) and abs(before / GRAVITY - 1.0) > 0.5)
 
 
 def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
@@ -276,8 +290,10 @@ def _driven(run: Run) -> tuple[str, list[Line], str]:
     depth = max(deep - touch, 1e-3 * deep)
     # A press that comes back shows what it lost.
     taken = float(np.trapezoid(np.nan_to_num(force[: peak + 1]), places[: peak + 1]))
-    given = -float(np.trapezoid(np.nan_to_num(force[peak:]), places[peak:]))
-    back = bool(places[-1] - places[0] < touch + 0.5 * depth) and given < _ELASTIC * taken
+    # Of several cycles it is the first.
+    last = run.events[1].first if len(run.events) > 1 else places.size
+    given = -float(np.trapezoid(np.nan_to_num(force[peak:last]), places[peak:last]))
+    back = bool(places[last - 1] - places[0] < touch + 0.5 * depth) and given < _ELASTIC * taken
     ends = [float(force[peak]) / depth**n for n in ((1.0,) if back else (1.0, 2.5))]
     law = 'law = "walton_braun"\n' if back else ""
     values = "restitution = 0.7" if back else "exponent = 1.0\ndamping = 0.0"
