@@ -261,7 +261,8 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
         for u in headers.READ:
-            found.pop(u, None)
+            if unit != "N" or not u.startswith("m") or u == "m/s^2":  # A motion beside a force says what it is of.
+                found.pop(u, None)
         found[unit] = said
 
 

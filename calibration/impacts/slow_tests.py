@@ -123,7 +123,8 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
         many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
         way = f'--rows "{found.runs[0]} = 1"'
         if found.parts:
-            many, way = f"{found.runs[1]} slow tests beside each other", f'--time "{found.time}" for the first'
+            many, one = f"{found.runs[1]} slow tests beside each other", found.parts[0].columns["N"].removeprefix("-")
+            way = f'--observe "{one}" for the first'
         raise InputError(str(found.path), many, f"choose one: {way}")
     rubbed = pulls(found.records[0], str(found.path))
     scene, free, reading = (_rubbed if rubbed else _driven)(found.records[0])
