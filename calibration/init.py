@@ -24,7 +24,7 @@ from bcfj_jax.data.record import RUN_COLUMNS, STATED
 from bcfj_jax.io.outputs import create, placed
 from bcfj_jax.io.units import WEIGHTS, column, format_si
 from calibration import problemfile
-from calibration.impacts import beside, motions, slow_tests, tosses
+from calibration.impacts import beside, slow_tests, tosses
 from calibration.impacts.events import apart, contacts, telling
 from calibration.impacts.inspection import clock_note, plateau
 from calibration.impacts.lines import FIXED, NOISE, Draft, Line, Said, box, joined, read_as, toml
@@ -114,7 +114,7 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
             raise
         return slow_tests.steady(curve, path)
     if not said.scene:
-        motions.refuse(found)
+        slow_tests.refuse(found)
     if not said.scene and (slow_tests.pulls(found.records[0], str(record)) or slow_tests.is_slow(found.records[0])):
         return slow_tests.draft(found, said, path, file)
     kind = said.scene or _kind(found)
@@ -264,7 +264,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
     if found.pull != GRAVITY and kind == "bounce":
-        entries.append(_Entry("gravity", found.pull, "m/s^2", "CHECK the gravity, that between the contacts: a slope's"))
+        entries.append(_Entry("gravity", found.pull, "m/s^2", "CHECK the gravity: it is that between the contacts"))
     by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
     own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
     runs = [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
@@ -507,7 +507,7 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
-    how = "freely: gravity" if found.pull == GRAVITY else f"by {format_si(found.pull, 'm/s^2', 3)}, as on a slope, which"
+    how = "freely: gravity" if found.pull == GRAVITY else f"by {found.pull:.3g} m/s^2, as on a slope, which"
     said += [f"CHECK: {h} falls {how} acts along it" for h in [*found.columns.values()][: found.falls]]
     said += [text for text in (found.plate, found.doubt) if text]
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])

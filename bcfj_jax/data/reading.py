@@ -91,11 +91,13 @@ def _turned(table: Record) -> Record:
         }
         odd = {said: _unsteady(way[seen]) for said, way in ways.items()}
         said, other = sorted(ways, key=lambda w: odd[w])[:2]
-        if not vector and ((bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0)):
+        if vector:
+            said = "are a rotation vector"
+        elif (bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0):
             return table
-        said = "are a rotation vector" if vector else said
         turned = ways[said]
-        note = "" if vector else f"angles {said}: its spin is then {rounded(odd[other] / max(odd[said], 1e-6))} times steadier"
+        much = rounded(odd[other] / max(odd[said], 1e-6))
+        note = f"angles {said}" + f": its spin is then {much} times steadier" * (not vector)
         table = replace(table, found="; ".join(filter(None, (table.found, note))))
     parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
@@ -286,7 +288,8 @@ def _header(name: str, column: Column) -> str:
 _NANO = re.compile(r"(.*?)n(?:ano)?sec(?:ond)?s?")
 # How far the determinant of a rotation matrix that is rounded may be from 1.
 _TURNS = 0.05
-# Names of angles about x, y, z, or of a rotation vector; how much steadier one order makes the spin than another; changes of spin that tell it.
+# Names of angles about x, y, z, or of a rotation vector; how much steadier one order makes the spin than another; changes of
+# spin that tell it.
 _ANGLES = (("roll", "pitch", "yaw"), ("rx", "ry", "rz"), ("rvec 1", "rvec 2", "rvec 3"), ("rvec_x", "rvec_y", "rvec_z"))
 _STEADIER, _FEW_TURNS = 3.0, 8
 # A vector of fewer numbers than these is none of samples, as speeds of runs.

@@ -33,11 +33,10 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
-# Of places: times [s] over which a fall, of low bounces the second, and a push are told, the share of a record that is a fall, how
-# near gravity it is, and by how much more of these stretches bend one way than the other.
+# Of places: times [s] over which a fall, of low bounces the second, and a push are told, the share of a record that is a fall,
+# how near gravity it is, and by how much more of these stretches bend one way than the other.
 _FLIGHTS, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = (0.08, 0.02), 0.02, 0.3, 0.15, 0.6
-# Stretches of a record by which an even pull is told, how near to it most of them are, and how near to gravity it is gravity; a
-# body that bounces is pushed by more than so many times its pull.
+# Stretches of a record by which an even pull is told, how near to it most are, and the push back over it of a body that bounces.
 _PARTS, _CLOSE, _MOST, _BACK = 20.0, 0.2, 0.5, 3.0
 
 
@@ -129,21 +128,25 @@ def bent(times: np.ndarray, values: np.ndarray, span: float) -> np.ndarray:
     return 2.0 * np.array([np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts])
 
 
-def even_pull(clock: np.ndarray, readings: dict[str, np.ndarray]) -> tuple[float, bool]:
-    """The even acceleration [m/s^2] of a body over most of a record, 0 of none or of gravity, and whether it is thrown back.
+def even_pull(clock: np.ndarray, readings: dict[str, np.ndarray]) -> float:
+    """The even acceleration [m/s^2] of a body that is thrown back against it, as of a cart on a slope; 0 of gravity and others.
 
     clock (N,) [s], readings (N,) by unit, of which the place or else the velocity tells it.
     """
-    seen = np.flatnonzero(np.isfinite(values := readings.get("m", readings.get("m/s", np.zeros(0)))))
+    unit = "m" if "m" in readings else "m/s"
+    seen = np.flatnonzero(np.isfinite(readings.get(unit, np.zeros(0))))
     if seen.size < 2 * _PARTS:
-        return 0.0, False
-    times, values = clock[seen], values[seen]
-    places = values if "m" in readings else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
-    bends = bent(times, places, float(np.ptp(times)) / _PARTS)
+        return 0.0
+    times, values = clock[seen], readings[unit][seen]
+    bends = bent(times, _places(unit == "m", times, values), float(np.ptp(times)) / _PARTS)
     pull = float(np.median(bends))
-    if not np.mean(np.abs(bends - pull) < _CLOSE * abs(pull)) > _MOST or abs(abs(pull) / GRAVITY - 1.0) < _CLOSE:
-        return 0.0, False
-    return pull, bool((-np.sign(pull) * bends).max() > _BACK * abs(pull))
+    most = np.mean(np.abs(bends - pull) < _CLOSE * abs(pull)) > _MOST and abs(abs(pull) / GRAVITY - 1.0) > _CLOSE
+    return abs(pull) if most and (-np.sign(pull) * bends).max() > _BACK * abs(pull) else 0.0
+
+
+def _places(are: bool, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Readings (T,) that are places, else what velocities sum up to."""
+    return values if are else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
 
 
 def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
@@ -153,7 +156,7 @@ def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | Non
     """
     if kind not in ("place", "velocity") or times.size < _FEW:
         return None
-    places = values if kind == "place" else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
+    places = _places(kind == "place", times, values)
     if not (up := falls(times, places, (1.0,))):
         return None
     whole = (times[-1] - times[0]) / float(np.median(np.diff(times)))
@@ -206,12 +209,6 @@ def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event
             loose = 0.5 * _PUSHED if thrown else (width - 1) * step
             found.append(event(*ends, float(rises[first : last + 1].max()), loose))
     return found
-
-
-def paced(events: list[Event], pace: float) -> list[Event]:
-    """Events that were found on a clock at a pace, on the record's own."""
-    times = ("before", "begin", "end", "step", "loose")
-    return [e._replace(**{name: getattr(e, name) / pace for name in times}) for e in events]
 
 
 def apart(clock: np.ndarray, events: list[Event]) -> list[tuple[int, np.ndarray]]:

@@ -122,9 +122,9 @@ def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputEr
         return Steady(table, (speed, h, kinds.get("N", "") if h == kinds.get("tangential") else ""))
     if {"N", "m"} <= kinds.keys() and not other:
         found = f"'{kinds['N']}' against '{kinds['m']}' is a curve without a time"
-        remedy = (
-            'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command; '
-            'where the force does not depend on the speed --rate "1 Hz" of init calibration takes a row a second'
+        remedy = 'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command'
+        remedy += (
+            '; where the force does not depend on the speed --rate "1 Hz" of init calibration takes a row a second'
         )
         return InputError(where, found, remedy)
     return None

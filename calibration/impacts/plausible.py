@@ -49,21 +49,19 @@ def one_of_two(
     Of that the striking body has M/(m + M), the struck one m/(m + M). An approach at v changes by v to 2 v; else a name says.
     ``said``: whether the struck body is. Where a second column is of it, or it alone moves, it has to be.
     """
-    header, (mass, other) = next(iter(found.columns.values())).removeprefix("-"), masses
-    beside = [h for h in found.others if TARGET.search(h) and column(h)[1] == column(header)[1]]
-    if found.body == "struck" and (mass is None or other is None):
+    header, (mass, other), struck = next(iter(found.columns.values())).removeprefix("-"), masses, found.body == "struck"
+    beside = [h for h in found.others if TARGET.search(h) and column(h)[1] and column(h)[1] == column(header)[1]]
+    how = f"'{header}' and '{beside[0]}' are of two bodies" if beside and not said else ""
+    if struck and (mass is None or other is None):
         how = f"'{header}' begins at rest, as of a body that is struck (of one that is let go begin shortly before it strikes)"
-    else:
-        how = f"'{header}' and '{beside[0]}' are of two bodies" if beside and not said and column(header)[1] else ""
     if how:
         raise InputError(str(found.path), how, 'give --mass "0.8 kg" of what strikes and --struck-mass "4.8 kg"')
-    if mass is None or other is None or not {"m/s^2"} & found.columns.keys() and found.body == "body":
+    if mass is None or other is None or not (struck or "m/s^2" in found.columns):
         return found, s
     ways = {"body": (mass + other) / other, "struck": (mass + other) / mass}
-    if found.body == "struck":  # Its speed behind the contact is what it changed by.
-        changed = [abs(float(np.nanmean(r.readings["m/s"][-max(3, r.clock.size // 20) :]))) for r in found.records]
-        ends = ways["struck"] * min(changed), ways["struck"] * max(changed)
-        return found, s._replace(impulse=float(np.mean(ends)), impulses=ends, speed=None)
+    if struck:  # Its speed behind the contact is what it changed by.
+        changed = [ways["struck"] * abs(float(np.nanmean(r.readings["m/s"][-3:]))) for r in found.records]
+        return found, s._replace(impulse=float(np.mean(changed)), impulses=(min(changed), max(changed)), speed=None)
     fits = [b for b, x in ways.items() if speed and 0.95 <= x * s.impulse / speed <= 2.05]
     which = fits[0] if len(fits) == 1 else "struck" if TARGET.search(str(found.columns)) else "body"
     peak, impulse, *ends = ways[which] * np.array([s.peak, s.impulse, *s.impulses])

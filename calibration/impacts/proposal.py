@@ -22,7 +22,7 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
 from bcfj_jax.io.units import GRAVITIES, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, even_pull, paced, pushes, rest, wrong
+from calibration.impacts.events import Event, contacts, even_pull, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
@@ -174,8 +174,8 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     if "N" not in found and all(_of_places(*one) for one in raw):
         found, raw = {"m": found["m"]}, [(clock, {"m": r["m"]}) for clock, r in raw]
-    pulls = [even_pull(*one) for one in raw] if "N" not in found else []
-    pull = float(np.median([abs(p) for p, _ in pulls])) if pulls and all(thrown for _, thrown in pulls) else GRAVITY
+    pulls = [even_pull(*one) for one in raw] if "N" not in found else [0.0]
+    pull = float(np.median(pulls)) if all(pulls) else GRAVITY
     if pull != GRAVITY:  # An acceleration beside such places is derived, or reads nothing between contacts.
         kept = "m" if "m" in found else "m/s"
         found, raw = {kept: found[kept]}, [(clock, {kept: r[kept]}) for clock, r in raw]
@@ -214,7 +214,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         mass=headers.stated_mass(table),
         falls=fallen,
         pull=pull,
-        body="body" if fallen or unit != "m/s" or not all(_is_struck(r.readings[unit]) for r in records) else "struck",
+        body="body" if fallen or unit != "m/s" or any(_ends(r.readings[unit])[0] for r in records) else "struck",
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
@@ -229,7 +229,9 @@ def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: s
     kind = "contact.normal" if unit in pulses else headers.READ[unit]
     if unit == "m/s^2":
         readings[unit] = np.where(np.arange(clock.size) < _released(readings[unit]), np.nan, readings[unit])
-    return Run(label, clock, readings, paced(contacts(kind, pace * clock, pulses.get(unit, 1.0) * readings[unit]), pace))
+    found = contacts(kind, pace * clock, pulses.get(unit, 1.0) * readings[unit])
+    times = ("before", "begin", "end", "step", "loose")
+    return Run(label, clock, readings, [e._replace(**{k: getattr(e, k) / pace for k in times}) for e in found])
 
 
 def _released(read: np.ndarray) -> int:
@@ -430,7 +432,8 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
         if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
             return float(np.median(np.gradient(seen)))
         if unit == "m/s":
-            return -_ends(seen)[1] if _is_struck(seen) else _ends(seen)[0]
+            before, after = _ends(seen)
+            return before or -after
         if unit == "m":  # Upwards at first, before it turns?
             return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
         # A wrong sample has no vote, as far as a contact is seen without: of each three the middle one.
@@ -443,16 +446,11 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return 1.0 if upwards != (unit == "m/s^2") else -1.0
 
 
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    """The means of the first and of the last twentieth of readings (N,)."""
-    count = max(3, values.size // 20)
-    return float(np.nanmean(values[:count])), float(np.nanmean(values[-count:]))
-
-
-def _is_struck(speeds: np.ndarray) -> bool:
-    """Whether velocities (N,) begin at rest, and do not end so: as of a body that is struck."""
-    before, after = _ends(speeds)
-    return abs(before) < _STRUCK * abs(after)
+def _ends(speeds: np.ndarray) -> tuple[float, float]:
+    """The means of the first and of the last twentieth of velocities (N,); the first is 0 of a body that is struck at rest."""
+    few = max(3, speeds.size // 20)
+    before, after = float(np.nanmean(speeds[:few])), float(np.nanmean(speeds[-few:]))
+    return (before if abs(before) > _STRUCK * abs(after) else 0.0), after
 
 
 class Sizes(NamedTuple):

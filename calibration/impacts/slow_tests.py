@@ -1,4 +1,4 @@
-"""Slow tests, of a body that is driven into a contact, and forces that pull as they push; by their channels alone."""
+"""Slow tests, of a body that is driven into a contact, forces that pull as they push, and motions without a contact."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from bcfj_jax import InputError
 from bcfj_jax.core.quantities import GRAVITY
-from bcfj_jax.io.units import column
-from calibration.impacts.events import bent
+from bcfj_jax.io.units import column, format_si
+from calibration.impacts.events import bent, turning
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
 from calibration.impacts.proposal import Run, Understood
@@ -36,13 +36,57 @@ _EARLY = 0.8
 _FINE, _ROWS, _FEW, _STEADY = 1e-3, 300, 4, 8
 _DRIVEN = (
     'write a scene file whose body follows the measured displacement, drive = { kind = "table", table = [[times], [places]] }, '
-    "and a calibration file that observes its force: docs/howto/problem_file.md"
+    "and a calibration file that observes its force: docs/howto/force_displacement.md#by-hand (play: #bodies-that-turn)"
 )
+
+# A contact that throws a body back by less than that share of its speed is a shorter share of a record.
+_BACK, _WHOLE = 0.1, 0.3
+# A place leaves its line in a contact by more than so many times its noise, or that share of its range, which is rounding.
+_SEEN, _ROUNDED = 6.0, 1e-4
+_SLIDES = "docs/howto/force_displacement.md#a-body-that-slides-to-rest"
+
+
+def refuse(found: Understood) -> None:
+    """Refuse places or velocities of one body, that does not fall, which hold no contact; forces and accelerations pass."""
+    if found.falls or not found.columns.keys() <= {"m", "m/s"}:
+        return
+    header = next(iter(found.columns.values())).removeprefix("-")
+    for run in found.records:
+        said = _turned(run) if "m/s" not in run.readings else ""
+        way = "sample faster; or fit the loss to that restitution, as a result: docs/howto/problem_file.md#results"
+        if _lasts(run):
+            said = "changes its speed over most of the record, as friction or a slope does, and a contact is short"
+            way = f"write a scene of a body that slides to rest: {_SLIDES}; to take it as an impact give --scene impact"
+        if said:
+            raise InputError(f"{found.path} {run.name}", f"'{header}' {said}", way)
+
+
+def _lasts(run: Run) -> bool:
+    """Whether what would be the contact is a large part of the record, and does not throw the body back."""
+    speeds, few = _speed(run), max(run.clock.size // 20, 1)
+    before, after = np.nanmean(speeds[:few]), np.nanmean(speeds[-few:])
+    long = run.events[0].last - run.events[0].first > _WHOLE * run.clock.size
+    return bool(long and after * before > -_BACK * before**2)
+
+
+def _turned(run: Run) -> str:
+    """The speeds and the restitution of places that turn between two samples, and so show no law; "" of others."""
+    seen = np.isfinite(run.readings["m"])
+    clock, places = run.clock[seen], run.readings["m"][seen]
+    turn = turning(clock, places)
+    if not 4 <= turn <= clock.size - 5:
+        return ""
+    (before, level), (after, _) = (np.polyfit(clock[k], places[k], 1) for k in (slice(turn), slice(turn + 1, None)))
+    away = np.abs(places[:turn] - level - before * clock[:turn]).max()
+    if away > max(_SEEN * scatter(places), _ROUNDED * float(np.ptp(places))) or before * after > 0.0:
+        return ""
+    speeds = " before and ".join(format_si(abs(v), "m/s", 3) for v in (before, after))
+    return f"turns between two samples: they show {speeds} after, a restitution of {abs(after / before):.3g}, but no contact"
 
 
 def pulls(run: Run, where: str) -> bool:
     """Whether a force pulls about as it pushes, or stays as the body goes on; refused where its motion is not friction's."""
-    if _slides(run):
+    if _slides(run) and abs(_taken(run)) > _RUBS:
         return True
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
