@@ -54,6 +54,8 @@ _GROWS = 0.5
 _APART, _KEPT, _PULLED, _GAINED = 2.0, 0.995, 0.01, 1.2
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
+# From the middle of what tells a speed to the touch, over the duration that a contact seems to have.
+_BEFORE = 0.6
 # Speeds that a mass which is not known yet leaves open [m/s].
 _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
@@ -264,7 +266,9 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
     if found.pull != GRAVITY and kind == "bounce":
-        entries.append(_Entry("gravity", found.pull, "m/s^2", "CHECK the gravity: it is that between the contacts"))
+        entries.append(
+            _Entry("gravity", found.pull, "m/s^2 +- 1 %", "CHECK the gravity: it is that between the contacts")
+        )
     by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
     own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
     runs = [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
@@ -443,8 +447,9 @@ def _with_speeds(mass: float | None, found: Understood) -> _Known:
 
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
-    if found.falls and s.speed and not s.flights:
-        v = speed if speed is not None else float(np.mean(s.speed))
+    if found.falls and s.speed and not (s.flights and (len(found.records) > 1 or found.given[0])):
+        # That of the stretch before a contact, which ends when the body touches.
+        v = speed if speed is not None else float(np.mean(s.speed)) + _BEFORE * found.pull * s.duration
         return _Known(mass, v, "as given", "from the motion before contact")
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"

@@ -113,8 +113,8 @@ def headed(struct: Mapping[str, Any]) -> dict[str, Any]:
     kept = {n: v for n, v in struct.items() if n.replace("_Header", "_Data") not in own}
     # Structs of "Name", "Data" and "Unit", one or a list of them (dSPACE), are channels by their names.
     for n, v in [*kept.items()]:
-        each = v if isinstance(v, list) or (isinstance(v, np.ndarray) and v.dtype.kind == "O") else [v]
-        if all(isinstance(c, Mapping) and {"Name", "Data"} <= c.keys() for c in each) and len(each):
+        each: list[Any] = [*v] if isinstance(v, list) or (isinstance(v, np.ndarray) and v.dtype.kind == "O") else [v]
+        if all(isinstance(c, Mapping) and {"Name", "Data"} <= c.keys() for c in each) and each:
             del kept[n]
             kept |= {str(text(c["Name"])): {k.lower(): x for k, x in c.items()} for c in each}
     return kept | {n: {**v, "values": struct[n]} for n, v in own.items()}

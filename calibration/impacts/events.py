@@ -178,6 +178,11 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
     """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity, or places that do not fall, one."""
+    unit = {"place": "m", "velocity": "m/s"}.get(quantity(observes), "")
+    if pull := even_pull(times, {unit: values}):  # On a clock that goes so much slower it falls by gravity.
+        pace, own = np.sqrt(pull / GRAVITY), ("before", "begin", "end", "step", "loose")
+        found = contacts(observes, pace * times, values)
+        return [e._replace(**{k: getattr(e, k) / pace for k in own}) for e in found]
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []

@@ -19,7 +19,7 @@ from bcfj_jax.io.units import column, format_si
 from calibration.impacts.events import contacts, quantity, rest, told
 from calibration.impacts.headers import read_unit
 from calibration.impacts.preparation import Prepared
-from calibration.impacts.proposal import Sizes, Understood
+from calibration.impacts.proposal import Sizes, Understood, first_and_last
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.
@@ -60,7 +60,7 @@ def one_of_two(
         return found, s
     ways = {"body": (mass + other) / other, "struck": (mass + other) / mass}
     if struck:  # Its speed behind the contact is what it changed by.
-        changed = [ways["struck"] * abs(float(np.nanmean(r.readings["m/s"][-3:]))) for r in found.records]
+        changed = [ways["struck"] * abs(first_and_last(r.readings["m/s"])[1]) for r in found.records]
         return found, s._replace(impulse=float(np.mean(changed)), impulses=(min(changed), max(changed)), speed=None)
     fits = [b for b, x in ways.items() if speed and 0.95 <= x * s.impulse / speed <= 2.05]
     which = fits[0] if len(fits) == 1 else "struck" if TARGET.search(str(found.columns)) else "body"

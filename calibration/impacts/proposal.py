@@ -184,7 +184,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
     unit = next(u for u in headers.READ if u in found)
     records = []
     for (label, _), (clock, readings) in zip(parts, raw, strict=True):
-        records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit, pace))
+        records.append(_run(label, clock, {u: signs.get(u, 1.0) * v for u, v in readings.items()}, unit))
         if not records[-1].events:
             missing = f"{label}: no contact is found in '{found[unit]}'"
             raise InputError(where, missing, "choose a record that holds one, or another column by --observe")
@@ -214,24 +214,24 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         mass=headers.stated_mass(table),
         falls=fallen,
         pull=pull,
-        body="body" if fallen or unit != "m/s" or any(_ends(r.readings[unit])[0] for r in records) else "struck",
+        body="body"
+        if fallen or unit != "m/s" or any(first_and_last(r.readings[unit])[0] for r in records)
+        else "struck",
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
     )
 
 
-def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str, pace: float) -> Run:
-    """A run with its contacts, by the reading of a unit on a clock at a pace; wrong samples of what pulses are blanked."""
+def _run(label: str, clock: np.ndarray, readings: dict[str, np.ndarray], unit: str) -> Run:
+    """A run with its contacts, by the reading of a unit; wrong samples of what pulses are blanked."""
     pulses = {u: -1.0 if u == "m/s^2" else 1.0 for u in {"N", "m/s^2"} & readings.keys()}
     for u, sign in pulses.items():
         readings[u] = np.where(wrong("contact.normal", clock, sign * readings[u]), np.nan, readings[u])
     kind = "contact.normal" if unit in pulses else headers.READ[unit]
     if unit == "m/s^2":
         readings[unit] = np.where(np.arange(clock.size) < _released(readings[unit]), np.nan, readings[unit])
-    found = contacts(kind, pace * clock, pulses.get(unit, 1.0) * readings[unit])
-    times = ("before", "begin", "end", "step", "loose")
-    return Run(label, clock, readings, [e._replace(**{k: getattr(e, k) / pace for k in times}) for e in found])
+    return Run(label, clock, readings, contacts(kind, clock, pulses.get(unit, 1.0) * readings[unit]))
 
 
 def _released(read: np.ndarray) -> int:
@@ -432,7 +432,7 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
         if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
             return float(np.median(np.gradient(seen)))
         if unit == "m/s":
-            before, after = _ends(seen)
+            before, after = first_and_last(seen)
             return before or -after
         if unit == "m":  # Upwards at first, before it turns?
             return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
@@ -446,10 +446,10 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return 1.0 if upwards != (unit == "m/s^2") else -1.0
 
 
-def _ends(speeds: np.ndarray) -> tuple[float, float]:
+def first_and_last(speeds: np.ndarray) -> tuple[float, float]:
     """The means of the first and of the last twentieth of velocities (N,); the first is 0 of a body that is struck at rest."""
-    few = max(3, speeds.size // 20)
-    before, after = float(np.nanmean(speeds[:few])), float(np.nanmean(speeds[-few:]))
+    seen, few = speeds[np.isfinite(speeds)], max(3, speeds.size // 20)
+    before, after = float(np.mean(seen[:few])), float(np.mean(seen[-few:]))
     return (before if abs(before) > _STRUCK * abs(after) else 0.0), after
 
 

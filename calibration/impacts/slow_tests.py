@@ -13,7 +13,7 @@ from bcfj_jax.io.units import column, format_si
 from calibration.impacts.events import bent, turning
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
-from calibration.impacts.proposal import Run, Understood
+from calibration.impacts.proposal import Run, Understood, first_and_last
 from calibration.noise.scatter import scatter
 
 # A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed, and before
@@ -48,7 +48,7 @@ _SLIDES = "docs/howto/force_displacement.md#a-body-that-slides-to-rest"
 
 def refuse(found: Understood) -> None:
     """Refuse places or velocities of one body, that does not fall, which hold no contact; forces and accelerations pass."""
-    if found.falls or not found.columns.keys() <= {"m", "m/s"}:
+    if found.falls or found.body == "struck" or not found.columns.keys() <= {"m", "m/s"}:
         return
     header = next(iter(found.columns.values())).removeprefix("-")
     for run in found.records:
@@ -63,8 +63,7 @@ def refuse(found: Understood) -> None:
 
 def _lasts(run: Run) -> bool:
     """Whether what would be the contact is a large part of the record, and does not throw the body back."""
-    speeds, few = _speed(run), max(run.clock.size // 20, 1)
-    before, after = np.nanmean(speeds[:few]), np.nanmean(speeds[-few:])
+    before, after = first_and_last(_speed(run))
     long = run.events[0].last - run.events[0].first > _WHOLE * run.clock.size
     return bool(long and after * before > -_BACK * before**2)
 
@@ -86,7 +85,7 @@ def _turned(run: Run) -> str:
 
 def pulls(run: Run, where: str) -> bool:
     """Whether a force pulls about as it pushes, or stays as the body goes on; refused where its motion is not friction's."""
-    if _slides(run) and abs(_taken(run)) > _RUBS:
+    if _slides(run):
         return True
     force = run.readings.get("N", np.zeros(0))
     force = force[np.isfinite(force)]
