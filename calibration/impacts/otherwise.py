@@ -75,7 +75,7 @@ def refuse_motion(table: Record) -> None:
         if table.clock in ("", header) and result:
             raise InputError(table.name, f"'{header}' is a result of each impact, and no column is a time", _EACH)
         *about, last = re.findall(r"[^\W_]+", column(header)[0].lower()) or [""]
-        last = _NUMBERED.get(str(last), last) if _VECTORS & {*about} else last  # "tvec 1" is along x.
+        last = _NUMBERED.get(str(last), str(last)) if _VECTORS & {*about} else str(last)  # "tvec 1" is along x.
         key = f"q{last}" if _TURNED & {*about} and len(last) == 1 else last
         key, unit = _NAMED.get(key, key), column(header)[1]
         turns = key in _ANGLES and unit in (None, "deg", "°", "rad")
