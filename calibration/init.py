@@ -54,6 +54,8 @@ _GROWS = 0.5
 _APART, _KEPT, _PULLED, _GAINED = 2.0, 0.995, 0.01, 1.2
 # Bounds beyond what the record says: of a stiffness, a damping times the speed, a speed or mass from an impulse.
 _WIDE, _LOSS, _MARGIN = 30.0, (0.01, 5.0), 1.4
+# From the middle of what tells a speed to the touch, over the duration that a contact seems to have.
+_BEFORE = 0.6
 # Speeds that a mass which is not known yet leaves open [m/s].
 _ANY_SPEED = (0.01, 100.0)
 _EXPONENTS = (1.0, 2.5)
@@ -113,6 +115,8 @@ def _drafted(record: Path, said: Said, path: Path, file: str) -> Draft:
         if said.scene:
             raise
         return slow_tests.steady(curve, path)
+    if not said.scene:
+        slow_tests.refuse(found)
     if not said.scene and (slow_tests.pulls(found.records[0], str(record)) or slow_tests.is_slow(found.records[0])):
         return slow_tests.draft(found, said, path, file)
     kind = said.scene or _kind(found)
@@ -242,8 +246,8 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         raise InputError(f"{found.path} {', '.join(s.silent)}", lost, "choose a column, or rows, that show a contact")
     # What a contact feels of two free bodies is their effective mass.
     felt = None if mass is None else effective(mass, other)
-    if mass is not None and other is not None and "N" not in found.columns and "m/s^2" in found.columns:
-        found, s = one_of_two(found, s, (mass, other), speed)
+    if kind == "impact" and "N" not in found.columns:
+        found, s = one_of_two(found, s, (mass, other), speed, said.struck is not None)
     known = _bounced(s, mass, speed, found) if kind == "bounce" else _known(s, felt, speed, found)
     # 1 + e from the impulse, where mass and speed are both known.
     ratio = float("nan")
@@ -251,7 +255,7 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
         # Of an acceleration what is summed up is a change of speed already.
         each = s.impulse / (known.mass if "N" in found.columns else 1.0)
         # What falls is held up in contact, too.
-        ratio = (each - GRAVITY * s.duration * (kind == "bounce")) / known.speed
+        ratio = (each - found.pull * s.duration * (kind == "bounce")) / known.speed
     doubt = _SURE * s.doubt * ratio
     elastic = kind == "impact" and ratio - doubt > 1.0 + _ELASTIC
     lossless = kind == "impact" and ratio + doubt > 1.0 + _ELASTIC
@@ -261,6 +265,10 @@ def _text(found: Understood, kind: str, said: Said, file: str) -> tuple[str, lis
     own = known if mass is None else known._replace(mass=mass)
     own = own._replace(mass_from="CHECK the mass, which the file states") if stated else own
     entries = _entries(own, kind, elastic, falls)
+    if found.pull != GRAVITY and kind == "bounce":
+        entries.append(
+            _Entry("gravity", found.pull, "m/s^2 +- 1 %", "CHECK the gravity: it is that between the contacts")
+        )
     by_name, why = known.by_column and not found.given[0], "CHECK the speed, which is stated"
     own_speed = [_Entry("approach_speed", v, "m/s", why) for v in found.speeds if by_name]
     runs = [replace(found, parts=(p,), table=p.table, time=p.time, columns=p.columns) for p in found.parts]
@@ -439,13 +447,14 @@ def _with_speeds(mass: float | None, found: Understood) -> _Known:
 
 def _bounced(s: Sizes, mass: float | None, speed: float | None, found: Understood) -> _Known:
     """Mass and speed of a drop: a flight of length t ends the impact at g t/2, and the next begins with that."""
-    if found.falls and s.speed and not s.flights:
-        v = speed if speed is not None else float(np.mean(s.speed))
+    if found.falls and s.speed and not (s.flights and (len(found.records) > 1 or found.given[0])):
+        # That of the stretch before a contact, which ends when the body touches.
+        v = speed if speed is not None else float(np.mean(s.speed)) + _BEFORE * found.pull * s.duration
         return _Known(mass, v, "as given", "from the motion before contact")
     if not s.flights:
         remedy = "take --scene impact, or a record of two contacts"
         raise InputError("--scene", "bounce, but no record holds two contacts", remedy)
-    after = 0.5 * GRAVITY * s.flights[0]
+    after = 0.5 * found.pull * s.flights[0]
     kept = min(max(s.flights[1] / s.flights[0], 0.2), 0.99) if len(s.flights) > 1 else _USUAL
     v = speed if speed is not None else after / kept
     m: float | tuple[float, float] | None = mass
@@ -504,7 +513,8 @@ def _other(found: Understood, kind: str) -> list[str]:
     heavy = found.columns.get("N", "")
     unit = column(heavy.removeprefix("-"))[1]
     said += [f"CHECK: {heavy} is taken as the weight of so many {unit}"] if unit in WEIGHTS else []
-    said += [f"CHECK: {h} falls freely: gravity acts along it" for h in [*found.columns.values()][: found.falls]]
+    how = "freely: gravity" if found.pull == GRAVITY else f"by {found.pull:.3g} m/s^2, as on a slope, which"
+    said += [f"CHECK: {h} falls {how} acts along it" for h in [*found.columns.values()][: found.falls]]
     said += [text for text in (found.plate, found.doubt) if text]
     return said + ([f"Not understood: {', '.join(found.others)}"] if found.others else [])
 
@@ -569,7 +579,7 @@ def _free(s: Sizes, known: _Known, kind: str, found: Understood, lossless: bool 
     if known.by_column:
         return lines
     if kind == "bounce":
-        height = (v or 1.0) ** 2 / (2.0 * GRAVITY)
+        height = (v or 1.0) ** 2 / (2.0 * found.pull)
         # Runs may be of several heights, whose flights are as the speeds.
         heights = [height * (t / s.flights[0]) ** 2 for t in s.after] if s.flights else [height] * 2
         most = 4.0 if known.speed_from == "from the flights between contacts" else 2.0

@@ -112,6 +112,12 @@ def headed(struct: Mapping[str, Any]) -> dict[str, Any]:
     }
     own = {n: {**v, "name": v.get("SignalName"), "unit": v.get("Unit")} for n, v in heads.items() if n in struct}
     kept = {n: v for n, v in struct.items() if n.replace("_Header", "_Data") not in own}
+    # Structs of "Name", "Data" and "Unit", one or a list of them (dSPACE), are channels by their names.
+    for n, v in [*kept.items()]:
+        each: list[Any] = [*v] if isinstance(v, list) or (isinstance(v, np.ndarray) and v.dtype.kind == "O") else [v]
+        if all(isinstance(c, Mapping) and {"Name", "Data"} <= c.keys() for c in each) and each:
+            del kept[n]
+            kept |= {str(text(c["Name"])): {k.lower(): x for k, x in c.items()} for c in each}
     return kept | {n: {**v, "values": struct[n]} for n, v in own.items()}
 
 

@@ -65,7 +65,8 @@ def _turned(table: Record) -> Record:
         seen = np.abs(np.linalg.det(matrices) - 1.0) < _TURNS
         turned = Rotation.from_matrix(np.where(seen[:, None, None], matrices, np.eye(3)))
     else:
-        bare = column(angles[0])[1] is None
+        vector = "rvec" in angles[0].lower()
+        bare = column(angles[0])[1] is None and not vector
         cells = np.array([table.numbers(h, "1" if bare else "rad", table.name, True) for h in angles])
         seen = np.isfinite(cells).all(axis=0)
         # Angles without a unit are degrees if they are larger than a turn; else nothing says.
@@ -78,10 +79,13 @@ def _turned(table: Record) -> Record:
         }
         odd = {said: _unsteady(way[seen]) for said, way in ways.items()}
         said, other = sorted(ways, key=lambda w: odd[w])[:2]
-        if (bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0):
+        if vector:
+            said = "are a rotation vector"
+        elif (bare and not wide) or not _STEADIER * odd[said] < min(odd[other], 1.0):
             return table
         turned = ways[said]
-        note = f"angles {said}: its spin is then {rounded(odd[other] / max(odd[said], 1e-6))} times steadier"
+        much = rounded(odd[other] / max(odd[said], 1e-6))
+        note = f"angles {said}" + f": its spin is then {much} times steadier" * (not vector)
         table = replace(table, found="; ".join(filter(None, (table.found, note))))
     parts = turned.as_quat(scalar_first=True)
     for k in (3, 2, 1, 0):
@@ -271,8 +275,10 @@ def _header(name: str, column: Column) -> str:
 
 # How far the determinant of a rotation matrix that is rounded may be from 1.
 _TURNS = 0.05
-# Names of angles about x, y, z; how much steadier one order makes the spin than another; changes of spin that tell it.
-_ANGLES, _STEADIER, _FEW_TURNS = (("roll", "pitch", "yaw"), ("rx", "ry", "rz")), 3.0, 8
+# Names of angles about x, y, z, or of a rotation vector; how much steadier one order makes the spin than another; changes of
+# spin that tell it.
+_ANGLES = (("roll", "pitch", "yaw"), ("rx", "ry", "rz"), ("rvec 1", "rvec 2", "rvec 3"), ("rvec_x", "rvec_y", "rvec_z"))
+_STEADIER, _FEW_TURNS = 3.0, 8
 # A vector of fewer numbers than these is none of samples, as speeds of runs.
 _FEW = 64
 _TEXTS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn")

@@ -33,9 +33,11 @@ _FAINT = 0.1
 _ROUNDING = 1e-13
 # Of a velocity or a position: the share of its largest departure that is contact.
 _DEPARTED = 0.1
-# Of places: times [s] over which a fall and a push are told, the share of a record that is a fall, how near gravity it is, and by
-# how much more of these stretches bend one way than the other.
-_FLIGHT, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = 0.08, 0.02, 0.3, 0.15, 0.6
+# Of places: times [s] over which a fall, of low bounces the second, and a push are told, the share of a record that is a fall,
+# how near gravity it is, and by how much more of these stretches bend one way than the other.
+_FLIGHTS, _PUSHED, _FALLEN, _NEAR, _ONE_WAY = (0.08, 0.02), 0.02, 0.3, 0.15, 0.6
+# Stretches of a record by which an even pull is told, how near to it most are, and the push back over it of a body that bounces.
+_PARTS, _CLOSE, _MOST, _BACK = 20.0, 0.2, 0.5, 3.0
 
 
 class Event(NamedTuple):
@@ -107,18 +109,44 @@ def falls(times: np.ndarray, values: np.ndarray, units: Iterable[float] = (1.0, 
 
     Parabolas through successive stretches have the second derivative -g in free flight, and 0 at rest.
     """
+    for span in _FLIGHTS:
+        bends = bent(times, values, span) / GRAVITY
+        for unit in units:
+            near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
+            if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
+                return -float(np.sign(near.sum())) * unit
+    return 0.0
+
+
+def bent(times: np.ndarray, values: np.ndarray, span: float) -> np.ndarray:
+    """Second derivatives (k,) of readings (T,) by parabolas through successive stretches of a length [s]."""
     seen = np.isfinite(values)
     clock, places = times[seen], values[seen]
     step = float(np.median(np.diff(clock))) if clock.size > _FEW else 0.0
-    count = max(_FEW, round(_FLIGHT / step)) if step > 0.0 else clock.size + 1
+    count = max(_FEW, round(span / step)) if step > 0.0 else clock.size + 1
     starts = range(0, clock.size - count + 1, max(count // 2, clock.size // 400))
-    fits = [np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts]
-    bends = 2.0 * np.array(fits) / GRAVITY
-    for unit in units:
-        near = bends[np.abs(np.abs(bends) * unit - 1.0) < _NEAR]
-        if near.size > max(_FALLEN * bends.size, 2) and abs(np.sign(near).sum()) > _ONE_WAY * near.size:
-            return -float(np.sign(near.sum())) * unit
-    return 0.0
+    return 2.0 * np.array([np.polyfit(clock[k : k + count] - clock[k], places[k : k + count], 2)[0] for k in starts])
+
+
+def even_pull(clock: np.ndarray, readings: dict[str, np.ndarray]) -> float:
+    """The even acceleration [m/s^2] of a body that is thrown back against it, as of a cart on a slope; 0 of gravity and others.
+
+    clock (N,) [s], readings (N,) by unit, of which the place or else the velocity tells it.
+    """
+    unit = "m" if "m" in readings else "m/s"
+    seen = np.flatnonzero(np.isfinite(readings.get(unit, np.zeros(0))))
+    if seen.size < 2 * _PARTS:
+        return 0.0
+    times, values = clock[seen], readings[unit][seen]
+    bends = bent(times, _places(unit == "m", times, values), float(np.ptp(times)) / _PARTS)
+    pull = float(np.median(bends))
+    most = np.mean(np.abs(bends - pull) < _CLOSE * abs(pull)) > _MOST and abs(abs(pull) / GRAVITY - 1.0) > _CLOSE
+    return abs(pull) if most and (-np.sign(pull) * bends).max() > _BACK * abs(pull) else 0.0
+
+
+def _places(are: bool, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Readings (T,) that are places, else what velocities sum up to."""
+    return values if are else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
 
 
 def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | None:
@@ -128,7 +156,7 @@ def pushes(kind: str, times: np.ndarray, values: np.ndarray) -> np.ndarray | Non
     """
     if kind not in ("place", "velocity") or times.size < _FEW:
         return None
-    places = values if kind == "place" else np.r_[0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(times))]
+    places = _places(kind == "place", times, values)
     if not (up := falls(times, places, (1.0,))):
         return None
     whole = (times[-1] - times[0]) / float(np.median(np.diff(times)))
@@ -150,6 +178,11 @@ def turning(times: np.ndarray, values: np.ndarray) -> int:
 
 def contacts(observes: str, times: np.ndarray, values: np.ndarray) -> list[Event]:
     """Every contact that a channel (T,), NaN where nothing was read, shows; of a velocity, or places that do not fall, one."""
+    unit = {"place": "m", "velocity": "m/s"}.get(quantity(observes), "")
+    if pull := even_pull(times, {unit: values}):  # On a clock that goes so much slower it falls by gravity.
+        pace, own = np.sqrt(pull / GRAVITY), ("before", "begin", "end", "step", "loose")
+        found = contacts(observes, pace * times, values)
+        return [e._replace(**{k: getattr(e, k) / pace for k in own}) for e in found]
     seen = np.flatnonzero(np.isfinite(values))
     if seen.size < _LEVEL:
         return []

@@ -268,6 +268,10 @@ def one_of(table: Record, header: str, unit: str) -> None:
     apart = [h for h in hits if np.abs(read[h] - same[h]).max() > _AS_MUCH]
     if apart:
         which = ", ".join(f"'{h}'" for h in hits)
+        if moves and len(marks := {_AXIS.sub("", column(h)[0]) for h in hits if _AXIS.search(column(h)[0])}) > 2:
+            known = f"places of {len(marks)} marks on a body that turns: {which}"
+            way = "give its centre and attitude, columns x, y, z and q0 to q3, scalar first, as the program exports a rigid body"
+            raise InputError(table.name, known, f'{way}; of a ball one mark, --observe "{hits[0]}"')
         if moves:
             way = f'write their difference as a column "relative [{unit}]" alone, and give --mass and --struck-mass'
             raise InputError(table.name, f"two bodies move: {which}", f'{way}; where one is held --observe "{hits[0]}"')

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 
 from bcfj_jax import InputError
+from bcfj_jax.data.clock import TIMES
 from bcfj_jax.data.record import Record
 from bcfj_jax.io.units import column
 from calibration.impacts import headers
@@ -20,6 +21,8 @@ _NAMED |= {f"{a}{k}": k for a in "pt" for k in PLACES}
 # Words before x, y, z by which they are an attitude's, and by which they are no place's.
 _TURNED = {"rot", "rotation", "quat", "quaternion", "orientation", "attitude", "q"}
 _MOVED = {"linear", "angular", "spin", "omega", "w", "moment"}.union(*(headers.NAMES[u] for u in ("N", "m/s^2", "m/s")))
+# Vectors whose parts are numbered.
+_VECTORS, _NUMBERED = {"tvec", "position", "pos", "translation", "xyz", "place"}, dict(zip("123", PLACES, strict=True))
 _WORDS = {
     "friction": re.compile(r"(?i)\b(?:mu|cof|friction|reib\w*|coefficient)\b|µ"),
     "speed": re.compile(r"(?i)speed|velocity|slip|geschw"),
@@ -30,6 +33,9 @@ _RESULTS = re.compile(
     r"|\b(?:contact|impact|collision|kontakt|sto(?:ss|ß))[ -]?(?:time|duration|dauer|zeit)"
     r"|(?:dur[ée]e|temps|duraci[óo]n|tiempo|durata|tempo) d\S* ?(?:contat?to|contact|impact|choque?)"
 )
+# Rows of a table of results are fewer; words for what is read behind an impact.
+_FEW = 64
+_AFTER = re.compile(r"(?i)\b(?:after|nach(?:her|dem)?|danach|apr[èe]s|despu[ée]s|dopo|depois|efter)\b")
 _EACH = 'give each row as an [[experiment]] with features = { "contact.impulse" = "0.9 N s" }: docs/howto/problem_file.md#results'
 
 
@@ -60,10 +66,16 @@ def refuse_motion(table: Record) -> None:
     So is a table whose rows are impacts, by a column of what came of them; a duration is no clock.
     """
     found: dict[str, str] = {}
+    moving = [h for h in table.header if h and headers.read_unit(table, h) in ("m/s", "m")]
+    few = bool(table.clock and moving) and table.lines.size < _FEW
+    lasts = few and headers.name_of(table.clock) not in TIMES and not headers.rises(table, table.clock)
     for header in table.header:
-        if table.clock in ("", header) and _RESULTS.search(column(header)[0].replace("_", " ")):
+        name = column(header)[0].replace("_", " ")
+        result = _RESULTS.search(name) or (header in moving and _AFTER.search(name)) or (header and lasts)
+        if table.clock in ("", header) and result:
             raise InputError(table.name, f"'{header}' is a result of each impact, and no column is a time", _EACH)
         *about, last = re.findall(r"[^\W_]+", column(header)[0].lower()) or [""]
+        last = _NUMBERED.get(str(last), str(last)) if _VECTORS & {*about} else str(last)  # "tvec 1" is along x.
         key = f"q{last}" if _TURNED & {*about} and len(last) == 1 else last
         key, unit = _NAMED.get(key, key), column(header)[1]
         turns = key in _ANGLES and unit in (None, "deg", "°", "rad")
@@ -86,7 +98,8 @@ def in_metres(table: Record, header: str) -> str:
     """A column of places with its unit: as it states, or where it or another axis of the body falls, by gravity."""
     if column(header)[1] is not None or not table.clock:
         return header
-    alike = [h for h in table.header if h == header or (h.strip()[-1:].lower() in PLACES and column(h)[1] is None)]
+    bare = [h.strip() for h in table.header if column(h)[1] is None]
+    alike = [header, *(h for h in bare if h[-1:].lower() in PLACES or h[:-1] == header.strip()[:-1])]
     with contextlib.suppress(InputError):
         clock = table.numbers(table.clock, "s", table.name, False)
         unit = max(abs(falls(clock, table.numbers(h, "m", table.name, True))) for h in alike)
@@ -110,5 +123,8 @@ def without_time(table: Record, kinds: Mapping[str, str], other: str) -> InputEr
     if {"N", "m"} <= kinds.keys() and not other:
         found = f"'{kinds['N']}' against '{kinds['m']}' is a curve without a time"
         remedy = 'add a column "time [s]", of a test at constant speed the displacement over the speed, then repeat the command'
+        remedy += (
+            '; where the force does not depend on the speed --rate "1 Hz" of init calibration takes a row a second'
+        )
         return InputError(where, found, remedy)
     return None

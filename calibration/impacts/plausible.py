@@ -15,11 +15,11 @@ import numpy as np
 from bcfj_jax import InputError
 from bcfj_jax.core.quantities import rounded
 from bcfj_jax.data.record import Record
-from bcfj_jax.io.units import format_si
+from bcfj_jax.io.units import column, format_si
 from calibration.impacts.events import contacts, quantity, rest, told
 from calibration.impacts.headers import read_unit
 from calibration.impacts.preparation import Prepared
-from calibration.impacts.proposal import Sizes, Understood
+from calibration.impacts.proposal import Sizes, Understood, first_and_last
 from calibration.noise.scatter import scatter
 
 # J/(m v) and what it may be missed by; so much of the level of rest may be wrong over a contact, of the peak.
@@ -42,13 +42,26 @@ def effective(mass: float, struck: float | None) -> float:
 
 
 def one_of_two(
-    found: Understood, s: Sizes, masses: tuple[float, float], speed: float | None
+    found: Understood, s: Sizes, masses: tuple[float | None, float | None], speed: float | None, said: bool
 ) -> tuple[Understood, Sizes]:
-    """What was understood of one body's acceleration, of two free ones m, M [kg]: which one's, and sizes of their approach.
+    """What was understood of one body's motion, of two free ones m, M [kg]: which one's, and sizes of their approach.
 
     Of that the striking body has M/(m + M), the struck one m/(m + M). An approach at v changes by v to 2 v; else a name says.
+    ``said``: whether the struck body is. Where a second column is of it, or it alone moves, it has to be.
     """
-    ways = {"body": sum(masses) / masses[1], "struck": sum(masses) / masses[0]}
+    header, (mass, other), struck = next(iter(found.columns.values())).removeprefix("-"), masses, found.body == "struck"
+    beside = [h for h in found.others if TARGET.search(h) and column(h)[1] and column(h)[1] == column(header)[1]]
+    how = f"'{header}' and '{beside[0]}' are of two bodies" if beside and not said else ""
+    if struck and (mass is None or other is None):
+        how = f"'{header}' begins at rest, as of a body that is struck (of one that is let go begin shortly before it strikes)"
+    if how:
+        raise InputError(str(found.path), how, 'give --mass "0.8 kg" of what strikes and --struck-mass "4.8 kg"')
+    if mass is None or other is None or not (struck or "m/s^2" in found.columns):
+        return found, s
+    ways = {"body": (mass + other) / other, "struck": (mass + other) / mass}
+    if struck:  # Its speed behind the contact is what it changed by.
+        changed = [ways["struck"] * abs(first_and_last(r.readings["m/s"])[1]) for r in found.records]
+        return found, s._replace(impulse=float(np.mean(changed)), impulses=(min(changed), max(changed)), speed=None)
     fits = [b for b, x in ways.items() if speed and 0.95 <= x * s.impulse / speed <= 2.05]
     which = fits[0] if len(fits) == 1 else "struck" if TARGET.search(str(found.columns)) else "body"
     peak, impulse, *ends = ways[which] * np.array([s.peak, s.impulse, *s.impulses])

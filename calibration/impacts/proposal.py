@@ -22,7 +22,7 @@ from bcfj_jax.data.numbers import is_missing
 from bcfj_jax.data.record import DROPPED, GIVEN, HIGH, RUN_COLUMNS, STATED, SWEEP, Record, run_column, split, statements
 from bcfj_jax.io.units import GRAVITIES, WEIGHTS, column
 from calibration.impacts import headers, plates
-from calibration.impacts.events import Event, contacts, pushes, rest, wrong
+from calibration.impacts.events import Event, contacts, even_pull, pushes, rest, wrong
 from calibration.impacts.flights import Loss, loss
 from calibration.impacts.inspection import check_clock
 from calibration.impacts.otherwise import in_metres, refuse_motion, without_time
@@ -38,8 +38,8 @@ _WHOLE = {"m/s": 1.5, "m": 4.0}
 _SEEN, _SUSTAINED = 12.0, 0.5
 # Deviations of its noise from which on a body moves before contact.
 _MOVES = 5.0
-# Readings that are a channel.
-_FEWEST = 3
+# Readings that are a channel; a speed before contact below that share of the one behind it is that of a body that is struck.
+_FEWEST, _STRUCK = 3, 0.1
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ class Understood:
     parts: tuple[Part, ...] = ()  # runs that stand beside each other in columns or tables; empty for none
     mass: float | None = None  # of what strikes [kg], as the file states it
     falls: bool = False  # whether the places read are those of a body that falls freely
-    body: str = "body"  # whose acceleration is read, or "struck"
+    pull: float = GRAVITY  # what they fall by [m/s^2], less of a body on a slope
+    body: str = "body"  # whose acceleration or velocity is read, or "struck"
     dropped: bool = False  # whether a line beside the table, or what numbers its runs, says so
     vague: bool = False  # whether one height is stated, and no word says that the body fell from it
     bare: bool = True  # whether its clock has no unit
@@ -179,7 +180,13 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         raise InputError(where, f"no column of readings holds {_FEWEST} numbers", "give a record with readings")
     if "N" not in found and all(_of_places(*one) for one in raw):
         found, raw = {"m": found["m"]}, [(clock, {"m": r["m"]}) for clock, r in raw]
-    signs = {u: _sign(u, [(clock, r[u]) for clock, r in raw]) for u in found}
+    pulls = [even_pull(*one) for one in raw] if "N" not in found else [0.0]
+    pull = float(np.median(pulls)) if all(pulls) else GRAVITY
+    if pull != GRAVITY:  # An acceleration beside such places is derived, or reads nothing between contacts.
+        kept = "m" if "m" in found else "m/s"
+        found, raw = {kept: found[kept]}, [(clock, {kept: r[kept]}) for clock, r in raw]
+    pace = float(np.sqrt(pull / GRAVITY))  # On a clock that goes so much slower it falls by gravity.
+    signs = {u: _sign(u, [(pace * clock, r[u]) for clock, r in raw]) for u in found}
     unit = next(u for u in headers.READ if u in found)
     records = []
     for (label, _), (clock, readings) in zip(parts, raw, strict=True):
@@ -190,7 +197,7 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         event = records[-1].events[0]
         if not event.first and event.last == clock.size - 1 and (turns := headers.torque(table)):
             raise InputError(where, f"{label}: '{found[unit]}' never rests, and is no impact's", turns)
-    fallen = any(_fallen(unit, r.clock, r.readings[unit]) for r in records)
+    fallen = any(_fallen(unit, pace * r.clock, r.readings[unit]) for r in records)
     if time and table.bare(time):
         whole = 1.0 if fallen else _WHOLE.get(unit, 1.0)
         headers.seconds(where, time, whole * float(np.median([r.events[0].duration for r in records])))
@@ -213,6 +220,10 @@ def understood(table: Record, hints: Hints = Hints()) -> Understood:  # noqa: B0
         mass=headers.stated_mass(table),
         bare=bool(time) and table.bare(time),
         falls=fallen,
+        pull=pull,
+        body="body"
+        if fallen or unit != "m/s" or any(first_and_last(r.readings[unit])[0] for r in records)
+        else "struck",
         vague=given[0] == STATED + HIGH and not DROPPED.search(statements(table, HIGH)[1]),
         dropped=any(DROPPED.search(text) for text in (run, table.inside, *map(" ".join, table.facts))),
         plate=plates.said(parts[0][1], found["N"], first.readings["N"] - first.rest("N")) if "N" in found else "",
@@ -260,7 +271,8 @@ def _hinted(table: Record, hints: Hints, found: dict[str, str]) -> None:
             remedy = 'give its unit, as in "column 2 [N]", or its sensor\'s sensitivity: --sensitivity "10 mV/N"'
             raise InputError("--observe", f"'{hints.observe}' has no unit of a reading", remedy)
         for u in headers.READ:
-            found.pop(u, None)
+            if unit != "N" or not u.startswith("m") or u == "m/s^2":  # A motion beside a force says what it is of.
+                found.pop(u, None)
         found[unit] = said
 
 
@@ -428,7 +440,8 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
         if unit == "m/s" and _fallen(unit, clock, values):  # Held at first it has no way yet.
             return float(np.median(np.gradient(seen)))
         if unit == "m/s":
-            return float(seen[: max(3, values.size // 20)].mean())
+            before, after = first_and_last(seen)
+            return before or -after
         if unit == "m":  # Upwards at first, before it turns?
             return float(seen[np.argmax(np.abs(seen - seen[0]))] - seen[0])
         # A wrong sample has no vote, as far as a contact is seen without: of each three the middle one.
@@ -439,6 +452,13 @@ def _sign(unit: str, records: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
     upwards = np.nansum(np.sign([vote(*record) for record in records])) >= 0
     return 1.0 if upwards != (unit == "m/s^2") else -1.0
+
+
+def first_and_last(speeds: np.ndarray) -> tuple[float, float]:
+    """The means of the first and of the last twentieth of velocities (N,); the first is 0 of a body that is struck at rest."""
+    seen, few = speeds[np.isfinite(speeds)], max(3, speeds.size // 20)
+    before, after = float(np.mean(seen[:few])), float(np.mean(seen[-few:]))
+    return (before if abs(before) > _STRUCK * abs(after) else 0.0), after
 
 
 class Sizes(NamedTuple):

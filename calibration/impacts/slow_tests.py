@@ -1,4 +1,4 @@
-"""Slow tests, of a body that is driven into a contact, and forces that pull as they push; by their channels alone."""
+"""Slow tests, of a body that is driven into a contact, forces that pull as they push, and motions without a contact."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from shlex import quote
 import numpy as np
 
 from bcfj_jax import InputError
-from bcfj_jax.io.units import column
+from bcfj_jax.core.quantities import GRAVITY
+from bcfj_jax.io.units import column, format_si
+from calibration.impacts.events import bent, turning
 from calibration.impacts.lines import NOISE, Draft, Line, Said, box, read_as, scene_of, toml, with_scene
 from calibration.impacts.otherwise import Steady
-from calibration.impacts.proposal import Run, Understood
+from calibration.impacts.proposal import Run, Understood, first_and_last
 from calibration.noise.scatter import scatter
 
-# A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed.
-_LONG, _LOST = 1.0, 0.1
+# A contact of a body that strikes is shorter [s]; up to its peak such a body loses at least that share of its speed, and before
+# contact its speed changes by less than that share of how it does in contact.
+_LONG, _LOST, _LED = 1.0, 0.1, 0.3
 # A force that pulls: its ends are alike but for this share of its range, and this share of the samples is near each.
 _ALIKE, _PULLS = 0.33, 0.1
 # Friction takes at least this share of the power that goes to and fro; a spring none.
@@ -33,8 +36,51 @@ _EARLY = 0.8
 _FINE, _ROWS, _FEW, _STEADY = 1e-3, 300, 4, 8
 _DRIVEN = (
     'write a scene file whose body follows the measured displacement, drive = { kind = "table", table = [[times], [places]] }, '
-    "and a calibration file that observes its force: docs/howto/problem_file.md"
+    "and a calibration file that observes its force: docs/howto/force_displacement.md#by-hand (play: #bodies-that-turn)"
 )
+
+# A contact that throws a body back by less than that share of its speed is a shorter share of a record.
+_BACK, _WHOLE = 0.1, 0.3
+# A place leaves its line in a contact by more than so many times its noise, or that share of its range, which is rounding.
+_SEEN, _ROUNDED = 6.0, 1e-4
+_SLIDES = "docs/howto/force_displacement.md#a-body-that-slides-to-rest"
+
+
+def refuse(found: Understood) -> None:
+    """Refuse places or velocities of one body, that does not fall, which hold no contact; forces and accelerations pass."""
+    if found.falls or found.body == "struck" or not found.columns.keys() <= {"m", "m/s"}:
+        return
+    header = next(iter(found.columns.values())).removeprefix("-")
+    for run in found.records:
+        said = _turned(run) if "m/s" not in run.readings else ""
+        way = "sample faster; or fit the loss to that restitution, as a result: docs/howto/problem_file.md#results"
+        if _lasts(run):
+            said = "changes its speed over most of the record, as friction or a slope does, and a contact is short"
+            way = f"write a scene of a body that slides to rest: {_SLIDES}; to take it as an impact give --scene impact"
+        if said:
+            raise InputError(f"{found.path} {run.name}", f"'{header}' {said}", way)
+
+
+def _lasts(run: Run) -> bool:
+    """Whether what would be the contact is a large part of the record, and does not throw the body back."""
+    before, after = first_and_last(_speed(run))
+    long = run.events[0].last - run.events[0].first > _WHOLE * run.clock.size
+    return bool(long and after * before > -_BACK * before**2)
+
+
+def _turned(run: Run) -> str:
+    """The speeds and the restitution of places that turn between two samples, and so show no law; "" of others."""
+    seen = np.isfinite(run.readings["m"])
+    clock, places = run.clock[seen], run.readings["m"][seen]
+    turn = turning(clock, places)
+    if not 4 <= turn <= clock.size - 5:
+        return ""
+    (before, level), (after, _) = (np.polyfit(clock[k], places[k], 1) for k in (slice(turn), slice(turn + 1, None)))
+    away = np.abs(places[:turn] - level - before * clock[:turn]).max()
+    if away > max(_SEEN * scatter(places), _ROUNDED * float(np.ptp(places))) or before * after > 0.0:
+        return ""
+    speeds = " before and ".join(format_si(abs(v), "m/s", 3) for v in (before, after))
+    return f"turns between two samples: they show {speeds} after, a restitution of {abs(after / before):.3g}, but no contact"
 
 
 def pulls(run: Run, where: str) -> bool:
@@ -100,7 +146,18 @@ def is_slow(run: Run) -> bool:
         t, x = (values[rows][np.isfinite(place[rows])] for values in (run.clock, place))
         speeds.append(abs(float(np.polyfit(t, x, 1)[0])) if t.size >= _FEW else 0.0)
     at_first = speeds[1] if speeds[0] < 0.8 * speeds[1] else speeds[0]
-    return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0)
+    return event.duration > _LONG or bool(speeds[2] > (1.0 - _LOST) * at_first > 0.0) or _is_led(run)
+
+
+def _is_led(run: Run) -> bool:
+    """Whether a place bends before a contact about as in it, and does not fall: a machine moves the body to and fro."""
+    event, place, span = run.events[0], run.readings["m"], run.events[0].duration / 2.0
+    if min(event.first, event.last - event.first) < 4 * _FEW:
+        return False
+    pieces = slice(0, event.first + 1), slice(event.first, event.last + 1)
+    before, inside = (float(np.median(np.abs(bent(run.clock[p], place[p], span)))) for p in pieces)
+    noise = 2.0 * scatter(place[np.isfinite(place)]) * np.sqrt(180.0 * event.step / span) / span**2
+    return bool(before > max(_LED * inside, 3.0 * noise) and abs(before / GRAVITY - 1.0) > 0.5)
 
 
 def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
@@ -109,7 +166,8 @@ def draft(found: Understood, said: Said, path: Path, file: str) -> Draft:
         many = f"{found.runs[1]} slow tests, by {found.runs[0]}"
         way = f'--rows "{found.runs[0]} = 1"'
         if found.parts:
-            many, way = f"{found.runs[1]} slow tests beside each other", f'--time "{found.time}" for the first'
+            many, one = f"{found.runs[1]} slow tests beside each other", found.parts[0].columns["N"].removeprefix("-")
+            way = f'--observe "{one}" for the first'
         raise InputError(str(found.path), many, f"choose one: {way}")
     rubbed = pulls(found.records[0], str(found.path))
     scene, free, reading = (_rubbed if rubbed else _driven)(found.records[0])
@@ -276,8 +334,10 @@ def _driven(run: Run) -> tuple[str, list[Line], str]:
     depth = max(deep - touch, 1e-3 * deep)
     # A press that comes back shows what it lost.
     taken = float(np.trapezoid(np.nan_to_num(force[: peak + 1]), places[: peak + 1]))
-    given = -float(np.trapezoid(np.nan_to_num(force[peak:]), places[peak:]))
-    back = bool(places[-1] - places[0] < touch + 0.5 * depth) and given < _ELASTIC * taken
+    # Of several cycles it is the first.
+    last = run.events[1].first if len(run.events) > 1 else places.size
+    given = -float(np.trapezoid(np.nan_to_num(force[peak:last]), places[peak:last]))
+    back = bool(places[last - 1] - places[0] < touch + 0.5 * depth) and given < _ELASTIC * taken
     ends = [float(force[peak]) / depth**n for n in ((1.0,) if back else (1.0, 2.5))]
     law = 'law = "walton_braun"\n' if back else ""
     values = "restitution = 0.7" if back else "exponent = 1.0\ndamping = 0.0"

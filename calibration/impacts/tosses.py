@@ -117,7 +117,9 @@ def draft(moved: InMotion, record: Path, said: Said, path: Path, file: str) -> D
 
     ``file``: the record as the problem file names it.
     """
-    headers, time, runs, axes = moved.columns, moved.table.clock, [], set[int]()
+    headers, time, runs, axes = moved.columns, said.hints.time or moved.table.clock, [], set[int]()
+    if not time:
+        raise InputError(moved.table.name, "no column is a time", 'say how often was sampled: --rate "200 Hz"')
     paths = [(one, table) for one in matching(record) for table in moved.tables]
     for one, inside in paths:
         clock, places, attitudes = _read(read(one, "record", inside, said.stated), time, headers)
