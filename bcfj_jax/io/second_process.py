@@ -21,6 +21,9 @@ from typing import Any
 
 from bcfj_jax.xla.threads import cores
 
+# How long what the second process has begun is waited for [s].
+_PATIENCE_S = 60.0
+
 
 @dataclass
 class _Task:
@@ -121,7 +124,7 @@ def finish() -> None:
         while True:
             _Second.waiting.pop().make()
     if _Second.sender.is_alive():
-        _Second.sender.join()
+        _Second.sender.join(_PATIENCE_S)
     tasks, _Second.tasks = _Second.tasks, []
     for task in tasks:
         task.end()

@@ -30,10 +30,12 @@ SCRIPT = """
     assert second.channel
     if case == "none":
         second.channel = None
-    if case == "gone":
+    if case == "hangs":
+        second_process._PATIENCE_S = 0.1
+    if case in ("gone", "hangs"):
         for entry in Path("/proc/self/task").iterdir():
             for child in (entry / "children").read_text().split():
-                os.kill(int(child), signal.SIGKILL)
+                os.kill(int(child), signal.SIGKILL if case == "gone" else signal.SIGSTOP)
     drawn(folder, (lambda x, place: f"{x:.3f}") if case == "lambda" else None)
     if case == "raises":
         outputs.write_later(folder / "x", int, "seven")
@@ -58,8 +60,8 @@ def _made(folder, case: str) -> dict[str, bytes]:
 def test_files_are_the_same_with_and_without_a_second_process(tmp_path):
     alone = _made(tmp_path / "none", "none")
     assert sorted(alone) == ["0.png", "1.png", "2.png", "3.png", "4.png", "5.png", "t.csv"]
-    # As it is meant; gone before its work; a function that fails there fails here, with its error.
-    for case in ("beside", "gone", "raises"):
+    # As it is meant; gone or stopped before its work; a function that fails there fails here, with its error.
+    for case in ("beside", "gone", "hangs", "raises"):
         assert _made(tmp_path / case, case) == alone
     # A figure that cannot be sent is drawn here.
     there = _made(tmp_path / "lambda", "lambda")
