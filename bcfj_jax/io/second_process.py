@@ -125,6 +125,8 @@ def finish() -> None:
             _Second.waiting.pop().make()
     if _Second.sender.is_alive():
         _Second.sender.join(_PATIENCE_S)
+        if _Second.sender.is_alive():
+            _Second.channel, _Second.sender = None, threading.Thread()
     tasks, _Second.tasks = _Second.tasks, []
     for task in tasks:
         task.end()
