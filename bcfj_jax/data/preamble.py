@@ -86,7 +86,8 @@ def states(cells: Sequence[Any]) -> bool:
         said = bool(value.strip()) and (is_number(value) or _is_known(key))
         marked = len(cells) > 1 or sign != "" or given[0].startswith("[") or given[0] == "BEGIN"
         return bool(sign and said) or (marked and _DATA.fullmatch(given[0]) is not None)
-    if len(given) > 1 and _KEY.fullmatch(given[0]) and not any(_KEY.fullmatch(c) for c in given[1:]):
+    # Of units all stand in brackets.
+    if len(given) > 1 and _KEY.fullmatch(given[0]) and not any(c.startswith(("[", "(")) for c in given[1:]):
         return True
     if given and (given[0].endswith("=") or (len(given) == 2 and given[0].endswith(":"))):
         return True
