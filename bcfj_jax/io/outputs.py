@@ -130,8 +130,8 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
-    """As ``write_csv``, by columns of numbers (T,) or of texts that need no quotes: several times as fast. Of long tables
-    ``second_process.finish`` says when they are there.
+    """As ``write_csv``, by columns of numbers (T,) or of texts that need no quotes: several times as fast. The file is there when
+    ``second_process.finish`` returns.
     """
     write_later(path, _table, columns)
 

@@ -165,7 +165,7 @@ class _Sampled:
             return self.passed(read.rows, passed, cutoff)
 
         begin, bounds = near.point, (np.where(clock, -np.inf, 0.0), np.where(clock, np.inf, 1.0))
-        for rough in (100.0, 1.0):
+        for rough in (100.0, 1.0):  # Where the first ends, one more step mostly does little.
             begin = np.where(clock, begin, np.clip(begin, 1e-9, 1.0 - 1e-9))
             end = trust_region(evaluate, begin, bounds, ftol=1e-5 * rough, xtol=1e-6 * rough, max_nfev=15)
             begin = end.point

@@ -9,7 +9,7 @@ import textwrap
 import pytest
 
 SCRIPT = """
-    import os, signal, sys
+    import os, signal, sys, time
     from pathlib import Path
     from bcfj_jax.io import second_process
 
@@ -37,6 +37,14 @@ SCRIPT = """
             for child in (entry / "children").read_text().split():
                 os.kill(int(child), signal.SIGKILL if case == "gone" else signal.SIGSTOP)
     drawn(folder, (lambda x, place: f"{x:.3f}") if case == "lambda" else None)
+    if case == "beside":
+        outputs.write_later(folder / "stat", Path("/proc/self/stat").read_bytes)
+        until = time.monotonic() + 60.0
+        while not second.tasks[-1].made and time.monotonic() < until:
+            time.sleep(0.01)
+        second_process.finish()
+        assert int((folder / "stat").read_bytes().split()[0]) != os.getpid()
+        (folder / "stat").unlink()
     if case == "raises":
         outputs.write_later(folder / "x", int, "seven")
         try:
@@ -60,7 +68,7 @@ def _made(folder, case: str) -> dict[str, bytes]:
 def test_files_are_the_same_with_and_without_a_second_process(tmp_path):
     alone = _made(tmp_path / "none", "none")
     assert sorted(alone) == ["0.png", "1.png", "2.png", "3.png", "4.png", "5.png", "t.csv"]
-    # As it is meant; gone or stopped before its work; a function that fails there fails here, with its error.
+    # As it is meant, made by another process; gone or stopped before its work; what fails there fails here, with its error.
     for case in ("beside", "gone", "hangs", "raises"):
         assert _made(tmp_path / case, case) == alone
     # A figure that cannot be sent is drawn here.
